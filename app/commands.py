@@ -41,9 +41,11 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
-        ("reference", "Compare with...", "Ctrl+R", "Show the error against a truth.json or an iCub position file"),
+        ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
+        ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
         ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
+        ("pace", "Pace of the simulated operator", "Shift+P", "Once, twice or four times as quick as a careful hand"),
         ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
     ),
     "Poke": (
@@ -53,6 +55,8 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin; N skips one landmark"),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
+        ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
+        ("history", "History...", "H", "What was done and when; Enter takes back everything down to a line"),
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
@@ -80,13 +84,23 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
         ("full", "Full screen", "F11", ""),
     ),
+    "Layers": (
+        ("modules", "Plan of the skin", "Ctrl+1", "Outlines, numbers and places as the layout has them"),
+        ("estimates", "Estimates", "Ctrl+2", "A ball for each taxel, with a hole where it lies below the skin"),
+        ("axes", "Force axes", "Ctrl+3", "Of the poke in progress, and of the selected taxel's pokes"),
+        ("uncertainty", "Ellipses", "Ctrl+4", "Where the worst taxel and the selected one may lie, at 95 %"),
+        ("landmarks", "Landmarks", "Ctrl+5", "Known points of the part, with their names"),
+        ("cone", "Cone of the target", "Ctrl+6", "How far a push may be off the arrow"),
+    ),
     "Help": (
         ("what", "What is this?", "F1", "Then click what you want explained"),
         ("keys", "Keys", "F2", "Every key in one list"),
     ),
 }
 """For each menu: name, text, keys and hint of each entry."""
-_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full")
+LAYERS = tuple(name for name, *_ in _MENUS["Layers"])
+"""What the 3D view can leave out, by the names that it knows."""
+_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full", *LAYERS)
 COMMANDS = tuple(
     Command(name, menu, text.replace("...", "\N{HORIZONTAL ELLIPSIS}"), tuple(keys.split()), hint, name in _CHECKABLE)
     for menu, entries in _MENUS.items()
@@ -113,6 +127,8 @@ class Commands(QObject):
             action.setShortcuts([QKeySequence(key) for key in command.keys])
             action.setStatusTip(command.hint)
             action.setCheckable(command.checkable)
+            # A key that is held down would take back one poke after another.
+            action.setAutoRepeat(False)
             # Lambdas drop the `checked` argument that Qt would pass.
             action.triggered.connect(lambda _checked=False, slot=slots[command.name]: slot())
             self.menus[command.menu].addAction(action)
@@ -158,12 +174,18 @@ class Commands(QObject):
             for key in action.shortcuts()
         }
 
+    def follow_pace(self, words: str, *, served: bool) -> None:
+        """Name the pace of a simulated operator, where there is one."""
+        self.actions["pace"].setEnabled(served)
+        self.actions["pace"].setText(words)
+
     def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
         """Enable what may be done, and name it."""
         excludes = bool(may.exclude or may.unname)
         exclude = "Restore selected pokes" if may.restore and not excludes else "Exclude selected pokes"
         for name, enabled, text in (
             ("undo", bool(may.undo), f"Undo {may.undo}".strip()),
+            ("redo", bool(may.redo), f"Redo {may.redo}".strip()),
             ("exclude", excludes or bool(may.restore), exclude),
             ("dead", may.mark_dead or may.revive, "Use selected taxel again" if may.revive else "Do not use selected taxel"),
             ("correct", bool(correct), correct or CORRECT),
@@ -174,6 +196,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("report", may.verdict),
             ("method", may.switch_method),
             ("difference", may.switch_method),
             ("keep", can_keep),

@@ -67,7 +67,8 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
-    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder)
+    demo = scene is None and folder is None
+    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder, demo=demo)
 
 
 class Faults(QObject):
@@ -162,7 +163,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
     for number in (signal.SIGINT, signal.SIGTERM):
         # Python runs a handler between any two steps of the program, in the middle of a write, too: it only asks for the end.
-        signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "close", Qt.ConnectionType.QueuedConnection))
+        signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "leave", Qt.ConnectionType.QueuedConnection))
     window.show()
     # Everything else waits until the window is on the screen.
     QTimer.singleShot(0, lambda: begin(window, request))

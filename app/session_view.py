@@ -9,7 +9,7 @@ It is imported beside the window, after the window is on the screen: numpy and a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -18,8 +18,9 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
-from app.commands import Commands
+from app.commands import LAYERS, Commands
 from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
@@ -34,21 +35,24 @@ from app.panels.widgets import FittedLabel, theme_colours
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
+from app.state.place_sets import PlaceOrigin, Source
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
-from app.text.message import Message
+from app.text.demo_text import simulated_words
+from app.text.guidance_text import early_words
+from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
-from app.text.rig_text import corrected_words, offer_news, offer_text
-from app.text.verdict_text import rig_state
+from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.theme import GAP
 from app.units import ChannelNames
 from skincal.files.calibration import landmark_check
-from skincal.guide.guidance import Guidance, leeway
+from skincal.files.reference import Origin
+from skincal.guide.guidance import Guidance, GuidePhase, leeway
 from skincal.guide.progress import AxisDiversity
-from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
 from skincal.model.errors import InputError
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
@@ -59,13 +63,16 @@ from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import PlaceSet, Reference
     from skincal.modules.health import LayoutMend
 
+KINDS_OF_PLACES = "Known places (*.json *.csv *.txt *.ini);;All files (*)"
+VERDICT_MS = 3000
+"""The demo's line says *enough* for so long before the verdict comes by itself."""
 LATE_S = 0.3
 """s. What happened longer ago makes no sound any more: by now the hand does something else."""
 SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
-"""Methods in the order in which they are offered; the first that there is is shown first."""
+"""Methods in the order in which they are offered; which is shown first says `first_method`."""
 RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 
@@ -212,6 +219,13 @@ class Workspace(QWidget):
         self.view.set_dark(theme_colours().dark)
 
 
+def first_method(methods: Sequence[Method], part: Part) -> Method:
+    """Return the method that is shown first: modules where their layout lies on a mesh, since it takes far fewer pokes."""
+    if Method.MODULES in methods and part.surface is not None and part.laid is not None:
+        return Method.MODULES
+    return methods[0]
+
+
 def _card(splitter: QSplitter) -> QVBoxLayout:
     """Add a card to a splitter, and return its column."""
     card = QFrame(splitter)
@@ -231,6 +245,11 @@ class SessionView(QObject):
     sound_due = Signal(object)
     """`DueCue`: a sound that is due."""
 
+    _ended = False
+    """The verdict of the demo came by itself."""
+    _history: HistoryDialog | None = None
+    """Made when it is first asked for."""
+
     def __init__(
         self,
         part: Part,
@@ -246,7 +265,7 @@ class SessionView(QObject):
         self._documents = documents
         self._tick: Tick | None = None
         self._revision = 0
-        self._clock_offset = time.time() - time.monotonic()
+        self._opened_s, self._opened_unix_s = time.monotonic(), time.time()
         self._cues = CueMemory()
         self._rig = RigReview()
         self._guidance: Guidance | None = None
@@ -259,7 +278,7 @@ class SessionView(QObject):
         """What is shown; None before the first tick."""
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
-        self.method = self.workspace.methods[0]
+        self.method = first_method(self.workspace.methods, part)
         self.chips = LinkChips()
         self.course = ErrorFollower(part, controller.compute)
         self.guide = SessionGuide(part)
@@ -279,6 +298,8 @@ class SessionView(QObject):
         workspace.method_chosen.connect(self.show_method)
         workspace.inspect.poke_wanted.connect(self.select_poke)
         workspace.compare.layout_wanted.connect(self.ask_layout)
+        workspace.compare.file_wanted.connect(self.ask_places)
+        workspace.compare.session_wanted.connect(self.ask_session_places)
         workspace.tabs.currentChanged.connect(self._tab_opened)
         workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
@@ -343,8 +364,14 @@ class SessionView(QObject):
         self.state = state = self.view_state(tick)
         self._cue(state)
         self._announce_modules(state)
+        if self.ends and self._controller.demo and not self._ended:
+            # Nobody's hands are busy, and somebody who only looks on would not know that this is the end.
+            self._ended = True
+            QTimer.singleShot(VERDICT_MS, self.workspace, lambda: self.ask_verdict(self.workspace.window()))
         self.workspace.show_state(state)
         self.chips.show_state(state)
+        if self._history is not None:
+            self._history.show_state(state)
         if before is None or state.may is not before.may:
             self._enable(state.may)
 
@@ -363,7 +390,7 @@ class SessionView(QObject):
         snapshot, live, running, offers = tick.snapshot, tick.live, self._controller.running, self._rig.offers(tick.snapshot)
         pokes, taxel, guidance = self.workspace.pokes.selected(), self.selected, self._guidance
         carried = tuple(link.carries for link in live.links)
-        made_of = (self._revision, snapshot.can_undo, running, pokes, taxel, carried, guidance, offers)
+        made_of = (self._revision, snapshot.can_undo, snapshot.can_redo, running, pokes, taxel, carried, guidance, offers)
         if self._may is None or made_of != self._may[0]:
             scene = self.workspace.part.scene
             self._may = made_of, allowed(snapshot, scene, live.links, running, pokes, taxel, guidance, offers)
@@ -382,7 +409,7 @@ class SessionView(QObject):
             running=self._controller.running,
             now_ns=tick.now_ns,
             behind_s=tick.behind_s,
-            clock_offset=self._clock_offset,
+            clock_offset=self._opened_unix_s - self._opened_s,
             revision=self._revision,
             guidance=self._guidance,
             diversity=self._diversity_of(tick),
@@ -391,6 +418,9 @@ class SessionView(QObject):
             offers=self._rig.offers(snapshot),
             modules=self._modules_check.found,
             unsolved=tick.unsolved,
+            simulated=simulated_words(self._controller.pace, self._controller.running) if self._controller.simulated else "",
+            opened_s=self._opened_s,
+            costs=self.guide.costs,
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
         )
@@ -448,6 +478,11 @@ class SessionView(QObject):
         """Turn the camera to the target between pokes, or do not."""
         self.workspace.view.set_turning(self._commands.actions["turn"].isChecked())
 
+    def show_layers(self) -> None:
+        """Show the layers of the 3D view that are wanted."""
+        hidden = (name for name in LAYERS if not self._commands.actions[name].isChecked())
+        self.workspace.view.hide_layers(frozenset(hidden))
+
     def skip_target(self) -> None:
         """Ask for another target."""
         self.guide.skip()
@@ -500,6 +535,21 @@ class SessionView(QObject):
         """Take back the last poke or action."""
         self._controller.act(Undo())
 
+    def redo(self) -> None:
+        """Bring again what was taken back last."""
+        self._controller.act(Redo())
+
+    def show_history(self, parent: QWidget) -> None:
+        """Show what was done and when, beside the window."""
+        if self._history is None:
+            self._history = HistoryDialog(parent)
+            self._history.taken_back.connect(lambda count: self._controller.act_all([Undo()] * count))
+            self._history.brought_again.connect(lambda count: self._controller.act_all([Redo()] * count))
+        if self.state is not None:
+            self._history.show_state(self.state)
+        self._history.show()
+        self._history.activateWindow()
+
     def exclude_or_restore(self) -> None:
         """Take the selected pokes out, or in again where all of them are out."""
         if self.state is not None:
@@ -540,6 +590,7 @@ class SessionView(QObject):
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)
         dialog.export_wanted.connect(lambda: self.ask_export(parent))
+        dialog.report_wanted.connect(lambda: self.ask_report(parent))
         dialog.open()
 
     def ask_export(self, parent: QWidget) -> None:
@@ -550,15 +601,54 @@ class SessionView(QObject):
         def write(format_: str, path: Path, method: Method) -> None:
             review = None if self.state is None else self.state.review
             check = None if review is None else landmark_check(review.rig)
-            self._controller.export(format_, path, method, check, dialog.show_findings, dialog.show_failure)
+            early = self._early_words()
+
+            def done(sentences: tuple[str, ...]) -> None:
+                dialog.show_findings((*early, *sentences))
+
+            self._controller.export(format_, path, method, check, done, dialog.show_failure)
 
         dialog.write_requested.connect(write)
         dialog.open()
 
+    def ask_report(self, parent: QWidget) -> None:
+        """Ask for a file, write the session's report there, and say where it is or why it is not."""
+        name = str(self._folder() / f"{self.workspace.part.scene.name}-report.html")
+        chosen, _ = QFileDialog.getSaveFileName(parent, "Write the report", name, "Report (*.html)")
+        if chosen:
+            path = Path(chosen) if Path(chosen).suffix else Path(chosen).with_suffix(".html")
+            self.said.emit(Message(REPORTING, found=True))
+            done: Callable[[str], None] = lambda verdict: self.said.emit(Message(report_words(path, verdict)))  # noqa: E731
+            self._controller.report(path, self.method, done, self._say_failure)
+
+    def ask_places(self) -> None:
+        """Ask for a file of places, and compare with it."""
+        path, _ = QFileDialog.getOpenFileName(self.workspace, "Compare with a file", str(self._folder()), KINDS_OF_PLACES)
+        if path:
+            self._controller.find_places(Path(path), self._take_places)
+
+    def ask_session_places(self) -> None:
+        """Ask for the folder of another session, and compare with it."""
+        path = QFileDialog.getExistingDirectory(self.workspace, "Compare with a session", str(self._folder()))
+        if path:
+            self._controller.find_places(Path(path), self._take_places)
+
+    def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
+        """Offer sets of places in the panel that compares; the first is chosen."""
+        for found in reversed(sets):
+            source = Source(PlaceOrigin.OTHER, name=found.name)
+            self.workspace.compare.offer(source, found.places, choose=found is sets[0])
+
+    def _early_words(self) -> tuple[str, ...]:
+        """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
+        guidance = self._guidance
+        if self.state is None or guidance is None or guidance.phase is GuidePhase.ENOUGH:
+            return ()
+        return (early_words(guidance, self.state.snapshot.dead),)
+
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""
-        kinds = "Known places (*.json *.txt *.ini);;All files (*)"
-        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), kinds)
+        path, _ = QFileDialog.getOpenFileName(parent, "Compare with known places", str(self._folder()), KINDS_OF_PLACES)
         if path:
             self.compare_with(Path(path))
 
@@ -600,6 +690,10 @@ class SessionView(QObject):
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
         self.course.offer(reference)
+        source = (
+            Source(PlaceOrigin.TRUTH) if reference.origin is Origin.TRUTH else Source(PlaceOrigin.OTHER, name=reference.name)
+        )
+        self.workspace.compare.offer(source, reference.places)
         self.workspace.error_course.show_sources()
         self.follow_again()
 
@@ -635,6 +729,9 @@ class SessionView(QObject):
         self._commands.actions["guide"].setChecked(self.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
         self.show_turning()
+        for name in LAYERS:
+            self._commands.actions[name].setChecked(bool(settings.value(f"layers/{name}", True, type=bool)))
+        self.show_layers()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
         self._follow()
@@ -648,11 +745,16 @@ class SessionView(QObject):
         self.workspace.error_course.save(settings)
         settings.setValue("window/guide", self.guide.wanted)
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
+        for name in LAYERS:
+            settings.setValue(f"layers/{name}", self._commands.actions[name].isChecked())
         settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
 
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
         self.picking.stop()
+        if self._history is not None:
+            self._history.deleteLater()
+            self._history = None
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []

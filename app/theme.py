@@ -83,6 +83,8 @@ GAP = 8
 """Pixels between things that belong together."""
 HEADLINE_PT = 28
 """The line that says what happens: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
+RESULT_PT = 15
+"""What came of the last poke or action, above that line: told from it by its size, and readable from a metre."""
 
 
 def method_hue(colours: Colours, method: Method) -> str:

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
@@ -26,15 +26,17 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.commands import Commands, key_words
+from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
+from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
 from app.panels.widgets import ElidedLabel, mix
-from app.session.controller import Controller
+from app.session.controller import PACES, Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
-from app.text.message import Message
+from app.text.demo_text import pace_words
+from app.text.message import Message, keep_question
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
@@ -144,6 +146,10 @@ class Window(QMainWindow):
         self._documents = documents
         self._player = player
         self.session_view: SessionView | None = None
+        self._told: FirstMinute | None = None
+        self._question: QMessageBox | None = None
+        """What becomes of pokes that would go."""
+        self._leaves = False
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -159,8 +165,10 @@ class Window(QMainWindow):
             "open": self.ask_session,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
+            "report": self._of_session(lambda view: view.ask_report(self)),
             "reference": self._of_session(lambda view: view.ask_reference(self)),
             "picture": self._of_session(lambda view: view.ask_picture(self)),
+            "pace": self._change_pace,
             "quit": self.close,
             "space": self._do_obvious,
             "pause": self.controller.toggle,
@@ -169,6 +177,8 @@ class Window(QMainWindow):
             "correct": self._of_session(lambda view: view.correct()),
             "no landmarks": self._of_session(lambda view: view.skip_landmarks()),
             "undo": self._of_session(lambda view: view.undo()),
+            "redo": self._of_session(lambda view: view.redo()),
+            "history": self._of_session(lambda view: view.show_history(self)),
             "exclude": self._of_session(lambda view: view.exclude_or_restore()),
             "last": self._of_session(lambda view: view.select_last()),
             "dead": self._of_session(lambda view: view.mark_or_revive()),
@@ -178,6 +188,7 @@ class Window(QMainWindow):
             "sounds": self._switch_sounds,
             "speech": self._switch_sounds,
             "turn": self._of_session(lambda view: view.show_turning()),
+            **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
             "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
             "none": self._escape,
             "full": self._toggle_full,
@@ -267,6 +278,9 @@ class Window(QMainWindow):
             self.stack.addWidget(session_view.workspace)
             self.stack.setCurrentWidget(session_view.workspace)
             session_view.begin()
+            if self.controller.demo and not self._settings.value("window/told", False, type=bool):
+                self._told = FirstMinute(session_view.workspace.view)
+                self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
 
     def _take_session(self, snapshot: Snapshot) -> None:
         if self.session_view is not None:
@@ -275,6 +289,7 @@ class Window(QMainWindow):
 
     def _running_changed(self, running: Running) -> None:
         self._show_opening()
+        self.commands.follow_pace(pace_words(self.controller.pace), served=self.controller.served)
         if self.session_view is not None:
             if running is Running.OFFLINE and self.session_view.state is None:
                 self.session_view.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
@@ -319,10 +334,17 @@ class Window(QMainWindow):
     def _escape(self) -> None:
         if self.session_view is not None and self.session_view.picking.waiting:
             self.session_view.picking.stop()
+        elif self._told is not None and self._told.isVisible():
+            self._told.leave()
         elif self.messages.isVisible():
             self.messages.dismiss()
         elif self.session_view is not None:
             self.session_view.select_taxel(None)
+
+    def _change_pace(self) -> None:
+        """Have the simulated operator be quicker, and after the quickest as slow as at first."""
+        paces = PACES
+        self.controller.set_pace(paces[(paces.index(self.controller.pace) + 1) % len(paces)])
 
     def _switch_sounds(self) -> None:
         """Play sounds, and say words, as the menu has it."""
@@ -364,15 +386,54 @@ class Window(QMainWindow):
             self.open(OpenRequest(session=Path(folder)))
 
     def open(self, request: OpenRequest) -> None:
-        """Open something in place of what is open."""
+        """Open something in place of what is open, once it is settled what becomes of that."""
+        self._before_losing(lambda: self._open(request))
+
+    def _open(self, request: OpenRequest) -> None:
         self._drop_session()
         self.where.setText("")
         self.controller.open(request)
 
+    def _before_losing(self, then: Callable[[], object]) -> None:
+        """Ask what becomes of pokes in a temporary recording, if there are any, then go on."""
+        pokes = self.controller.would_lose
+        if not pokes:
+            then()
+            return
+        if self._question is not None:
+            return
+        question, more = keep_question(pokes)
+        self._question = box = QMessageBox(QMessageBox.Icon.Question, "Keep this session", question, parent=self)
+        box.setInformativeText(more)
+        keep = box.addButton("Keep", QMessageBox.ButtonRole.AcceptRole)
+        drop = box.addButton("Do not keep", QMessageBox.ButtonRole.DestructiveRole)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(keep)
+
+        def answered() -> None:
+            chosen, self._question = box.clickedButton(), None
+            box.deleteLater()
+            if chosen is keep:
+                self.controller.keep(then)
+            elif chosen is drop:
+                then()
+
+        box.finished.connect(answered)
+        box.open()
+        keep.setFocus()
+
     # Coming and going
+
+    @Slot()
+    def leave(self) -> None:
+        """Close without a question: it is answered, or nobody can be asked."""
+        self._leaves = True
+        self.close()
 
     def _drop_session(self) -> None:
         session_view, self.session_view = self.session_view, None
+        # It goes with the view that it stands over.
+        self._told = None
         if session_view is not None:
             session_view.save(self._settings)
             session_view.close()
@@ -382,7 +443,11 @@ class Window(QMainWindow):
                 gone.deleteLater()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask nothing: everything that was recorded is on the disk. Stop the timers, close the 3D view, then the journal."""
+        """Ask whether a temporary recording is kept; then stop the timers, close the 3D view, then the journal."""
+        if not self._leaves and self.controller.would_lose:
+            self._before_losing(self.leave)
+            event.ignore()
+            return
         self._settings.setValue("window/geometry", self.saveGeometry())
         self._settings.setValue("window/sounds", self._player.on)
         self._settings.setValue("window/speech", self._player.speaks)

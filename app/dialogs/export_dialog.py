@@ -23,15 +23,8 @@ from PySide6.QtWidgets import (
 from app.panels.widgets import plain_buttons, quiet
 from app.text.outcomes import METHOD_NAMES
 from app.units import count
+from skincal.files.formats import FORMATS, ExportFormat, FormatWords
 from skincal.taxels.result import Method
-
-FORMATS: tuple[tuple[str, str, str, str], ...] = (
-    ("icub", "iCub position file", ".txt", "What skinManager and skinGui load: every channel, unit normals, taxel2Repr."),
-    ("json", "JSON, complete", ".json", "Covariances, contacts and settings: everything needed to compute it again."),
-    ("csv", "CSV, all methods", ".csv", "One row a channel and method, metres and millimetres."),
-    ("ply", "PLY points", ".ply", "For mesh viewers: positions with normals."),
-)
-"""Name, title, ending, what it is for."""
 
 
 class ExportDialog(QDialog):
@@ -47,8 +40,8 @@ class ExportDialog(QDialog):
         self._stem = stem
         self._named_by_hand = False
         self.format = QComboBox()
-        for name, title, _, _ in FORMATS:
-            self.format.addItem(title, name)
+        for format_, words in FORMATS.items():
+            self.format.addItem(words.title, format_)
         self.about = quiet(wrap=True)
         self.method = QComboBox()
         for method in methods:
@@ -126,30 +119,31 @@ class ExportDialog(QDialog):
         self.outcome.setText("")
         self.findings.hide()
 
-    def _row(self) -> tuple[str, str, str, str]:
-        return FORMATS[self.format.currentIndex()]
+    def _chosen(self) -> ExportFormat:
+        return self.format.currentData()
+
+    def _words(self) -> FormatWords:
+        return FORMATS[self._chosen()]
 
     def _format_chosen(self) -> None:
-        name, _, ending, about = self._row()
-        self.about.setText(about)
-        # The other formats hold every method.
-        self.method.setEnabled(name in ("icub", "ply"))
+        words = self._words()
+        self.about.setText(words.about)
+        self.method.setEnabled(not words.every_method)
         if self._named_by_hand:
-            self.path.setText(str(Path(self.path.text()).with_suffix(ending)))
+            self.path.setText(str(Path(self.path.text()).with_suffix(words.ending)))
         self._name()
 
     def _name(self) -> None:
         if not self._named_by_hand:
-            _, _, ending, _ = self._row()
             method = f"-{self.method.currentText()}" if self.method.isEnabled() else ""
-            self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{ending}")))
+            self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{self._words().ending}")))
 
     def _edited(self) -> None:
         self._named_by_hand = True
 
     def _browse(self) -> None:
-        _, title, ending, _ = self._row()
-        path, _ = QFileDialog.getSaveFileName(self, "Export calibration", self.path.text(), f"{title} (*{ending})")
+        words = self._words()
+        path, _ = QFileDialog.getSaveFileName(self, "Export calibration", self.path.text(), f"{words.title} (*{words.ending})")
         if path:
             self._named_by_hand = True
             self.path.setText(path)
@@ -159,4 +153,4 @@ class ExportDialog(QDialog):
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
         self.write.setEnabled(False)
         self.outcome.setText("Writing \N{HORIZONTAL ELLIPSIS}")
-        self.write_requested.emit(self._row()[0], Path(self.path.text()), self.method.currentData())
+        self.write_requested.emit(self._chosen().value, Path(self.path.text()), self.method.currentData())

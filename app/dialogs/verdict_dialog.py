@@ -17,11 +17,10 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.widgets import embolden, plain_buttons, quiet
-from app.text.verdict_text import figures, left_words
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
-from skincal.guide.verdict_sentence import verdict_sentence
+from skincal.guide.verdict_words import figures, left_words, sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
 
@@ -33,6 +32,8 @@ class VerdictDialog(QDialog):
     """
 
     export_wanted = Signal()
+    report_wanted = Signal()
+    """What the dialog says is to be written down; it stays open."""
     taxel_wanted = Signal(int)
 
     def __init__(
@@ -48,7 +49,7 @@ class VerdictDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.sentence = QLabel(verdict_sentence(verdict))
+        self.sentence = QLabel(sentence(verdict))
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
@@ -59,6 +60,7 @@ class VerdictDialog(QDialog):
                 self.left.setItem(row, column, QTableWidgetItem(text))
         self.buttons = QDialogButtonBox()
         self.go_on = self.buttons.addButton("Go on", QDialogButtonBox.ButtonRole.RejectRole)
+        self.report = self.buttons.addButton("Report\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
         self._arrange()
@@ -67,6 +69,7 @@ class VerdictDialog(QDialog):
         first.setFocus()
         self.buttons.accepted.connect(self._export)
         self.buttons.rejected.connect(self.reject)
+        self.report.clicked.connect(self.report_wanted)
         self.left.itemActivated.connect(lambda item: self.taxel_wanted.emit(self._channels[item.row()]))
 
     def _arrange(self) -> None:

@@ -5,6 +5,7 @@ It works, and the 3D view draws the arrows, only while the panel is on the scree
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QGridLayout,
+    QHBoxLayout,
     QLabel,
     QPushButton,
     QScrollArea,
@@ -35,6 +37,7 @@ from app.text.compare_text import (
     listed_words,
     misfit_words,
     module_cells,
+    motion_words,
     save_hint,
     scale_choice,
     source_words,
@@ -47,7 +50,7 @@ from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
 from skincal.session.error_history import ModulesFound
-from skincal.taxels.differences import compare_modules, differences, summarise, worst_rows
+from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
@@ -69,6 +72,10 @@ class ComparePanel(QScrollArea):
     """`Comparison`, or None while nothing is compared."""
     layout_wanted = Signal(object)
     """`LayoutMend`: the corrected layout is to be saved."""
+    file_wanted = Signal()
+    """The operator is to choose a file of places."""
+    session_wanted = Signal()
+    """And this the folder of another session."""
 
     def __init__(self, part: Part, methods: tuple[Method, ...], names: ChannelNames) -> None:
         super().__init__()
@@ -89,7 +96,9 @@ class ComparePanel(QScrollArea):
         self.all = QCheckBox("all")
         self.scale = QComboBox()
         self.legend = QLabel()
+        self.add_file, self.add_session = (QPushButton(f"Add {what}\N{HORIZONTAL ELLIPSIS}") for what in ("file", "session"))
         self.summary = QLabel()
+        self.motion = quiet(wrap=True)
         self.health = QLabel()
         self.save = QPushButton("Save the corrected layout\N{HORIZONTAL ELLIPSIS}")
         self.spacing = quiet(wrap=True)
@@ -108,7 +117,10 @@ class ComparePanel(QScrollArea):
         self.modules.setSelectionMode(QTreeWidget.SelectionMode.NoSelection)
         self.modules.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         # The space bar pauses: Enter presses the button that has the focus.
-        self.save.setAutoDefault(True)
+        for button in (self.save, self.add_file, self.add_session):
+            button.setAutoDefault(True)
+        self.add_file.setToolTip("Compare with a calibration (JSON, CSV, iCub) or a truth.json")
+        self.add_session.setToolTip("Compare with another recorded session, by each of its methods")
         embolden(self.summary)
         for label in (self.legend, self.summary, self.health):
             label.setWordWrap(True)
@@ -127,18 +139,23 @@ class ComparePanel(QScrollArea):
             choices.addWidget(quiet(text), row, 0)
             choices.addWidget(box, row, 1)
             choices.addWidget(other, row, 2)
+        more = QHBoxLayout()
+        more.addWidget(self.add_file)
+        more.addWidget(self.add_session)
+        more.addStretch(1)
+        choices.addLayout(more, 2, 1, 1, 2)
         inner = on_panel(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
         column.addLayout(choices)
-        for widget in (self.legend, self.summary, self.health):
+        for widget in (self.legend, self.summary, self.motion, self.health):
             column.addWidget(widget)
         column.addWidget(self.save, 0, Qt.AlignmentFlag.AlignLeft)
         for widget in (self.listed, self.modules, self.spacing):
             column.addWidget(widget)
         column.addWidget(quiet("Farthest apart"))
         column.addWidget(self.worst, 1)
-        for empty in (self.health, self.save, self.listed):
+        for empty in (self.health, self.save, self.listed, self.motion):
             empty.hide()
         for widget in (self.modules, self.spacing):
             widget.setVisible(self._layout is not None)
@@ -152,6 +169,8 @@ class ComparePanel(QScrollArea):
         self.scale.activated.connect(self.show_again)
         self.worst.taxel_wanted.connect(self.taxel_wanted)
         self.save.clicked.connect(self._save_wanted)
+        self.add_file.clicked.connect(self.file_wanted)
+        self.add_session.clicked.connect(self.session_wanted)
 
     # Showing
 
@@ -181,7 +200,7 @@ class ComparePanel(QScrollArea):
         return default_pair(self._sources, state.method)
 
     def _show_sources(self, state: ViewState) -> None:
-        sources = sources_of(self._methods, state.review, laid=self._places.laid)
+        sources = sources_of(self._methods, state.review, laid=self._places.laid, others=self._places.others)
         # A box that is filled anew closes its list under the operator's hand.
         if sources != self._sources:
             self._sources = sources
@@ -192,17 +211,19 @@ class ComparePanel(QScrollArea):
             box.setCurrentIndex(sources.index(source))
 
     def _show_numbers(self, pair: Pair, here: FloatArray, there: FloatArray) -> None:
-        lengths = differences(here, there)[1]
-        channels = self._channels.tolist()
-        self.summary.setText(difference_words(summarise(lengths), pair, self._names, channels))
+        owners = None if self._layout is None else self._layout.module_of[self._channels]
+        found = repeatability(here, there, owners)
+        lengths, channels = found.lengths, self._channels.tolist()
+        self.summary.setText(difference_words(found.summary, pair, self._names, channels))
+        self.motion.setText("" if pair[0] == pair[1] else motion_words(found.motion))
+        self.motion.setVisible(bool(self.motion.text()))
         rows = [] if pair[0] == pair[1] else worst_rows(lengths, WORST).tolist()
         self.worst.show_taxels([(channels[row], worst_words(channels[row], float(lengths[row]), self._names)) for row in rows])
         if self._layout is not None:
-            self._show_modules(self._layout, here, there)
+            self._show_modules(self._layout, found.modules, there)
 
-    def _show_modules(self, layout: Layout, here: FloatArray, there: FloatArray) -> None:
+    def _show_modules(self, layout: Layout, every: Sequence[ModuleDifference], there: FloatArray) -> None:
         spacing, modules = self._ratios(there), layout.modules
-        every = compare_modules(layout, self._channels, here, there)
         self.listed.setText(listed_words(len(every)))
         self.listed.setVisible(bool(self.listed.text()))
         cells = [
@@ -266,6 +287,13 @@ class ComparePanel(QScrollArea):
         self.comparison_changed.emit(None)
 
     # What the operator wants
+
+    def offer(self, source: Source, places: Mapping[int, FloatArray], *, choose: bool = False) -> None:
+        """Take a set of places, as for `Places.offer`; where the operator asked for it, `choose` it in place of the second."""
+        self._places.offer(source, places)
+        if choose and self._state is not None:
+            self._chosen = self.pair(self._state)[0], source
+        self.show_again()
 
     def show_again(self) -> None:
         """Show the newest tick anew, in the colours that hold now."""

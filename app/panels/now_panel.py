@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QSizePolicy, QVBoxLayout
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
 
 from app.panels.top_view import AROUND, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
-from app.theme import GAP, HEADLINE_PT, Colours
+from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
 from app.units import degrees, millimetres, newtons
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import leeway
@@ -27,6 +27,7 @@ RIM_PX = 3.0
 TAXEL_PX = 2.4
 RING_PX = 6.5
 """Radius of the ring around the taxel that is asked for."""
+SIMULATED_PT = 12
 BALL_PX = 6.0
 """Radius of the ball at the tool's upper end."""
 FINEST = 0.2
@@ -161,6 +162,10 @@ _INKS = {Tone.GO: "accent", Tone.GOOD: "accent", Tone.HOLD: "warn", Tone.WAIT: "
 """Which of the theme's colours a tone has; which never says anything alone."""
 
 
+_MARKS = {Tone.GOOD: "\N{CHECK MARK}", Tone.BAD: "\N{BALLOT X}", Tone.CALM: "\N{BULLET}"}
+"""Before what came of a poke or an action."""
+
+
 class Sign(Painted):
     """A ring with a sign of the tone; the ring fills while the poke is held still."""
 
@@ -252,24 +257,33 @@ class NowPanel(QFrame):
         self._memory = NowMemory()
         self._now = Now(Tone.CALM, "")
         self.sign = Sign()
+        self.result = FittedLabel()
         self.headline = FittedLabel()
         self.detail = ElidedLabel("muted")
         self.detail.setProperty("quiet", True)
+        self.simulated = QLabel()
+        self.simulated.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self.simulated.setToolTip("No robot is connected: a simulated hand pokes a simulated rig; Shift+P changes its pace")
+        embolden(self.simulated, SIMULATED_PT)
         self.gauge = ForceGauge()
         self.dial = Dial()
         self.dial.hide()
         embolden(self.headline, HEADLINE_PT)
+        embolden(self.result, RESULT_PT)
         self.headline.setAccessibleName("what is happening")
+        self.result.setAccessibleName("what came of it")
         self._arrange()
         self.setWhatsThis(
-            "What is happening now and what to do: which taxel to poke, from which side, and why. The ring fills while a poke "
-            "is held still; the bar is its force and the lighter band the range in which a poke counts."
+            "What to do now, in large type: which taxel to poke, from which side, and why. Above it, smaller, what came of the "
+            "poke or the key before. The ring fills while a poke is held still; the bar is its force and the lighter band the "
+            "range in which a poke counts."
         )
 
     def _arrange(self) -> None:
         words = QVBoxLayout()
         words.setSpacing(2)
         words.addStretch(1)
+        words.addWidget(self.result)
         words.addWidget(self.headline)
         words.addWidget(self.detail)
         words.addStretch(1)
@@ -279,7 +293,10 @@ class NowPanel(QFrame):
         row.addWidget(self.sign)
         row.addWidget(self.dial)
         row.addLayout(words, 1)
-        row.addWidget(self.gauge)
+        right = QVBoxLayout()
+        right.addWidget(self.simulated)
+        right.addWidget(self.gauge, 1)
+        row.addLayout(right)
         # The same height with the dial and without: nothing beside it moves when the guide is switched off.
         self.setFixedHeight(DIAL_PX + 2 * GAP + 2 * self.frameWidth() + 2)
 
@@ -291,15 +308,20 @@ class NowPanel(QFrame):
         """Say what happens now."""
         now, self._memory = now_line(self._memory, state)
         self.dial.show_state(state)
+        self.simulated.setText(state.simulated)
         progress, limits = state.live.progress, state.scene.contacts
         self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
         self.say(now, progress.still)
 
     def say(self, now: Now, share: float = 0.0) -> None:
         """Show a line; nothing is drawn where it is shown already."""
-        self.sign.set(now.tone, share)
+        said = now.result
+        # The sign is seen from farther than any word: whether the poke counts, as long as that is said.
+        self.sign.set(now.tone if said is None or said.tone is Tone.CALM else said.tone, share)
         if now != self._now:
             self._now = now
+            self.result.setText("" if said is None else f"{_MARKS[said.tone]}  {said.words}")
+            self.result.set_ink("bad" if said is not None and said.tone is Tone.BAD else "text")
             self.headline.setText(now.headline)
             self.detail.setText(now.detail)
             self.headline.set_ink("text" if now.tone in (Tone.WAIT, Tone.CALM) else _INKS[now.tone])

@@ -6,12 +6,13 @@ One has the curves of force and moment; the other the errors of each method, aga
 from __future__ import annotations
 
 import importlib
+from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, Signal
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import quiet, short_box, theme_colours
+from app.panels.widgets import AbstractWidget, quiet, short_box, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -29,7 +30,7 @@ DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
 
 
-class PlotPanel(QWidget):
+class PlotPanel(QWidget, metaclass=AbstractWidget):
     """The place of plots; subclasses say which, and draw them.
 
     A panel that was never on the screen imports nothing.
@@ -50,13 +51,13 @@ class PlotPanel(QWidget):
         self._column.setSpacing(0)
         self._column.addWidget(self._label)
 
+    @abstractmethod
     def make(self) -> QWidget:
         """Make the plots; pyqtgraph is imported."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw_state(self, state: ViewState) -> None:
         """Show a tick on the plots."""
-        raise NotImplementedError
 
     def show_state(self, state: ViewState) -> None:
         """Show a tick; before there is anything to show nothing is loaded, so that the 3D view comes first."""

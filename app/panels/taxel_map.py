@@ -77,7 +77,7 @@ _SHORT = {
     Mark.UNSEEN: "unseen",
     Mark.BLIND: "blind",
     Mark.ROUGH: "> 3 mm",
-    Mark.GOOD: "good",
+    Mark.GOOD: "to 3 mm",
     Mark.DONE: "done",
     Mark.DEAD: "unused",
 }

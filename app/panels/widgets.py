@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
+from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
+from typing import TypeVar
 
 from PySide6.QtCore import QSize, Qt, Signal
 from PySide6.QtGui import QColor, QFont, QFontDatabase, QFontMetrics, QIcon, QPainter, QPaintEvent, QPalette
@@ -23,6 +26,7 @@ from PySide6.QtWidgets import (
 
 from app.theme import DARK, LIGHT, Colours
 
+Made = TypeVar("Made")
 MOST_ROWS = 12
 """Rows of a list that is as high as its rows."""
 LEAST_SHARE = 0.75
@@ -128,7 +132,17 @@ def embolden(label: QWidget, points: float = 0.0) -> None:
     label.setFont(font)
 
 
-class Painted(QWidget):
+class AbstractWidget(ABCMeta, type(QWidget)):
+    """The type of widgets that only a subclass makes whole; Qt's own type leaves out Python's look at that."""
+
+    def __call__(cls: type[Made], *given: object, **named: object) -> Made:
+        """Make a widget of a class that lacks nothing."""
+        if inspect.isabstract(cls):
+            raise TypeError(f"{cls.__name__} is made by its subclasses")
+        return type.__call__(cls, *given, **named)
+
+
+class Painted(QWidget, metaclass=AbstractWidget):
     """A widget that is one picture, painted in the theme's colours; Qt has it painted anew when its palette changes."""
 
     def paintEvent(self, _event: QPaintEvent) -> None:
@@ -138,9 +152,9 @@ class Painted(QWidget):
         self.paint(painter, theme_colours())
         painter.end()
 
+    @abstractmethod
     def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint the picture."""
-        raise NotImplementedError
 
 
 def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTreeWidget:

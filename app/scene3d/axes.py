@@ -1,4 +1,4 @@
-"""Force axes: thick for the poke in progress, thin for the last poke's and the selected taxel's."""
+"""Force axes: thick for the poke in progress, thin for those of the selected taxel."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OUTSIDE, INSIDE = 0.035, 0.012
 
 
 class AxesLayer(Layer):
-    """The axis of the poke in progress with its contact, the last poke's, and those of the selected taxel."""
+    """The axis of the poke in progress with its contact, and those of the selected taxel."""
 
     name = "axes"
 
@@ -74,14 +74,12 @@ class AxesLayer(Layer):
         return np.mean(places, axis=0) if places else self._middle
 
     def _show_past(self, state: View3DState) -> None:
-        last = _last(state.snapshot)
-        ends, colours = [self._axes([] if last is None else [last], self._middle)], [self.look.ink]
-        if state.selected is not None and state.selected in self.static.row:
-            place = self._place_of(state, state.selected)
-            ends.append(self._axes(_touching(state.snapshot, state.selected), self._middle if place is None else place))
-            colours.append(self.look.faint)
-        counts = [len(group) for group in ends]
-        self.past.join(np.concatenate(ends), np.repeat(np.array(colours, np.uint8), counts, axis=0))
+        if state.selected is None or state.selected not in self.static.row:
+            self.past.clear()
+            return
+        place = self._place_of(state, state.selected)
+        ends = _passing(_touching(state.snapshot, state.selected), self._middle if place is None else place)
+        self.past.join(ends, np.array(self.look.ink, np.uint8))
 
     def _place_of(self, state: View3DState, channel: int) -> FloatArray | None:
         """Return where a taxel is by its estimate, else by the plan; None where neither says it."""
@@ -91,16 +89,13 @@ class AxesLayer(Layer):
         position = estimates[row].position if row < len(estimates) else None
         return self.static.places[row] if position is None and np.isfinite(self.static.places[row, 0]) else position
 
-    def _axes(self, contacts: list[Contact], near: FloatArray) -> FloatArray:
-        """Return the drawn part of each axis, (n, 2, 3) float, metres; of several where they pass `near`, (3,)."""
-        lines = [_axis_of(contact) for contact in contacts]
-        points = np.array([point for point, _ in lines]).reshape(-1, 3)
-        directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
-        if len(contacts) == 1:
-            at = np.array([contact_point(self.static.surface, points[0], directions[0], near)])
-        else:
-            at = points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None]
-        return _span(at, directions)
+
+def _passing(contacts: list[Contact], near: FloatArray) -> FloatArray:
+    """Return the drawn part of each force axis, (n, 2, 3) float, metres, where it passes `near`, (3,)."""
+    lines = [_axis_of(contact) for contact in contacts]
+    points = np.array([point for point, _ in lines]).reshape(-1, 3)
+    directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
+    return _span(points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None], directions)
 
 
 def _key(progress: Progress) -> bytes:
@@ -119,11 +114,6 @@ def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
     """Return a point of the contact's force axis and its unit direction, link frame."""
     force, moment = move_wrench(contact.link_from_sensor, contact.force, contact.moment)
     return axis_point(force, moment), force / np.linalg.norm(force)
-
-
-def _last(snapshot: Snapshot) -> Contact | None:
-    record = snapshot.pokes[-1] if snapshot.pokes else None
-    return record.outcome if record is not None and not record.excluded and isinstance(record.outcome, Contact) else None
 
 
 def _touching(snapshot: Snapshot, channel: int) -> list[Contact]:

@@ -2,7 +2,8 @@
 
 At first it looks at the side that carries the skin, the part's long axis level, everything in the picture. It turns by itself
 between pokes, never under a hand, and never for long: when the target is another one and is not well seen, that is on the far
-side, too slanting, or outside the picture. A turn waits while a tool presses and while the operator moves the camera.
+side, too slanting, outside the picture, or so far off that a taxel is but a dot: then the camera goes near. A turn waits while
+a tool presses and while the operator moves the camera.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.scene3d.scene_state import View3DState
+from app.scene3d.scene_state import BALL, View3DState
 from skincal.geometry import FloatArray, cross_matrix
 from skincal.guide.guidance import PRESSING, Target
 from skincal.mesh.surface import Surface, entry_points, skin_point
@@ -49,6 +50,10 @@ BACK_TO = 0.5
 """Share to which a target comes that was outside."""
 COVER = 0.004
 """m. What lies so much nearer to the camera than the target hides it."""
+DOT, SEEN = 5.0, 14.0
+"""Pixels. A target is gone near to where a ball would be smaller than the one, until it is as large as the other."""
+BESIDE = 0.3
+"""Of the distance: a target that lies so much before or behind what the camera looks at is what it looks at from then on."""
 FLAT = 0.3
 """Sine. The part's level axis is kept level unless the camera looks along it by less than this."""
 
@@ -90,8 +95,11 @@ class Sight:
         pairs = (self.place, other.place), (self.eye.right, other.eye.right), (self.eye.up, other.eye.up)
         return all(np.array_equal(mine, its) for mine, its in pairs)
 
-    def lift(self, points: FloatArray, by: float) -> FloatArray:
-        """Return (..., 3) points, metres nearer to the camera, half of the way at most; in the picture nothing moves."""
+    def lift(self, points: FloatArray, by: float | FloatArray) -> FloatArray:
+        """Return (..., 3) points, metres nearer to the camera, half of the way at most; in the picture nothing moves.
+
+        `by` is one number, or one for each point, (..., 1).
+        """
         way = self.place - points
         return points + way * np.minimum(by / np.linalg.norm(way, axis=-1, keepdims=True), 0.5)
 
@@ -315,14 +323,24 @@ def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> Fl
 
 
 def on_the_way(start: Stand, end: Stand, share: float) -> Stand:
-    """Return the stand `share` of the way, 0 to 1, in time: slow at both ends."""
+    """Return the stand `share` of the way, 0 to 1, in time: slow at both ends, and around the part where the way is far."""
     eased = share * share * (3.0 - 2.0 * share)
     axis, angle = _turn(end.axes.T @ start.axes)
+    far = max(0.0, float(np.linalg.norm(end.focus - start.focus)) - min(start.distance, end.distance) / 2.0)
     return Stand(
         start.axes @ _rotation(axis, -eased * angle),
         start.focus + eased * (end.focus - start.focus),
-        start.distance + eased * (end.distance - start.distance),
+        start.distance + eased * (end.distance - start.distance) + 4.0 * eased * (1.0 - eased) * far,
     )
+
+
+def near_to(stand: Stand, at: FloatArray, height: int) -> Stand:
+    """Return the stand, or a nearer one from which a ball at a place is more than a dot in a picture `height` pixels high."""
+    slope = 2.0 * float(np.tan(np.radians(VIEW_ANGLE / 2)))
+    away = float((stand.position - at) @ stand.axes[2])
+    if BALL * height >= DOT * slope * away:
+        return stand
+    return Stand(stand.axes, at, max(NEAREST, BALL * height / (SEEN * slope)))
 
 
 def _turn(rotation: FloatArray) -> tuple[FloatArray, float]:
@@ -362,8 +380,8 @@ class Turner:
         """Note that the operator moved the camera: a turn that is under way ends where it is."""
         self._touched_s, self._way = now_s, None
 
-    def step(self, camera: vtkCamera, aspect: float, state: View3DState, now_s: float) -> bool:
-        """Go on with a turn, or begin one that is due; return whether the camera moved; `aspect` is as in `well_seen`."""
+    def step(self, camera: vtkCamera, size: tuple[int, int], state: View3DState, now_s: float) -> bool:
+        """Go on with a turn, or begin one that is due; return whether the camera moved; `size` is the picture's, in pixels."""
         target = state.target if self.wanted else None
         if not _same(target, self._target):
             self._due, self._way = target is not None, None
@@ -372,7 +390,7 @@ class Turner:
             return False
         if self._due:
             self._due = False
-            self._begin(camera, aspect, target, now_s)
+            self._begin(camera, size, target, now_s)
         return self._go_on(camera, now_s)
 
     def _free(self, state: View3DState, now_s: float) -> bool:
@@ -382,10 +400,16 @@ class Turner:
             return False
         return not self.held and now_s - self._touched_s >= REST_S
 
-    def _begin(self, camera: vtkCamera, aspect: float, target: Target, now_s: float) -> None:
+    def _begin(self, camera: vtkCamera, size: tuple[int, int], target: Target, now_s: float) -> None:
         stand, at = stand_of(camera), skin_point(self._surface, target.place, target.normal)
+        aspect, end = size[0] / size[1], stand
         if not well_seen(stand, at, target.normal, aspect, self._surface):
-            self._way = stand, turned_to(stand, at, target.normal, aspect, self._level), now_s
+            end = turned_to(stand, at, target.normal, aspect, self._level)
+            if abs(float((at - end.focus) @ end.axes[2])) > BESIDE * end.distance:
+                end = Stand(end.axes, at, end.distance)
+        end = near_to(end, at, size[1])
+        if end is not stand:
+            self._way = stand, end, now_s
 
     def _go_on(self, camera: vtkCamera, now_s: float) -> bool:
         if self._way is None:

@@ -1,43 +1,44 @@
 """The taxels as estimated: balls in their module's hue, marks for the states that have no position, and how uncertain they are.
 
-State is shape, never hue: a ball is estimated, an open circle at the planned place was touched but is not determined yet, a
-cross is dead. A ring lies around what the last poke changed, two around the selected taxel.
+State is shape, never hue: a ball is estimated, and has a hole where it lies below the skin; an open circle at the planned place
+was touched but is not determined yet, a cross is dead. A ring lies around what the last poke changed, two around the selected
+taxel.
 
 Sets of places over each other: a dot for each taxel and set, and arrows from one set to another.
 
-Everything is drawn before the part: a difference that goes into the part must be seen along its whole length. What lies on
-the part's far side is left out instead.
+What lies below the skin is drawn before the near wall, and the sets of places before the whole part: a difference that goes
+into the part must be seen along its whole length. What lies on the part's far side is left out instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.scene3d.camera import Sight
-from app.scene3d.scene_state import ColourArray, Comparison, Look, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import BALL, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
 from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
+from app.scene3d.wall import Walls, facing
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
-BALL = 3.2e-3
-"""m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 BALL_PIXELS = (5.0, 34.0)
 """Smallest and largest ball on the screen: below it a hue cannot be made out, above it balls hide each other."""
 RING = 2.6e-3
 """m. Radius of the ring around a ball."""
 MARK = 1.3e-3
 """m. Radius of an open circle or a cross."""
-FAR_SIDE = -0.25
-"""Cosine. A planned taxel turned further from the camera is behind the part: its ball would show through the near wall."""
+HOLE = 0.5
+"""Width of the hole of a ball below the skin, in widths of the ball."""
+HOLE_LIFT = 1.1
+"""How far before its ball's middle the hole lies, in radii of the ball: just before where that bulges most."""
 BLIND_REACH = 0.05
 """m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
 LIFT = 4e-4
 """m. Marks float this far above the part."""
-WORST = 3
-"""Ellipsoids at a time: more hide the taxels that they are about."""
 SPACE_95 = 2.7955
 """sqrt of the 95 % quantile of chi-square with 3 degrees of freedom."""
 SURFACE_95 = 2.4477
@@ -51,6 +52,28 @@ BESIDE = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Lines lead to the first of these that there is beside the method that is shown; without a mesh there is no surface method."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Strokes:
+    """Line segments of marks, and which way the skin faces that they lie on."""
+
+    ends: FloatArray
+    """(n, 2, 3) float, metres."""
+    colours: ColourArray
+    """(n, 3) uint8."""
+    sides: FloatArray
+    """(n, 3) float, unit, outward; NaN where the skin has no far side."""
+
+    @classmethod
+    def none(cls) -> Strokes:
+        """Return no strokes."""
+        return cls(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8), np.empty((0, 3)))
+
+    def seen(self, sight: Sight) -> Strokes:
+        """Return those that are turned to the camera."""
+        near = ~(facing(self.sides, self.ends[:, 0], sight) < 0.0)
+        return Strokes(self.ends[near], self.colours[near], self.sides[near])
+
+
 class EstimatesLayer(Layer):
     """Balls, marks, and where wanted a line from each estimate to another method's."""
 
@@ -60,6 +83,7 @@ class EstimatesLayer(Layer):
         super().__init__()
         self.static = static
         self.balls = Balls(pixels=12.0)
+        self.holes = Dots(pixels=6.0, render_points_as_spheres=True)
         self.marks = Segments(pixels=2.0)
         self.differences = Segments(pixels=1.5)
         self.alternative = Segments(pixels=1.5)
@@ -70,24 +94,36 @@ class EstimatesLayer(Layer):
         self.near: NDArray[np.bool_] = np.empty(0, dtype=bool)
         """(k,) whether each is drawn: not on the far side of the part."""
         self._hues: ColourArray = np.empty((0, 3), dtype=np.uint8)
-        self._normals: FloatArray = np.empty((0, 3))
-        self._ink = self._faint = np.zeros(3, dtype=np.uint8)
+        self._walls = Walls(static)
+        self._wall = self._walls.beside(self.shown, self.places)
+        self._strokes = Strokes.none()
+        """The marks where they are."""
         self._key: object = None
         self._compared = False
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
-        self._ink, self._faint = np.array(look.ink, np.uint8), np.array(look.faint, np.uint8)
+        self.look = look
         self._key = None
 
-    def fit_to(self, sight: Sight) -> None:
-        """Keep the balls' size on the part when the camera comes nearer, and leave out those on its far side."""
-        self.balls.actor.GetProperty().SetPointSize(float(np.clip(BALL * sight.scale, *BALL_PIXELS)))
-        # So, and not `>=`: where nothing has a far side the normals are NaN, and all is drawn.
-        near = ~(self._normals @ sight.towards < FAR_SIDE)
-        if not np.array_equal(near, self.near):
-            self.near = near
-            self._show_balls()
+    def draw(self) -> None:
+        """Keep the balls' size on the part when the camera comes nearer, and see to what lies below the skin or behind it."""
+        sight = self.sight
+        if sight is None:
+            return
+        pixels = float(np.clip(BALL * sight.scale, *BALL_PIXELS))
+        radius = pixels / 2.0 / sight.scale
+        self.balls.actor.GetProperty().SetPointSize(pixels)
+        self.holes.actor.GetProperty().SetPointSize(HOLE * pixels)
+        self.near = self._wall.seen(self.places, sight)
+        # Balls would hide the places that are compared; a click still finds the taxels.
+        drawn = np.zeros_like(self.near) if self._compared else self.near
+        before, hollow = self._wall.before(self.places, sight, radius), drawn & self._wall.below
+        self.balls.set(before[drawn], self._hues[drawn])
+        # A hole lies where its ball bulges most.
+        self.holes.set(sight.lift(before[hollow], HOLE_LIFT * radius), np.array(self.look.background, np.uint8))
+        marks = self._strokes.seen(sight)
+        self.marks.join(sight.bring_before(marks.ends, self.static.extent), marks.colours)
 
     def show(self, state: View3DState) -> bool:
         """Show a session's estimates by one method; return whether anything changed."""
@@ -99,40 +135,36 @@ class EstimatesLayer(Layer):
         rows = [row for row, e in enumerate(estimates) if e.state is State.ESTIMATED and e.position is not None]
         self.shown = self.static.channels[rows]
         self.places = _positions([estimates[row] for row in rows])
+        self._wall = self._walls.beside(np.array(rows, dtype=np.int64), self.places)
         self._hues = self.static.hues[rows]
-        self._normals = self.static.skin_normals[rows]
         self.near = np.ones(len(rows), dtype=bool)
         self._compared = state.comparison is not None
-        self._show_balls()
-        self._show_marks(state, estimates)
+        self._strokes = self._marks_of(state, estimates)
         self._show_differences(state, rows)
         self._show_alternative(state, estimates)
+        self.draw()
         return True
-
-    def _show_balls(self) -> None:
-        # Balls would hide the places that are compared; a click still finds the taxels.
-        drawn = np.zeros_like(self.near) if self._compared else self.near
-        self.balls.set(self.places[drawn], self._hues[drawn])
 
     def _show_alternative(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
         ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
-        self.alternative.join(ends, self._ink)
+        self.alternative.join(ends, np.array(self.look.ink, np.uint8))
 
-    def _show_marks(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
-        row, hues = self.static.row, self.static.hues
+    def _marks_of(self, state: View3DState, estimates: tuple[Estimate, ...]) -> Strokes:
+        row, hues, ink = self.static.row, self.static.hues, np.array(self.look.ink, np.uint8)
         touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
         selected = [row[state.selected]] if state.selected in row else []
         blind, dead = ([at for at, e in enumerate(estimates) if e.state is kind] for kind in (State.BLIND, State.DEAD))
         around = [(touched, RING), (selected, RING), (selected, 1.5 * RING)]
-        drawn = [(rings(*self._places(rows, estimates), radius), self._ink) for rows, radius in around]
-        drawn.insert(1, (rings(*self._places(blind), MARK, sides=12), hues[blind][:, None]))
-        drawn.insert(2, (crosses(*self._places(dead), MARK), self._ink))
-        strokes = [lines.reshape(-1, 2, 3) for lines, _ in drawn]
-        colours = [np.broadcast_to(colour, (*lines.shape[:2], 3)).reshape(-1, 3) for lines, colour in drawn]
-        known = np.isfinite((ends := np.concatenate(strokes))[:, 0, 0])
-        self.marks.join(ends[known], np.concatenate(colours)[known])
+        drawn = [(rows, rings(*self._places(rows, estimates), radius), ink) for rows, radius in around]
+        drawn.insert(1, (blind, rings(*self._places(blind), MARK, sides=12), hues[blind][:, None]))
+        drawn.insert(2, (dead, crosses(*self._places(dead), MARK), ink))
+        ends = np.concatenate([lines.reshape(-1, 2, 3) for _, lines, _ in drawn])
+        colours = [np.broadcast_to(colour, (*lines.shape[:2], 3)).reshape(-1, 3) for _, lines, colour in drawn]
+        sides = [np.repeat(self.static.skin_normals[rows], lines.shape[1], axis=0) for rows, lines, _ in drawn]
+        known = np.isfinite(ends[:, 0, 0])
+        return Strokes(ends[known], np.concatenate(colours)[known], np.concatenate(sides)[known])
 
     def _places(self, rows: list[int], estimates: Sequence[Estimate] = ()) -> tuple[FloatArray, FloatArray]:
         """Return the places of taxels, metres, NaN where unknown, and their normals: by `estimates`, else as planned."""
@@ -151,7 +183,7 @@ class EstimatesLayer(Layer):
         others = found[beside] if beside is not None and state.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
         there = _positions([others[rows[i]] for i in paired])
-        self.differences.join(np.stack([self.places[paired], there], axis=1), self._faint)
+        self.differences.join(np.stack([self.places[paired], there], axis=1), np.array(self.look.faint, np.uint8))
 
 
 def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
@@ -179,7 +211,7 @@ CIRCLES = rings(np.zeros((3, 3)), np.eye(3), 1.0, sides=48)
 
 
 class UncertaintyLayer(Layer):
-    """The 95 % regions of the worst estimates and of the selected one: three circles an ellipsoid, one a disc on a surface.
+    """The 95 % regions of the worst estimate and of the selected one: three circles an ellipsoid, one a disc on a surface.
 
     A region is {p + L u : |u| <= s} with L L' the covariance; s = 2.80 = sqrt(chi2(3, 0.95)) in space and
     2.45 = sqrt(chi2(2, 0.95)) on a surface, where the covariance has no part along the normal. It leaves out what
@@ -207,9 +239,9 @@ class UncertaintyLayer(Layer):
         return True
 
     def rows(self, state: View3DState) -> list[int]:
-        """Return whose regions are drawn: the worst by predicted error, and the selected taxel's."""
+        """Return whose regions are drawn: more would hide the taxels that they are about."""
         known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
-        worst = sorted(known, key=lambda row: (-known[row], row))[:WORST]
+        worst = sorted(known, key=lambda row: (-known[row], row))[:1]
         selected = self.static.row.get(-1 if state.selected is None else state.selected)
         return worst if selected is None or selected not in known or selected in worst else [*worst, selected]
 
@@ -247,7 +279,7 @@ class CompareLayer(Layer):
         self.dots = Dots(pixels=DOT_PIXELS[1], render_points_as_spheres=True)
         self._shown: Comparison | None = None
         self._part = static.extent
-        self._normals = static.skin_normals
+        self._planned, self._normals = static.places, static.skin_normals
 
     def show(self, state: View3DState) -> bool:
         """Show what is compared in a moment; return whether anything changed."""
@@ -266,7 +298,7 @@ class CompareLayer(Layer):
         if shown is None or sight is None:
             return
         self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * sight.scale, *DOT_PIXELS)))
-        near = ~(self._normals @ sight.towards < FAR_SIDE)
+        near = ~(facing(self._normals, self._planned, sight) < 0.0)
         dots = [_known(cloud.places, near) for cloud in shown.clouds]
         tints = [np.tile(self._colour(cloud.tint), (len(places), 1)) for cloud, places in zip(shown.clouds, dots, strict=True)]
         self.dots.set(sight.bring_before(np.concatenate(dots), self._part), np.concatenate(tints))

@@ -6,13 +6,17 @@ A diamond that has no cross, and is paler, was poked as the arm stands. What lie
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 
 import numpy as np
-from vtkmodules.vtkRenderingCore import vtkRenderer, vtkTextActor
+from numpy.typing import NDArray
+from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
 
 from app.scene3d.camera import project
-from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState, unit
-from app.scene3d.shapes import Layer, Segments, closed, tangents, written
+from app.scene3d.names import box_around, make_readable, name_actor, put
+from app.scene3d.scene_state import ColourArray, Look, StaticScene, View3DState
+from app.scene3d.shapes import Layer, Segments, closed, tangents
+from app.scene3d.target import TargetLayer
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Landmark
@@ -29,8 +33,8 @@ MOST_NAMES = 12
 """More landmarks than this are drawn without their names, which would hide each other."""
 LETTERS = 13
 """Points, size of the names."""
-BESIDE, GAP = 1.8, 4.0
-"""Radii of the diamond, and pixels, from its middle to its name: that begins beyond the target's ring."""
+GAP = 6.0
+"""Pixels between a diamond and its name; where the target's ring is there, the name stands beyond that."""
 FAR_SIDE = -0.1
 """Cosine. A landmark that is turned further from the camera is behind the part; a little less than 0 since the nearer ones of
 a part that fills the picture are seen at such an angle."""
@@ -41,23 +45,32 @@ class LandmarksLayer(Layer):
 
     name = "landmarks"
 
-    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene, target: TargetLayer) -> None:
         super().__init__()
         self.marks = Segments(pixels=2.0)
-        self.names: list[vtkTextActor] = []
-        """Made when they are first needed; the first `named` belong to the landmarks, the others are hidden."""
+        self.names = [name_actor(LETTERS) for _ in range(MOST_NAMES)]
+        """The first `named` belong to the landmarks, the others are hidden."""
         self.named = 0
         self.places: FloatArray = np.empty((0, 3))
         """(n, 3) float, metres: where the landmarks are."""
         self._surface = static.surface
         self._renderer = renderer
+        self._target = target
+        self._taken = target.boxes
+        """What the names made room for."""
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals: FloatArray = np.empty((0, 3))
         self._generation = -1
 
+    def props(self) -> Sequence[vtkProp]:
+        """Return the diamonds, then the names."""
+        return *super().props(), *self.names
+
     def show(self, state: View3DState) -> bool:
         """Show a session's landmarks; return whether anything changed."""
+        if self._target.boxes is not self._taken:
+            self.draw()
         snapshot = state.snapshot
         if not (snapshot.landmarks or self._landmarks) or snapshot.generation == self._generation:
             return False
@@ -90,22 +103,25 @@ class LandmarksLayer(Layer):
         inner = np.tile(ink, (2 * int(fresh.sum()), 1))
         ends = np.concatenate([diamonds.reshape(-1, 2, 3), crosses[fresh].reshape(-1, 2, 3)])
         self.marks.join(sight.lift(ends, LIFT * scale), np.concatenate([sides.reshape(-1, 3), inner]).astype(np.uint8))
+        self._place_names(near, scale * DIAMOND * sight.scale)
+
+    def _place_names(self, near: NDArray[np.bool_], radius: float) -> None:
+        """Put each name beside its diamond, of so many pixels, and away from the target and from each other."""
+        self._taken = self._target.boxes
         at = project(self._renderer, self.places)
-        beside = GAP + BESIDE * scale * DIAMOND * sight.scale
+        # So, and not `>`: the depth of what lies behind the camera is NaN.
+        seen = near & (np.abs(at[:, 2]) <= 1.0)
+        taken = [*self._taken, *(box_around(place[:2], radius) for place in at[seen])]
         for row, actor in enumerate(self.names[: self.named]):
-            x, y, depth = at[row]
-            actor.SetVisibility(bool(near[row] and abs(depth) <= 1.0))
-            actor.SetPosition(x + beside, y)
+            actor.SetVisibility(bool(seen[row]))
             poked = self._landmarks[row].name in self._poked
-            actor.GetTextProperty().SetColor(*unit(pale if poked else self.look.ink))
+            make_readable(actor, self.look, _pale(self.look) if poked else self.look.ink)
+            if seen[row]:
+                taken.append(put(actor, self._renderer, at[row, :2], radius + GAP, taken))
 
     def _put_names(self) -> None:
         """Write the names beside the diamonds, where there are few."""
         self.named = len(self._landmarks) if len(self._landmarks) <= MOST_NAMES else 0
-        for _ in range(len(self.names), self.named):
-            self.names.append(written(vtkTextActor(), letters=LETTERS))
-            self.names[-1].GetTextProperty().SetJustificationToLeft()
-            self._renderer.AddViewProp(self.names[-1])
         for actor in self.names[self.named :]:
             actor.VisibilityOff()
         for actor, landmark in zip(self.names[: self.named], self._landmarks, strict=False):

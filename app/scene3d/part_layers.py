@@ -10,6 +10,7 @@ The modules as planned: outlines in their hues, the taxels of the plan as faint 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
@@ -17,8 +18,10 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkBillboardTextActor3D, vtkPolyDataMapper, vtkProp, vtkProperty
 
+from app.scene3d.names import make_readable
 from app.scene3d.scene_state import HUES, ColourArray, Look, Shaded, StaticScene, unit
 from app.scene3d.shapes import Dots, Layer, Segments, cells, closed, written
+from app.scene3d.wall import facing
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import LaidSkin
 from skincal.model.skin import Layout
@@ -73,8 +76,10 @@ LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
 TOWARD_CORNER = 0.8
 """Share of the way from a module's middle to its first corner: its number stands where no taxel is."""
-NUMBER_LIFT = 2e-3
-"""m. Numbers float above the curved part between their corner and its chord."""
+NUMBER_LIFT = 15e-3
+"""m. So far towards the camera numbers are drawn: before the balls beside them, and before the curved part."""
+TURNED = 0.3
+"""Cosine. Numbers of modules that are turned further from the camera would stand in each other's way at the part's edge."""
 MOST_NUMBERS = 40
 """Numbers on more modules than this would cover the skin that they name."""
 FADE = 0.55
@@ -95,17 +100,28 @@ class ModulesLayer(Layer):
         self.places = (static.places + LIFT * static.normals)[self.known]
         self.hues = static.hues[self.known]
         self.numbers = _numbers(layout, laid) if len(layout.modules) <= MOST_NUMBERS else []
+        self._on_surface = static.surface is not None
 
     def props(self) -> Sequence[vtkProp]:
         """Return outlines and dots, then the numbers before them."""
-        return *super().props(), *self.numbers
+        return *super().props(), *(number.text for number in self.numbers)
 
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme."""
+        super().set_colours(look)
         grey = np.array(look.faint, dtype=float)
         self.dots.set(self.places, (FADE * self.hues + (1 - FADE) * grey).astype(np.uint8))
         for number in self.numbers:
-            number.GetTextProperty().SetColor(*unit(look.ink))
+            make_readable(number.text, look, look.ink)
+
+    def draw(self) -> None:
+        """Keep the numbers before the balls, and leave out those of modules that are turned away."""
+        if self.sight is None:
+            return
+        for number in self.numbers:
+            number.text.SetPosition(*self.sight.lift(number.place, NUMBER_LIFT))
+            seen = facing(number.normal[None], number.place[None], self.sight)[0] > TURNED
+            number.text.SetVisibility(bool(seen or not self._on_surface))
 
 
 def _outline_segments(layout: Layout, laid: LaidSkin) -> tuple[FloatArray, ColourArray]:
@@ -129,16 +145,26 @@ def _lifted(outline: FloatArray, places: FloatArray, normals: FloatArray) -> Flo
     return outline + LIFT * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]
 
 
-def _numbers(layout: Layout, laid: LaidSkin) -> list[vtkBillboardTextActor3D]:
-    numbers: list[vtkBillboardTextActor3D] = []
+class Number(NamedTuple):
+    """A module's number."""
+
+    text: vtkBillboardTextActor3D
+    place: FloatArray
+    """(3,) float, metres."""
+    normal: FloatArray
+    """(3,) float, unit: which way the module faces."""
+
+
+def _numbers(layout: Layout, laid: LaidSkin) -> list[Number]:
+    numbers: list[Number] = []
     for module, outline in zip(layout.modules, laid.outlines, strict=True):
         places, normals = laid.places[module.channels], laid.normals[module.channels]
         known, corners = np.isfinite(places[:, 0]), outline[np.isfinite(outline).all(axis=1)]
         if not known.any() or not len(corners):
             continue
-        middle = places[known].mean(axis=0)
-        number = vtkBillboardTextActor3D()
-        number.SetPosition(*(middle + TOWARD_CORNER * (corners[0] - middle) + NUMBER_LIFT * normals[known].mean(axis=0)))
-        number.GetTextProperty().SetBold(True)
-        numbers.append(written(number, str(module.id), letters=15))
+        middle, normal = places[known].mean(axis=0), normals[known].mean(axis=0)
+        text = written(vtkBillboardTextActor3D(), str(module.id), letters=15)
+        text.GetTextProperty().SetBold(True)
+        place = middle + TOWARD_CORNER * (corners[0] - middle)
+        numbers.append(Number(text, place, normal / np.linalg.norm(normal)))
     return numbers

@@ -34,6 +34,8 @@ HUES = np.array([list(bytes.fromhex(hue[1:])) for hue in theme.HUES], dtype=np.u
 """(7, 3) the modules' hues: seven that colour-blind people tell apart."""
 CREASE = float(np.cos(np.radians(40.0)))
 """Cosine. A triangle more than 40 degrees off the mean of a vertex is beyond an edge; below it the part is smooth."""
+BALL = 3.2e-3
+"""m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 DEFAULT_RADIUS = 0.06
 """m. Half the size of the view while nothing is known of the part: about a forearm's width."""
 ONE_SIDED = 0.3

@@ -6,7 +6,8 @@ while the number of points stays, and swaps them otherwise; the actor stays in e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -45,6 +46,10 @@ class Layer:
         """Return what goes into the renderer, in the order of drawing: its shapes."""
         return [shape.actor for shape in vars(self).values() if isinstance(shape, DrawnShape)]
 
+    def parts(self) -> Mapping[str, Sequence[vtkProp]]:
+        """Return what is switched on and off apart, by its name: the whole layer."""
+        return {self.name: self.props()}
+
     def set_colours(self, look: Look) -> None:
         """Take the colours of a theme; called before the first `show`."""
         self.look = look
@@ -73,7 +78,7 @@ def cells(connectivity: IntArray) -> vtkCellArray:
     return array
 
 
-class DrawnShape:
+class DrawnShape(ABC):
     """Coloured points and the actor that draws them as a `vtkProperty` says; subclasses say how points form cells."""
 
     def __init__(self, **look: float) -> None:
@@ -104,9 +109,9 @@ class DrawnShape:
         """Show nothing."""
         self.set(np.empty((0, 3)), np.zeros(3, np.uint8))
 
+    @abstractmethod
     def connect(self, count: int) -> None:
         """Make the cells for `count` points."""
-        raise NotImplementedError
 
     def _allocate(self, count: int) -> None:
         self._points = np.zeros((count, 3), dtype=np.float32)

@@ -32,6 +32,7 @@ from app.scene3d.axes import AxesLayer
 from app.scene3d.camera import Sight, Turner, project, ray, sight_of
 from app.scene3d.estimates import CompareLayer, EstimatesLayer, UncertaintyLayer
 from app.scene3d.landmarks import LandmarksLayer
+from app.scene3d.names import make_readable
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.scene_state import DEFAULT_RADIUS, Look, StaticScene, View3DState, unit
 from app.scene3d.shapes import DrawnShape, Layer, cells, written
@@ -71,7 +72,7 @@ class HintsLayer(Layer):
         """Draw the axes as they lie in the picture, and a bar of a round length."""
         self.lines.GetProperty().SetColor(*unit(self.look.faint))
         for text in (*self.texts, self.length):
-            text.GetTextProperty().SetColor(*unit(self.look.faint))
+            make_readable(text, self.look, self.look.ink)
         if self.sight is None:
             return
         self._xy[:6, :2] = self._axes(self.sight)
@@ -120,12 +121,11 @@ class Stage:
         self.moved = False
         """The operator moved the camera: it is theirs from then on."""
         self.estimates = EstimatesLayer(static)
-        self.landmarks = LandmarksLayer(renderer, static)
-        self.target, self.compare = TargetLayer(static), CompareLayer(static)
+        self.target, self.compare = TargetLayer(renderer, static), CompareLayer(static)
+        self.landmarks = LandmarksLayer(renderer, static, self.target)
         self.layers = self._build(static)
-        for layer in self.layers:
-            for prop in layer.props():
-                renderer.AddViewProp(prop)
+        self._hidden: frozenset[str] = frozenset()
+        self.hide(self._hidden)
         self.turner = Turner(static.surface, camera.level_of(static.extent))
         self._reach = (np.zeros(3), DEFAULT_RADIUS)
         _light(renderer)
@@ -142,8 +142,9 @@ class Stage:
             layers.append(SurfaceLayer(static.shaded))
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
             layers.append(ModulesLayer(static, layout, static.laid))
-        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.landmarks)
-        return (*layers, *others, self.target, self.compare, HintsLayer())
+        # The landmarks' names make room for the target.
+        others = (self.estimates, AxesLayer(static), UncertaintyLayer(static), self.target, self.landmarks)
+        return (*layers, *others, self.compare, HintsLayer())
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""
@@ -155,9 +156,18 @@ class Stage:
         for layer in self.layers:
             layer.set_colours(look)
 
+    def hide(self, names: frozenset[str]) -> None:
+        """Leave these out of the picture, and show all others; names are those of `Layer.parts`."""
+        self._hidden = names
+        self.renderer.RemoveAllViewProps()
+        for layer in self.layers:
+            for name, props in layer.parts().items():
+                for prop in props if name not in names else ():
+                    self.renderer.AddViewProp(prop)
+
     def show(self, state: View3DState) -> bool:
         """Show a moment; return whether the picture changes."""
-        changed = [layer.show(state) for layer in self.layers]
+        changed = [layer.show(state) and layer.name not in self._hidden for layer in self.layers]
         if any(changed) and not len(self.static.extent):
             self._keep_known_in_picture()
         return any(changed)
@@ -165,7 +175,7 @@ class Stage:
     def turn(self, state: View3DState, now_s: float) -> bool:
         """Turn the camera to the target where it has to; return whether it moved."""
         width, height = self.renderer.GetSize()
-        return self.turner.step(self.renderer.GetActiveCamera(), max(width, 1) / max(height, 1), state, now_s)
+        return self.turner.step(self.renderer.GetActiveCamera(), (max(width, 1), max(height, 1)), state, now_s)
 
     def touch(self, now_s: float) -> None:
         """Note that the operator moved the camera."""
@@ -213,6 +223,8 @@ class Stage:
 
     def pick(self, x: float, y: float) -> int | None:
         """Return the channel whose estimate a click means; x and y are pixels from the lower left."""
+        if self.estimates.name in self._hidden:
+            return None
         screen = project(self.renderer, self.estimates.places)
         screen[~self.estimates.near] = np.nan
         row = nearest_at(screen, x, y, self.estimates.balls.actor.GetProperty().GetPointSize() / 2)

@@ -1,14 +1,22 @@
 """The poke that the guide asks for: a ring on the skin, an arrow from where the tool comes, and a cone of pushes as good.
 
+The taxel's name stands beside the ring.
+
 Ring and arrow are drawn twice, broad in black and narrow in white upon it, so that they stand out on any hue, in both themes.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping, Sequence
 
+import numpy as np
+from vtkmodules.vtkRenderingCore import vtkProp, vtkRenderer
+
+from app.scene3d.camera import Sight, project
+from app.scene3d.names import box_around, make_readable, name_actor, put
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
+from app.units import ChannelNames
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import skin_point
@@ -25,6 +33,10 @@ LEAST_PIXELS = 13.0
 """Radius of the ring at least, on the screen: on a whole body a ring of its own size would not be found."""
 RIM_LIFT, CORE_LIFT = 3e-3, 5e-3
 """m. How far towards the camera black and white are drawn: the part's curve must not cut the ring, nor the black the white."""
+LETTERS, GAP = 15, 8.0
+"""Points, size of the name; pixels between it and the ring."""
+ALONG = np.linspace(0.2, 1.0, 6)
+"""Where along the arrow it is looked whether words would cover it."""
 BLACK, WHITE = np.zeros(3, np.uint8), np.full(3, 255, np.uint8)
 
 
@@ -33,9 +45,14 @@ class TargetLayer(Layer):
 
     name = "target"
 
-    def __init__(self, static: StaticScene) -> None:
+    def __init__(self, renderer: vtkRenderer, static: StaticScene) -> None:
         super().__init__()
         self.static = static
+        self.label = name_actor(LETTERS, bold=True)
+        self.boxes: tuple[FloatArray, ...] = ()
+        """What ring, arrow and name cover of the picture."""
+        self._renderer = renderer
+        self._names = ChannelNames(static.scene.skin.layout)
         self.rim = Segments(pixels=7.0)
         self.core = Segments(pixels=2.5)
         self.cone = Segments(pixels=1.5)
@@ -45,6 +62,10 @@ class TargetLayer(Layer):
         self._target: Target | None = None
         self._at: FloatArray = np.zeros(3)
         """(3,) float, metres: where the target's line meets the skin."""
+
+    def parts(self) -> Mapping[str, Sequence[vtkProp]]:
+        """Return ring and arrow, which are always seen, and the cone."""
+        return {self.name: (self.rim.actor, self.core.actor, self.label), "cone": (self.cone.actor,)}
 
     def show(self, state: View3DState) -> bool:
         """Show the target of a moment; return whether anything changed."""
@@ -58,6 +79,8 @@ class TargetLayer(Layer):
             # A believed place lies above or below the skin; seen from outside, the ring must not. A landmark is where it is.
             surface = None if target.landmark else self.static.surface
             self._at = skin_point(surface, target.place, target.normal)
+            # A landmark's name stands beside it already.
+            self.label.SetInput("" if target.channel is None or target.landmark else self._names.short(target.channel))
         self.draw()
         return True
 
@@ -77,6 +100,22 @@ class TargetLayer(Layer):
             shape.join(ends if sight is None else sight.lift(ends, by * scale), colour)
         # Between ink and what is not to be in the way; black and white are seen in every theme.
         self.cone.join(soft, ((np.array(self.look.ink, float) + self.look.faint) / 2.0).astype(np.uint8))
+        self.label.SetVisibility(False)
+        self.boxes = () if target is None or sight is None else self._place_name(target, sight, scale)
+
+    def _place_name(self, target: Target, sight: Sight, scale: float) -> tuple[FloatArray, ...]:
+        """Put the name beside the ring, where the arrow is not; return what all of it covers."""
+        way = ALONG[:, None] * (-scale * TOOL * target.push)
+        middle, *shaft = project(self._renderer, np.concatenate([self._at[None], self._at + way]))
+        if not (abs(middle[2]) <= 1.0 and float(target.normal @ (sight.place - self._at)) > 0.0):
+            return ()
+        radius = scale * RING * sight.scale
+        covered = [box_around(at[:2], GAP) for at in shaft if np.isfinite(at).all()]
+        if self.label.GetInput():
+            self.label.SetVisibility(True)
+            make_readable(self.label, self.look, self.look.ink)
+            covered.append(put(self.label, self._renderer, middle[:2], radius + GAP, covered))
+        return (box_around(middle[:2], radius + GAP / 2.0), *covered)
 
 
 def arrow(push: FloatArray, towards: FloatArray) -> FloatArray:

@@ -140,6 +140,7 @@ class View3D(QWidget):
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
+        self._hidden: frozenset[str] = frozenset()
         self._picking = False
         self._stage: Stage | None = None
         self._canvas: AnyCanvas | None = None
@@ -212,6 +213,13 @@ class View3D(QWidget):
         if self._stage is not None:
             self._stage.turner.wanted = wanted
             self._show_state()
+
+    def hide_layers(self, names: frozenset[str]) -> None:
+        """Leave these layers out of the picture, and show all others; one of them is the target's `cone`."""
+        self._hidden = names
+        if self._stage is not None:
+            self._stage.hide(names)
+            self._request()
 
     @property
     def can_pick(self) -> bool:
@@ -310,6 +318,7 @@ class View3D(QWidget):
         self._stack.setCurrentWidget(self._canvas)
         # Theme, size and what is shown may have changed since the loading began.
         self._stage.set_colours(self._look)
+        self._stage.hide(self._hidden)
         self._stage.fit()
         self.set_turning(self._turning)
         self.set_picking(self._picking)

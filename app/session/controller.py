@@ -15,18 +15,26 @@ from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from app.session.opening import OpenRequest, begin_session, find_scene, find_truth_of, link_specs, resume_pipeline
+from app.session.opening import (
+    OpenRequest,
+    begin_session,
+    find_scene,
+    find_truth_of,
+    link_specs,
+    resume_pipeline,
+    rig_again,
+)
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
+from app.text.message import STILL_SOLVING, Message, kept_old_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.processes import ProcessService, ReviewClient
+    from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.calibration import LandmarkCheck
-    from skincal.files.reference import Reference
+    from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
     from skincal.model.actions import Action
     from skincal.session.part import Part
@@ -58,6 +66,12 @@ SOLVE_S = 0.012
 several ticks, in which the window answers."""
 AT_ONCE = 200
 """Taxels that are solved before the next action is done: 0.1 s at most. While more wait, an action is refused."""
+
+
+PACES = (1, 2, 4)
+"""How many times as quick as a careful hand a simulated operator may be between pokes."""
+BRISK = 2
+"""Of the demo: a poke takes 1.5 s, and the modules method comes to its end in two minutes."""
 
 
 class TickSchedule:
@@ -130,6 +144,14 @@ class Controller(QObject):
     stored = Signal(str)
     """Where the recording is, in words."""
 
+    pace = 1
+    """Of a simulated operator, one of `PACES`."""
+    demo = False
+    simulated = False
+    """The rig is, or was, a simulated one."""
+    _again: tuple[str, ...] = ()
+    """Serves the simulated rig of a recorded session again."""
+
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._documents = documents
@@ -138,6 +160,8 @@ class Controller(QObject):
         """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
         self._processes: ProcessService | None = None
         """Made with the first review."""
+        self._jobs: JobService | None = None
+        """Made with the first job."""
         self._news = False
         """The background brought something that is not shown yet."""
         self._server: DeviceProcess | None = None
@@ -165,6 +189,7 @@ class Controller(QObject):
         self._release()
         self._set_running(Running.OPENING)
         self._storage = storage = Storage(request, self._documents)
+        self.demo, self.pace = request.demo, BRISK if request.demo else 1
         self._timer.start()
         if request.session is not None:
             folder, self._links = request.session, link_specs(request.addresses)
@@ -185,6 +210,8 @@ class Controller(QObject):
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
         self._threads.renew()
+        if self._jobs is not None:
+            self._jobs.renew()
         server, self._server = self._server, None
         if server is not None:
             server.release()
@@ -194,6 +221,7 @@ class Controller(QObject):
             reviewing.deleteLater()
         self._part = self._shown = None
         self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
+        self._again, self.simulated = (), False
         storage = self._storage
         if not self._end_recording() and storage is not None:
             self.compute(storage.finish)
@@ -225,6 +253,8 @@ class Controller(QObject):
             self._reviewing = None
         if self._processes is not None:
             self._processes.close()
+        if self._jobs is not None:
+            self._jobs.close()
         self._threads.close()
         if not ended and storage is not None:
             storage.finish()
@@ -245,11 +275,31 @@ class Controller(QObject):
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
+        self.simulated = True
         from skincal.simulate.operator import NoTarget
 
         # Nothing is recorded before the session is open.
         self.ask(NoTarget.WAIT)
-        self._start_recording()
+        self.set_pace(self.pace)
+        if self._recording is None:
+            self._start_recording()
+            return
+        # The rig of a recorded session, served again.
+        self._recording.links = links
+        self._connect(self._recording)
+
+    def set_pace(self, pace: int) -> None:
+        """Have a simulated operator be so many times as quick between pokes; real devices are sent nothing."""
+        self.pace = pace
+        if self._server is not None:
+            self._server.tell(f"pace {pace}")
+        if self._recording is not None:
+            self.running_changed.emit(self.running)
+
+    @property
+    def served(self) -> bool:
+        """Whether a simulated rig is there, or can be served again."""
+        return self._server is not None or bool(self._again)
 
     def follow_guide(self, guidance: Guidance | None) -> None:
         """Let the pipeline know which landmark is asked for, and a simulated operator what to poke, where that changed.
@@ -298,8 +348,9 @@ class Controller(QObject):
                 dropped=lambda pipeline: pipeline.close(),
             )
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline]) -> None:
-        part, pipeline = found
+    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]]) -> None:
+        part, pipeline, self._again = found
+        self.simulated = bool(self._again)
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
@@ -398,8 +449,15 @@ class Controller(QObject):
         """Take the devices, in a new segment of the recording."""
         if self._recording is None or self.running is Running.STREAMING:
             return
+        if self._again and self._server is None:
+            # Its links follow.
+            self._start_server(self._again)
+            return
+        self._connect(self._recording)
+
+    def _connect(self, recording: Recording) -> None:
         try:
-            self._recording.go_on()
+            recording.go_on()
         except InputError as failure:
             self._say_failure(str(failure))
             return
@@ -436,21 +494,28 @@ class Controller(QObject):
             if not self.act(action):
                 return
 
-    def keep(self) -> None:
-        """Copy a temporary recording to where it stays."""
+    def keep(self, then: Callable[[], object] = lambda: None) -> None:
+        """Copy a temporary recording to where it stays, and go on with `then` once it lies there."""
+
+        def kept(folder: Path) -> None:
+            self.said.emit(Message(kept_words(folder)))
+            self._publish_storage()
+            then()
+
         if self._recording is not None and self.can_keep:
             # What is still buffered is in no file that could be copied.
             self._recording.pipeline.sync()
-            self._endings.submit(self._recording.storage.keep, self._kept, self._say_failure)
-
-    def _kept(self, folder: Path) -> None:
-        self.said.emit(Message(kept_words(folder)))
-        self._publish_storage()
+            self._endings.submit(self._recording.storage.keep, kept, self._say_failure)
 
     @property
     def can_keep(self) -> bool:
         """Whether the recording would go with the window."""
         return self._recording is not None and self._recording.storage.can_keep
+
+    @property
+    def would_lose(self) -> int:
+        """How many pokes would go with the window."""
+        return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
 
     def export(
         self,
@@ -484,9 +549,42 @@ class Controller(QObject):
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            older = (kept_old_words(path),) if path.exists() else ()
+            return (*write_calibration(calibration, format_, path, method), *older)
 
         self.compute(write, done, failed)
+
+    def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
+        """Write the report of what is recorded, in a process of its own.
+
+        Parameters
+        ----------
+        done : gets the verdict
+        failed : gets why there is no report
+        """
+        if self._recording is None:
+            return
+        from app.workers.processes import report_job
+
+        # What is still buffered is in no file that could be read.
+        self._recording.pipeline.sync()
+        self._start_job(report_job, (self._recording.storage.folder, path, method), done, failed)
+
+    def find_places(self, path: Path, done: Callable[[tuple[PlaceSet, ...]], None]) -> None:
+        """Read the places in a file or another session, in a process of its own, and hand them to `done`."""
+        from app.workers.processes import places_job
+
+        if self._part is not None:
+            scene, channels = self._part.scene, self._part.channels.tolist()
+            self._start_job(places_job, (path, scene.link, channels), done, self._say_failure)
+
+    def _start_job(
+        self, job: Callable[..., Any], arguments: tuple[Any, ...], done: Callable[[Any], None], failed: Callable[[str], None]
+    ) -> None:
+        from app.workers.processes import JobService
+
+        self._jobs = self._jobs or JobService(self)
+        self._jobs.submit(job, arguments, done, failed)
 
     def compute(
         self,
@@ -519,11 +617,12 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline]:
+    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...]) -> tuple[Part, Pipeline, tuple[str, ...]]:
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
-        return resume_pipeline(folder, links)
+        part, pipeline = resume_pipeline(folder, links)
+        return part, pipeline, () if links else rig_again(folder, pipeline.session.last_poke + 1)
 
     def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

@@ -5,6 +5,7 @@ No Qt. What takes long runs beside the window; the imports stand inside the func
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,6 +48,8 @@ class OpenRequest:
     """A command that prints its links and serves them; used where no address is given."""
     folder: Path | None = None
     """Folder of the new session; None puts it into a temporary one that goes with the window unless it is kept."""
+    demo: bool = False
+    """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
 
     @property
     def temporary(self) -> bool:
@@ -67,9 +70,30 @@ def server_command(scene: Path | None) -> tuple[str, ...]:
     Its operator pokes what the window asks for (`DeviceProcess.tell`).
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    # -P: nothing that lies in the working folder is imported.
-    simulate = (sys.executable, "-P", "-m", "skincal.cli", "simulate", "--serve", "--tcp", "--operator", "guided")
-    return (*simulate, "--scene", name, "--json")
+    # A frozen program takes the commands itself. -P: nothing that lies in the working folder is imported.
+    program = () if getattr(sys, "frozen", False) else ("-P", "-m", "skincal.cli")
+    return (sys.executable, *program, "simulate", "--serve", "--tcp", "--operator", "guided", "--scene", name, "--json")
+
+
+def rig_again(folder: Path, run: int) -> tuple[str, ...]:
+    """Return the command that serves the simulated rig of a recorded session again; empty where a real one was recorded.
+
+    Parameters
+    ----------
+    run : another number than before, or the operator's hand and the sensor's noise would repeat themselves
+    """
+    from skincal.files.reference import RIG_KEY, TRUTH_NAME
+    from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
+
+    try:
+        rig = json.loads((folder / TRUTH_NAME).read_text(encoding="utf-8"))[RIG_KEY]
+        seed, errors = int(rig["seed"]), str(rig["errors"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()
+    if seed < 0 or errors not in ("none", "noise", "paper"):
+        return ()
+    command = server_command(folder / SCENE_FOLDER / SCENE_FILE)
+    return (*command, "--seed", str(seed), "--errors", errors, "--run", str(run))
 
 
 def check_addresses(addresses: Addresses) -> None:

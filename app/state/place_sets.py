@@ -1,11 +1,13 @@
-"""Sets of places that can be laid over each other: the layout, each method, and each method before and after a correction.
+"""Sets of places that can be laid over each other: the layout, each method also before and after a correction, and others.
+
+Others are a simulated rig's truth, files, and other sessions, as they were offered.
 
 Pure: which sets there are and what they hold follows from the views' state. Places stand in the order of the part's channels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -25,6 +27,9 @@ class PlaceOrigin(Enum):
     METHOD = "method"
     BEFORE = "before correction"
     AFTER = "after correction"
+    TRUTH = "truth"
+    OTHER = "other"
+    """A file, or another session."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,21 +38,27 @@ class Source:
 
     origin: PlaceOrigin
     method: Method | None = None
-    """None for the layout."""
+    """None for the layout, the truth and others."""
+    name: str = ""
+    """Of another one."""
 
 
 LAYOUT = Source(PlaceOrigin.LAYOUT)
+UNKNOWN = np.full(3, np.nan)
+"""Where a taxel is that a set does not know."""
 Pair = tuple[Source, Source]
 
 
-def sources_of(methods: Sequence[Method], review: Review | None, *, laid: bool) -> tuple[Source, ...]:
+def sources_of(
+    methods: Sequence[Method], review: Review | None, *, laid: bool, others: Sequence[Source] = ()
+) -> tuple[Source, ...]:
     """Return the sets of places that there are, methods in their order; the layout where it is `laid` on the part."""
     found = [LAYOUT] if laid else []
     found += [Source(PlaceOrigin.METHOD, method) for method in methods]
     if review is not None:
         reviewed = [method for method in methods if method in review.before or method in review.after]
         found += [Source(origin, method) for origin in (PlaceOrigin.BEFORE, PlaceOrigin.AFTER) for method in reviewed]
-    return tuple(found)
+    return (*found, *others)
 
 
 def default_pair(sources: Sequence[Source], shown: Method) -> Pair:
@@ -68,14 +79,26 @@ class Places:
         self.channels = channels
         self._laid = None if laid is None or not np.isfinite(laid[channels]).any() else laid[channels]
         self._kept: dict[Source, tuple[object, FloatArray]] = {}
+        self._others: dict[Source, FloatArray] = {}
 
     @property
     def laid(self) -> bool:
         """Whether the layout has a place on the part."""
         return self._laid is not None
 
+    @property
+    def others(self) -> tuple[Source, ...]:
+        """The sets that were offered, in that order."""
+        return tuple(self._others)
+
+    def offer(self, source: Source, places: Mapping[int, FloatArray]) -> None:
+        """Take a set of places, (3,) float, metres, link frame, by channel, in place of another of its name."""
+        self._others[source] = np.array([places.get(channel, UNKNOWN) for channel in self.channels.tolist()]).reshape(-1, 3)
+
     def find(self, source: Source, state: ViewState) -> FloatArray:
         """Return the places of a source at a tick, (n, 3) float, metres, link frame; NaN where unknown."""
+        if source in self._others:
+            return self._others[source]
         if source.method is None:
             return self._unknown() if self._laid is None else self._laid
         review = state.review

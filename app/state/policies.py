@@ -119,6 +119,8 @@ class Allowed:
 
     undo: str
     """What undo would take back; empty where there is nothing."""
+    redo: str
+    """What redo would bring again, likewise."""
     exclude: tuple[int, ...]
     """Selected pokes that count and can be excluded."""
     restore: tuple[int, ...]
@@ -165,6 +167,7 @@ def allowed(
     streamed = any(Stream.JOINTS in link.carries for link in links)
     return Allowed(
         undo=snapshot.can_undo,
+        redo=snapshot.can_redo,
         # A rejected poke counts for nothing already.
         exclude=tuple(p.outcome.poke for p in chosen if not p.excluded and isinstance(p.outcome, Contact)),
         restore=tuple(p.outcome.poke for p in chosen if p.excluded),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 from app.scene3d.camera import PLAIN, Eye
@@ -89,6 +89,12 @@ class ViewState:
     """Whether modules lie as planned; None while that was not worked out."""
     unsolved: int = 0
     """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
+    simulated: str = ""
+    """What is said of a rig that is none: empty of a real one."""
+    opened_s: float = 0.0
+    """Host's monotonic clock, seconds, when the session was opened here."""
+    costs: Mapping[Method, int] = field(default_factory=dict[Method, int])
+    """About how many pokes each method takes from the first to enough; none where no layout says."""
     eye: Eye = PLAIN
     """How the 3D view's camera stands: small pictures stand upright beside it."""
 
@@ -126,12 +132,15 @@ class ViewState:
         return {estimate.channel: estimate for estimate in self.estimates}
 
 
+OF_RESULTS = ("pokes", "estimates", "dead", "at_landmarks", "missed_landmarks")
+"""What a snapshot says of pokes and taxels."""
+
+
 def same_results(first: Snapshot, second: Snapshot) -> bool:
     """Return whether two snapshots say the same of pokes and taxels.
 
     Streamed joints make a new snapshot with every frame of the skin; tables and maps must not be made anew for that.
     """
     return first is second or (
-        first.generation == second.generation
-        or all(getattr(first, name) == getattr(second, name) for name in ("pokes", "estimates", "dead", "at_landmarks"))
+        first.generation == second.generation or all(getattr(first, name) == getattr(second, name) for name in OF_RESULTS)
     )

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
-from app.units import TIMES, ChannelNames, count, millimetres, number
+from app.units import TIMES, ChannelNames, count, degrees, millimetres, number
 from skincal.modules.health import LayoutMend
 from skincal.sentences import change_words, left_sentences, misfit_sentence
-from skincal.taxels.differences import ModuleDifference, Summary
+from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
 
 MODULE_HEADINGS = ("Module", "Mean", "Shift", "Shape", "Spacing")
@@ -30,8 +30,10 @@ SCALES = (1, 3, 10)
 
 def source_words(source: Source) -> str:
     """Return what a set of places is called: `"Layout"`, `"Surface method"`, `"Free before correction"`."""
+    if source.origin is PlaceOrigin.TRUTH:
+        return "Truth"
     if source.method is None:
-        return "Layout"
+        return source.name or "Layout"
     name = METHOD_NAMES[source.method].capitalize()
     return f"{name} method" if source.origin is PlaceOrigin.METHOD else f"{name} {source.origin.value}"
 
@@ -44,6 +46,14 @@ def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, c
         return "No taxel is known in both yet."
     largest = f"largest {millimetres(summary.largest)} ({names.short(channels[summary.row])})"
     return f"{count(summary.known, 'taxel')}, mean {millimetres(summary.mean)}, {largest}"
+
+
+def motion_words(motion: CommonMotion | None) -> str:
+    """Return by which motion of all taxels two sets differ most, and what that leaves; empty where it is not known."""
+    if motion is None:
+        return ""
+    left = f"{millimetres(motion.mean)} mean, {millimetres(motion.largest)} largest"
+    return f"All together moved {millimetres(motion.shift)} and turned {degrees(motion.turn, 1)}; without that {left}."
 
 
 def listed_modules(modules: Sequence[ModuleDifference]) -> Sequence[ModuleDifference]:

@@ -92,16 +92,25 @@ def left_words(guidance: Guidance) -> str:
     """Return how much is left: `"about 120 pokes, 6 min left"`; empty where nothing is, or where nobody knows."""
     if not guidance.pokes_left or guidance.phase in (GuidePhase.COVER, GuidePhase.LANDMARKS):
         return ""
-    # More digits than it is good to would be a lie.
-    pokes = guidance.pokes_left if guidance.pokes_left < 10 else 10 * round(guidance.pokes_left / 10)
     time = "" if guidance.seconds_left is None else f", {minutes(guidance.seconds_left)}"
-    return f"about {count(pokes, 'poke')}{time} left"
+    return f"about {count(round_pokes(guidance.pokes_left), 'poke')}{time} left"
 
 
-def enough_words(guidance: Guidance, wanted: float, dead: Collection[int]) -> str:
-    """Return that it is enough by the predicted error `wanted`, metres: `"enough: 84 of 84 taxels meet 3 mm"`."""
+def round_pokes(pokes: int) -> int:
+    """Return a predicted number of pokes with as many digits as it is true to."""
+    return pokes if pokes < 10 else 10 * round(pokes / 10)
+
+
+def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
+    """Return that nothing more is asked for: `"enough: 84 of 84 taxels are done"`."""
     done, total = _done(guidance, dead)
-    return f"enough: {done} of {count(total, 'taxel')} meet {millimetres(wanted, 0)}" if total else "no taxel is used"
+    return f"enough: {done} of {count(total, 'taxel')} are done" if total else "no taxel is used"
+
+
+def early_words(guidance: Guidance, dead: Collection[int]) -> str:
+    """Return that more would be asked for: `"Not enough yet: 12 of 84 taxels are done by the modules method."`."""
+    done, total = _done(guidance, dead)
+    return f"Not enough yet: {done} of {count(total, 'taxel')} are done by the {METHOD_NAMES[guidance.method]} method."
 
 
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:

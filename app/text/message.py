@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+REPORTING = "The report is being written; it is said when it is there."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
 
@@ -29,6 +30,22 @@ def refused_words(failure: str) -> str:
 def kept_words(folder: Path) -> str:
     """Return what is said where a temporary recording was copied to `folder`."""
     return f"This session is kept in {folder}; what is recorded from now on is added when the window closes."
+
+
+def report_words(path: Path, verdict: str) -> str:
+    """Return where a report is, and its verdict."""
+    return f"The report is in {path}. {verdict}"
+
+
+def kept_old_words(path: Path) -> str:
+    """Return what is said where a file took the place of an older one."""
+    return f"The file that was there before is kept as {path.name}.bak."
+
+
+def keep_question(pokes: int) -> tuple[str, str]:
+    """Return what is asked before a temporary recording of so many pokes goes, and what follows from the answer."""
+    number = f"{pokes} poke{'' if pokes == 1 else 's'}"
+    return f"Keep this session, with its {number}?", "It lies in a temporary folder, which goes now unless it is kept."
 
 
 def place_words(folder: Path, kept: Path | None, *, temporary: bool) -> str:

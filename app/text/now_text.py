@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from app.state.policies import GOOD_RMS, is_news, newest_outcome
+from app.state.policies import is_news, newest_outcome
 from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
 from app.state.running import Running
 from app.state.view_state import LinkLook, ViewState
@@ -24,18 +24,32 @@ from app.text.guidance_text import (
     hint_words,
     newly_done,
     pressing_words,
+    round_pokes,
     target_words,
     why_words,
 )
-from app.text.outcomes import counted_words, link_detail, peak_channel, verdict_detail, verdict_words
+from app.text.outcomes import (
+    METHOD_NAMES,
+    MISSED_ADVICE,
+    counted_words,
+    landed_words,
+    link_detail,
+    missed_words,
+    peak_channel,
+    verdict_detail,
+    verdict_words,
+)
 from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.session.snapshot import Snapshot
+from skincal.session.undo import Deed, DeedKind
 
 VERDICT_S = 2.5
 """s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
+DEED_S = 6.0
+"""s. What the operator took back, or brought again, is said so long: it was asked for, and must not be missed."""
 SETTLE_S = 0.15
 """s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
 
@@ -52,12 +66,21 @@ class Tone(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Said:
+    """What came of something: smaller than what to do, and beside it."""
+
+    tone: Tone
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
 class Now:
-    """What is happening, verb first, and one line of detail."""
+    """What to do now, verb first, in large type; one line of detail; and what came of the poke or the action before."""
 
     tone: Tone
     headline: str
     detail: str = ""
+    result: Said | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +103,14 @@ class NowMemory:
     done: tuple[int, ...] = ()
     """Channels that became done with the newest poke, ascending."""
     coach: CoachMemory = SILENT
+    deed: Deed | None = None
+    """What the operator did last."""
+    deed_until_s: float = -math.inf
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
-        """Return a memory that does not announce the pokes that are there already."""
-        return NowMemory(outcome=newest_outcome(snapshot))
+        """Return a memory that does not announce what is there already: pokes, and what the operator did."""
+        return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.deed)
 
 
 def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
@@ -94,16 +120,49 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
     `SETTLE_S`.
     """
     asked = None if at.target is None else at.target.channel
-    memory = replace(_see_outcome(memory, at), asked=asked, guidance=at.guidance)
+    memory = replace(_see_deed(_see_outcome(memory, at), at), asked=asked, guidance=at.guidance)
     memory = replace(_settle(memory, at), coach=follow_press(memory.coach, at))
+    deed = _deed(memory, at)
     trouble = _trouble(at)
     if trouble is not None:
-        return trouble, memory
+        return replace(trouble, result=deed), memory
     if memory.phase in PRESSING:
-        return _pressing(memory, at), memory
-    if at.now_s < memory.verdict_until_s and memory.outcome is not None:
+        return replace(_pressing(memory, at), result=deed), memory
+    if deed is None and at.now_s < memory.verdict_until_s and memory.outcome is not None:
         return _verdict(memory.outcome, memory, at), memory
-    return _calm(memory.phase, at), memory
+    return replace(_calm(memory.phase, at), result=deed or _costs(at)), memory
+
+
+def _see_deed(memory: NowMemory, at: ViewState) -> NowMemory:
+    """Notice what the operator did; a poke that ends after it is news again."""
+    deed = at.snapshot.deed
+    if deed is None or deed == memory.deed:
+        return memory
+    return replace(memory, deed=deed, deed_until_s=at.now_s + DEED_S, verdict_until_s=-math.inf)
+
+
+def _deed(memory: NowMemory, at: ViewState) -> Said | None:
+    if memory.deed is None or at.now_s >= memory.deed_until_s:
+        return None
+    return Said(Tone.CALM, deed_words(memory.deed))
+
+
+def deed_words(deed: Deed) -> str:
+    """Return what the operator did, and what takes it back: `"poke 438 taken back; Ctrl+Y brings it again"`."""
+    if deed.kind is DeedKind.UNDONE:
+        return f"{deed.words} taken back; Ctrl+Y brings it again"
+    if deed.kind is DeedKind.REDONE:
+        return f"{deed.words} brought again; Backspace takes it back"
+    return f"{deed.words}: done; Backspace takes it back"
+
+
+def _costs(at: ViewState) -> Said | None:
+    """Return what each method would cost, until a poke on the skin counts; None where nobody knows."""
+    known = [(method, pokes) for method, pokes in at.costs.items() if pokes]
+    if len(known) < 2 or at.snapshot.contacts:
+        return None
+    each = ", ".join(f"{METHOD_NAMES[method]} about {round_pokes(pokes)}" for method, pokes in known)
+    return Said(Tone.CALM, f"pokes it takes: {each}; V chooses the method")
 
 
 def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
@@ -116,7 +175,14 @@ def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
     grown = newly_done(memory.guidance, at.guidance)
     if is_news(memory.outcome, newest):
         until_s = at.now_s + VERDICT_S
-        return replace(memory, outcome=newest, verdict_until_s=until_s, meant=memory.asked, done=tuple(sorted(grown)))
+        return replace(
+            memory,
+            outcome=newest,
+            verdict_until_s=until_s,
+            deed_until_s=-math.inf,
+            meant=memory.asked,
+            done=tuple(sorted(grown)),
+        )
     if memory.outcome is None or newest.poke < memory.outcome.poke:
         return replace(memory, outcome=newest, done=())
     # The same poke again, with the tare after it: that may be what a taxel lacked.
@@ -149,7 +215,7 @@ def _trouble(at: ViewState) -> Now | None:
 def _pressing(memory: NowMemory, at: ViewState) -> Now:
     how = pressing_words(at.coaching, at.target, at.names)
     if memory.phase is PressPhase.HELD:
-        return Now(Tone.GOOD, "enough, release", how or "The still window is full.")
+        return Now(Tone.GOOD, "held: release", how or "The still window is full.")
     hint = memory.coach.hint
     asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
     force, detail = force_words(memory.coach, at)
@@ -160,17 +226,31 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
+    """Return what to do next, with what the newest poke ended as beside it."""
+    said, detail = _ended(outcome, memory, at)
+    # A quick operator pokes again while this is still said.
+    following = _calm(memory.phase, at) if at.guidance is None or at.unsolved else _guided(at)
+    return Now(following.tone, following.headline, detail or following.detail, said)
+
+
+def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, str]:
+    """Return how a poke ended, and what it changed or what to do better."""
+    number = f"poke {outcome.poke}"
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
-        return Now(Tone.GOOD, f"poke {outcome.poke} at the landmark {name}", _next(at))
+        return Said(Tone.GOOD, f"{number} counts at the landmark {name}"), ""
+    missed = at.snapshot.missed_landmarks.get(outcome.poke)
+    if missed is not None:
+        lands = landed_words(outcome, at.names)
+        tone = Tone.BAD if isinstance(outcome, Rejection) else Tone.GOOD
+        return Said(tone, f"{number} {lands}{missed_words(missed)}"), MISSED_ADVICE
     detail = verdict_detail(outcome, at.snapshot, at.method, at.names)
-    if isinstance(outcome, Rejection):
-        return Now(Tone.BAD, verdict_words(outcome, at.names), detail)
     words = verdict_words(outcome, at.names)
+    if isinstance(outcome, Rejection):
+        return Said(Tone.BAD, f"{number} {words}"), detail
     if memory.meant is not None and memory.meant != peak_channel(outcome):
         words, detail = counted_words(outcome, at.names), asked_words(outcome, memory.meant, at.names)
-    # A quick operator pokes again while this is still said.
-    return Now(Tone.GOOD, words, BETWEEN.join(filter(None, (done_words(memory.done, at.names), _next(at), detail))))
+    return Said(Tone.GOOD, f"{number} {words}"), BETWEEN.join(filter(None, (done_words(memory.done, at.names), detail)))
 
 
 def _calm(phase: PressPhase, at: ViewState) -> Now:
@@ -189,7 +269,7 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
 def _next(at: ViewState) -> str:
     """Return what to do next, or that it is enough; empty where nobody guides."""
     if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
-        return enough_words(at.guidance, GOOD_RMS, at.snapshot.dead)
+        return enough_words(at.guidance, at.snapshot.dead)
     if at.guidance is None or at.target is None:
         return ""
     return f"Next: {target_words(at.guidance, at.target, at.names)}"
@@ -199,7 +279,7 @@ def _guided(at: ViewState) -> Now:
     guidance, dead = at.guidance, at.snapshot.dead
     if guidance is not None and guidance.phase is GuidePhase.ENOUGH:
         first = "C uses the correction that is offered. " if at.offers else ""
-        return Now(Tone.GOOD, enough_words(guidance, GOOD_RMS, dead), first + end_words(guidance, dead))
+        return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
     if guidance is not None and at.target is not None:
         return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
     limits = at.scene.contacts

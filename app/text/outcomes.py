@@ -15,8 +15,9 @@ import numpy as np
 from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
-from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
+from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
+from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
 from skincal.sentences import state_sentence
 from skincal.session.snapshot import Snapshot
@@ -38,6 +39,9 @@ ADVICE: Mapping[Reason, str] = {
     Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
+
+MISSED_ADVICE = "Poke the landmark itself; where you did, its place in the scene may be wrong, and N leaves it out."
+"""Said of a poke that passed the landmark that was asked for too far."""
 
 METHOD_NAMES: Mapping[Method, str] = {Method.FREE: "free", Method.SURFACE: "surface", Method.MODULES: "modules"}
 
@@ -71,6 +75,8 @@ def reason_short(rejection: Rejection) -> str:
 def reason_words(rejection: Rejection) -> str:
     """Return why a poke does not count, with its number and limit: `"slid 2.1 mm, at most 1.5 mm"`."""
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
+    if rejection.unit == RAW and math.isfinite(value):
+        return f"{reason.value}: largest {number(value, 1)}, needed {number(limit, 1)}"
     if reason in _BARE or not (math.isfinite(value) and math.isfinite(limit)):
         return reason.value
     bound = "at least" if value < limit else "at most"
@@ -94,6 +100,17 @@ def peak_channel(outcome: Outcome) -> int | None:
     if isinstance(outcome, Contact):
         return int(outcome.channels[int(np.argmax(outcome.responses))])
     return int(outcome.channels[0])
+
+
+def landed_words(outcome: Outcome, names: ChannelNames) -> str:
+    """Return what became of a poke that was not at the landmark: `"counted for 17-04: "`."""
+    peak = peak_channel(outcome)
+    return f"counted for {names.short(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
+
+
+def missed_words(missed: MissedLandmark) -> str:
+    """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
+    return f"passes {missed.name} at {millimetres(missed.miss, 0)}, at most {millimetres(missed.limit, 0)}"
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from app.state.policies import Offer
 from app.units import DASH, in_millimetres, millimetres, number
 from skincal.model.actions import Correct
-from skincal.rig.correction import RIG
+from skincal.rig.correction import RIG, UsedCorrection
 from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
@@ -71,6 +71,18 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
         said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
     moved = moved_words(review, method, estimates)
     return tuple(filter(None, (*said, moved, *found[1:])))
+
+
+def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
+    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show."""
+    if offers:
+        return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
+    in_use = " ".join(correction_sentence(correction) for correction in used)
+    if in_use:
+        return in_use
+    if review is not None and review.pokes:
+        return rig_sentences(review.rig)[0]
+    return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
 
 
 @dataclass(frozen=True, slots=True)

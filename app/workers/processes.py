@@ -1,4 +1,4 @@
-"""A process for work that would hold the window even from a thread, and the review of landmark pokes that it does.
+"""Processes for work that would hold the window even from a thread: the review of landmark pokes, and single jobs.
 
 The calculation of a rig's errors keeps Python's lock for some tenths of a second. The process is asked from the first poke at a
 landmark on, and sent what is new of the session since it was asked last. There is one review at a time, and its work gives way
@@ -12,10 +12,11 @@ import os
 import signal
 import threading
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from PySide6.QtCore import QObject, Signal
 
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
 
+    from skincal.files.reference import PlaceSet
+    from skincal.taxels.result import Method
+
+T = TypeVar("T")
 LOG = logging.getLogger(__name__)
 NICE = 5
 """The process stands back behind the window, which waits for a hand."""
@@ -169,6 +174,78 @@ def serve(connection: Connection[Any, Any], newest: Any) -> None:
             connection.send(answer)
         except OSError:
             return
+
+
+class JobService:
+    """Does single jobs that take seconds, one after another, each in a process of its own that ends with it.
+
+    Apart from the one that reviews the rig: that one has memory of its session, and its work gives way to newer requests.
+    """
+
+    def __init__(self, owner: QObject) -> None:
+        self._threads = ThreadService("jobs", owner)
+        self._process: ProcessService | None = None
+        self._closed = False
+
+    def submit(
+        self, job: Callable[..., T], arguments: tuple[Any, ...], done: Callable[[T], None], failed: Callable[[str], None]
+    ) -> None:
+        """Do `job(*arguments)` in a process; returns at once.
+
+        Parameters
+        ----------
+        job : a function of a module, which the process imports
+        done : gets its answer, in the window's thread; nothing where something else was opened meanwhile (`renew`)
+        failed : gets why there is none, in a sentence
+        """
+        self._threads.submit(partial(self._do, job, arguments), done, failed)
+
+    def renew(self) -> None:
+        """Begin anew: answers to what was asked before come too late, though what it writes is written."""
+        self._threads.renew()
+
+    def close(self) -> None:
+        """End what is done, by force, and do nothing any more."""
+        self._closed = True
+        if self._process is not None:
+            self._process.close()
+        self._threads.close()
+
+    def _do(self, job: Callable[..., T], arguments: tuple[Any, ...]) -> T:
+        """Do a job; in a thread. InputError where it cannot be done, whatever the reason is."""
+        self._process = process = ProcessService()
+        try:
+            if self._closed:
+                raise ProcessLostError("the window closed")
+            return process.ask(process.ticket(), do_job, job, arguments)
+        except InputError:
+            raise
+        except ProcessLostError as lost:
+            raise InputError(f"It is not done: {lost}. Try again.") from lost
+        except Exception as error:
+            LOG.exception("a job beside the window failed")
+            raise InputError(f"It is not done: {error!r}; details are in the log.") from error
+        finally:
+            process.close()
+
+
+def do_job(job: Callable[..., T], arguments: tuple[Any, ...], _wanted: Callable[[], bool]) -> T:
+    """Do a job, in the process."""
+    return job(*arguments)
+
+
+def report_job(session: Path, path: Path, method: Method) -> str:
+    """Write a session's report, and return its verdict; in the process, which alone imports what that needs."""
+    from skincal.reporting.page import write_report
+
+    return write_report(session, path, method)
+
+
+def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceSet, ...]:
+    """Return the places in a file or a session; see `places_for`."""
+    from skincal.session.named_places import places_for
+
+    return places_for(path, link, channels)
 
 
 SKIN = 10

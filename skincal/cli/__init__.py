@@ -1,4 +1,4 @@
-"""The commands: `skincal solve | simulate | record | import | landmarks | export | study`.
+"""The commands: `skincal solve | export | compare | report | simulate | record | import | landmarks | study`.
 
 Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
 2 the user's input is at fault (one sentence, no traceback), 1 ours.
@@ -46,9 +46,11 @@ def _options(
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import calibrate, name_pokes, record, simulate, study
+    from skincal.cli import calibrate, compare, name_pokes, record, simulate, study, write_report
 
     calibrate.add_to(app)
+    compare.add_to(app)
+    write_report.add_to(app)
     name_pokes.add_to(app)
     record.add_to(app)
     simulate.add_to(app)

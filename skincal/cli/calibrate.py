@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from skincal.files.formats import ExportFormat, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -49,19 +49,11 @@ LayoutFile = Annotated[
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
 
 
-class ExportFormat(Enum):
-    """A calibration file's format."""
-
-    ICUB = "icub"
-    JSON = "json"
-    CSV = "csv"
-    PLY = "ply"
-
-
 def add_to(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(epilog="Example: skincal solve my-session --out results")(solve)
-    app.command(epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
+    told = f"Write the calibration file of a session. Formats:\n\n{formats_help()}"
+    app.command(help=told, epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
 
 
 def solve(
@@ -314,7 +306,7 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
 
     `answer` is what landmark pokes say.
     """
-    from skincal.guide.verdict_sentence import verdict_sentence
+    from skincal.guide.verdict_words import sentence
     from skincal.session.guiding import SessionGuide
     from skincal.session.part import lay_part
 
@@ -322,7 +314,7 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
     found: dict[Method, str] = {}
     for method in methods:
         guidance = guide.of_skin(snapshot, method, session.evidence)
-        found[method] = verdict_sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
+        found[method] = sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
     return found
 
 
@@ -348,7 +340,7 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
 
 def export(
     session: SessionArgument,
-    format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file.")],
+    format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file; see above.")],
     out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak.")],
     method: Annotated[
         Method | None,
@@ -381,10 +373,11 @@ def export(
         lacks = "surface" if chosen is Method.SURFACE else "layout"
         known = " or ".join(method.value for method in calibration.estimates)
         raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
+    older = f"; the older file is kept as {out.name}.bak" if out.is_file() else ""
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
+    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}{older}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

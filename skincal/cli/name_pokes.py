@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -13,12 +14,14 @@ from typer.core import TyperCommand
 
 from skincal.cli.calibrate import Json, SessionArgument
 from skincal.model.errors import InputError, plural
+from skincal.model.given import TEXT_MOST, read_regular
 
 if TYPE_CHECKING:
     from skincal.contacts.outcome import Outcome
     from skincal.model.actions import Action, AddLandmark, AtLandmark
     from skincal.session.landmark_pokes import NearestLandmark
     from skincal.session.session import Session
+    from skincal.session.undo import Entry
 
 NOWHERE = "-"
 """Stands for no landmark, as an empty name does."""
@@ -145,9 +148,9 @@ def _number(text: str, where: str) -> int:
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     """Return what each row of a file says."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            lines = [(number, [field.strip() for field in row]) for number, row in enumerate(csv.reader(file), 1) if any(row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        file = StringIO(read_regular(path, TEXT_MOST).decode("utf-8-sig"), newline="")
+        lines = [(number, [field.strip() for field in row]) for number, row in enumerate(csv.reader(file), 1) if any(row)]
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error}); expected a CSV file.") from None
     header = lines[0][1] if lines else []
     if header not in HEADERS:
@@ -278,7 +281,7 @@ def _take_back(folder: Path, known: Session) -> list[str]:
     """Undo what the last call wrote; return it in lines."""
     from skincal.model.actions import Undo
 
-    count = _last_call(folder)
+    count = _last_call(known.history)
     if not count:
         raise InputError(
             f"{folder}: what was done last is {known.can_undo or 'nothing'}, not a landmark; nothing to take back."
@@ -291,27 +294,19 @@ def _take_back(folder: Path, known: Session) -> list[str]:
     return lines
 
 
-def _last_call(folder: Path) -> int:
-    """Return how many of the last steps of a session name landmarks and were written at one moment."""
-    from skincal.contacts.outcome import Contact
-    from skincal.journal.documents import Taken
-    from skincal.journal.reader import SessionLog
-    from skincal.model.actions import AddLandmark, AskLandmark, AtLandmark, Stamped, Undo
+def _last_call(history: Sequence[Entry]) -> int:
+    """Return how many of the last entries of a session's history name landmarks and were written at one moment."""
+    from skincal.model.actions import AddLandmark, AtLandmark
+    from skincal.session.undo import ActionEntry
 
-    steps: list[tuple[str, int]] = []
-    for item in SessionLog(folder).state():
-        if isinstance(item, Taken):
-            for outcome in (outcome for outcome, _ in item.outcomes):
-                step = "poke", outcome.poke
-                if isinstance(outcome, Contact) != (step in steps):
-                    (steps.append if isinstance(outcome, Contact) else steps.remove)(step)
-        elif isinstance(item, Stamped) and isinstance(item.action, Undo):
-            steps = steps[:-1]
-        elif isinstance(item, Stamped) and not isinstance(item.action, AskLandmark):
-            steps.append(("landmark" if isinstance(item.action, AddLandmark | AtLandmark) else "other", item.host_ns))
-    last = steps[-1] if steps else ("other", 0)
-    count = next((i for i, step in enumerate(reversed(steps)) if step != last), len(steps))
-    return count if last[0] == "landmark" else 0
+    moment, count = None, 0
+    for entry in reversed(history):
+        if not isinstance(entry, ActionEntry) or not isinstance(entry.action, AddLandmark | AtLandmark):
+            break
+        if moment not in (None, entry.at_s):
+            break
+        moment, count = entry.at_s, count + 1
+    return count
 
 
 # ---- what is known ----

@@ -15,10 +15,12 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.record import SceneOption, find_scene, finish, stopping
 from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from skincal.model.scene import Scene
     from skincal.simulate.operator import Auto, Guided, Habits, Told
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
@@ -72,20 +74,28 @@ def simulate(
         float,
         typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
     ] = 1.0,
+    run: Annotated[int, typer.Option(min=0, help="Another number: the same rig, served on another day.")] = 0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
+    speak_as: Annotated[
+        str,
+        typer.Option(
+            "--as",
+            help="Makers' devices to be, by name, separated by commas: netft, bota, robotiq, robotiq-text, rtde, yarp, "
+            "xela, papillarray. What none of them sends comes from a board.",
+        ),
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
 
     Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME. With --operator guided:
     target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
-    of the part), wait (nothing is to be poked), or any (nobody guides); until the first of them it pokes as auto does.
+    of the part), wait (nothing is to be poked), any (nobody guides), or pace TIMES; until the first of them it pokes as auto
+    does.
     """
-    import numpy as np
-
-    from skincal.files.reference import TRUTH_NAME, read_reference
+    from skincal.files.reference import RIG_KEY, TRUTH_NAME, read_reference
     from skincal.session.part import load_scene_surface
-    from skincal.simulate.device import DeviceTimeline
+    from skincal.simulate.device import DeviceSettings, DeviceTimeline
     from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Guided, Habits, Told
     from skincal.simulate.serve import Server
@@ -95,8 +105,8 @@ def simulate(
     loaded = find_scene(scene)
     if serve == (out is not None):
         raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
-    if not serve and (operator is not OperatorKind.AUTO or tcp):
-        name = "--tcp" if operator is OperatorKind.AUTO else f"--operator {operator.value}"
+    if not serve and (operator is not OperatorKind.AUTO or tcp or speak_as):
+        name = f"--operator {operator.value}" if operator is not OperatorKind.AUTO else "--tcp" if tcp else "--as"
         raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
@@ -116,12 +126,22 @@ def simulate(
         finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
         return
     # Streams of their own: another operator meets the same rig and the same devices.
-    rig_rng, operator_rng, device_rng = np.random.default_rng(seed).spawn(3)
+    rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
-    with closing(Server(DeviceTimeline(rig, hand, device_rng), tcp=tcp)) as server:
-        _print_links(server, rig.truth() if as_json else {})
+    settings = DeviceSettings(speakers=_speakers(speak_as, loaded))
+    with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
+        known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
+        _print_links(server, known if as_json else {})
         _run(server, hand if isinstance(hand, Told | Guided) else None)
+
+
+def _streams(seed: int, run: int) -> list[np.random.Generator]:
+    """Return the random numbers of rig, operator and devices; those of the rig are the same in every run."""
+    import numpy as np
+
+    rig, *others = np.random.default_rng(seed).spawn(3)
+    return [rig, *(np.random.default_rng((seed, run)).spawn(2) if run else others)]
 
 
 def _hand(
@@ -132,6 +152,16 @@ def _hand(
     if kind is OperatorKind.TOLD:
         return Told(rig, habits, rng)
     return (Guided if kind is OperatorKind.GUIDED else Auto)(rig, habits, rng, *course)
+
+
+def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
+    """Return which maker's device sends each stream of the scene."""
+    if not named:
+        return {}
+    from skincal.simulate.makers import assign
+
+    streams = tuple(stream for stream in Stream if stream is not Stream.JOINTS or scene.arm is not None)
+    return assign(tuple(name.strip() for name in named.split(",")), streams)
 
 
 def _show_progress(pokes: int) -> None:

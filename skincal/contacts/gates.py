@@ -9,12 +9,13 @@ channel becomes known. The gates see tared means of the still window alone; sing
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Set
 from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
+from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.contacts.press import Press, StillWindow
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, mean_time, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
@@ -66,6 +67,10 @@ class FinishedPress:
     """(k,) every channel that answered, ascending."""
     responses: FloatArray
     """(k,) float, raw units above the baseline."""
+    largest: float = math.nan
+    """Raw units above the baseline, of the channel that came nearest to answering; NaN where some answered..."""
+    needed: float = math.nan
+    """...and what it takes to answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +125,7 @@ def _objections(
     # One contact without a torque has a small |f . m|/|f|^2 (eq. 3).
     yield _at_most(Reason.TWO_CONTACTS, abs(float(pitch(wrench[:3], wrench[3:]))), contacts.pitch_max, "m")
     # What the skin answered.
-    yield _at_least(Reason.NO_TAXEL, len(channels), 1, "")
+    yield None if len(channels) else Objection(Reason.NO_TAXEL, press.largest, press.needed, RAW)
     yield _at_most(Reason.TOO_MANY_TAXELS, len(channels), contacts.taxels_max, "")
     if layout is not None and len(channels) >= 2:
         gap = widest_gap(layout.places[channels])
@@ -149,9 +154,14 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
     `candidates` are the (c,) channels that are taxels; `noise` is (channels,), raw units, the sd of each channel at rest.
     """
     best = press.best
-    channels, responses = np.empty(0, dtype=np.int64), np.empty(0)
+    channels, responses, largest, needed = np.empty(0, dtype=np.int64), np.empty(0), math.nan, math.nan
     if best is not None:
-        channels, responses = _answers(best, press.tare, scene, candidates, noise)
+        response, limit = _response(best, press.tare, scene), answer_limit(scene, noise)
+        # NaN is not above.
+        channels = candidates[(response > limit)[candidates]]
+        responses = response[channels]
+        if not len(channels):
+            largest, needed = _nearest_to_answer(response[candidates], limit[candidates])
     return FinishedPress(
         number=number,
         start_s=press.start_s,
@@ -165,6 +175,8 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
         still=None if best is None else _means(best),
         channels=channels,
         responses=responses,
+        largest=largest,
+        needed=needed,
     )
 
 
@@ -189,14 +201,19 @@ def answer_limit(scene: Scene, noise: FloatArray) -> FloatArray:
     return np.maximum(scene.contacts.response_min, scene.contacts.response_noises * noise)
 
 
-def _answers(
-    window: StillWindow, tare: Tare, scene: Scene, candidates: IntArray, noise: FloatArray
-) -> tuple[IntArray, FloatArray]:
+def _response(window: StillWindow, tare: Tare, scene: Scene) -> FloatArray:
+    """Return the response of each channel above its baseline, (channels,) raw units, the mean of a still window."""
     raw = np.stack([sample.skin for sample in window.samples]).mean(axis=0)
-    response = scene.skin.polarity * (raw - tare.skin)
-    above = response > answer_limit(scene, noise)  # NaN is not above
-    channels = candidates[above[candidates]]
-    return channels, response[channels]
+    return scene.skin.polarity * (raw - tare.skin)
+
+
+def _nearest_to_answer(response: FloatArray, limit: FloatArray) -> tuple[float, float]:
+    """Return response and limit of the channel that came nearest to answering, of (c,) raw units each; NaN where unknown."""
+    share = np.where(np.isfinite(response), response / limit, -np.inf)
+    if not np.isfinite(share).any():
+        return math.nan, math.nan
+    nearest = int(share.argmax())
+    return float(response[nearest]), float(limit[nearest])
 
 
 def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, unused: Set[int]) -> Outcome:

@@ -8,6 +8,9 @@ from typing import TypeAlias
 
 from skincal.geometry import FloatArray, IntArray
 
+RAW = "raw"
+"""Unit of what a taxel answers: the device's own."""
+
 
 class Reason(Enum):
     """Why a poke does not count; the value is the word the operator reads."""
@@ -71,7 +74,7 @@ class Rejection:
     """The number that decided, in the unit of `limit`."""
     limit: float
     unit: str
-    """SI unit of `value` and `limit`, such as `"N"`; empty for a count."""
+    """SI unit of `value` and `limit`, such as `"N"`; `RAW` for a taxel's answer, empty for a count."""
     channels: IntArray
     """Taxels that answered, ascending; may be empty."""
     final: bool

@@ -3,38 +3,62 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
+import stat
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 from skincal.model.errors import InputError
 
+_OF_SESSION = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
+
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` to `path`; an older file stays beside it with `.bak` after its name.
+    """Write `data` to `path`, with the rights of an older file, which stays beside it with `.bak` after its name.
 
-    The bytes are on the disk before the name changes, so `path` is at every moment the old file or the new one.
+    Where there is a `.bak` already, the next one is `.bak-2`, and so on. The bytes are on the disk before the name changes, so
+    `path` is at every moment the old file or the new one.
 
-    Raises InputError: the folder is missing, the path is a folder, or the disk refuses; an older file is as it was.
+    Raises InputError: the folder is missing, the path is a folder, a link, a device or a recording of skincal's own, or the
+    disk refuses; an older file is as it was.
     """
+    try:
+        _demand_ours(path)
+        _replace(path, data)
+    except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
+        why = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path}: cannot be written ({why}); free some space or choose another folder.") from None
+
+
+def _demand_ours(path: Path) -> None:
+    """Refuse what an export must not replace."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file to write.")
     if not path.parent.is_dir():
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it or choose another.")
-    try:
-        _replace(path, data)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); free some space or choose another folder.") from None
+    if path.is_symlink():
+        raise InputError(f"{path}: is a link; expected the name of a file to write, such as {path.name} in another folder.")
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is a device or a pipe; expected the name of a file to write.")
+    # By where they lie, too: the copy of a scene has the names that its files had.
+    in_scene = path.parent.name == "scene" and (path.parent.parent / "segment-0001.mcap").exists()
+    if _OF_SESSION.fullmatch(path.name) or in_scene:
+        raise InputError(f"{path}: is part of a recorded session; choose another name.")
 
 
 def _replace(path: Path, data: bytes) -> None:
     # With the process's number: another program may be writing the same file.
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(f".{path.name[:100]}.{os.getpid()}.part")
+    part.unlink(missing_ok=True)
     try:
-        with part.open("wb") as file:
+        with part.open("xb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         if path.exists():
+            part.chmod(stat.S_IMODE(path.stat().st_mode))
             _keep_old(path)
         part.replace(path)
     finally:
@@ -43,13 +67,24 @@ def _replace(path: Path, data: bytes) -> None:
 
 def _keep_old(path: Path) -> None:
     """Give the old file a second name, `.bak`, without a moment in which `path` is missing."""
-    backup = path.with_name(path.name + ".bak")
-    spare = path.with_name(f".{path.name}.bak.part")
-    with suppress(FileNotFoundError):
-        spare.unlink()
-    try:
-        spare.hardlink_to(path)
-    except OSError:
-        # A file system without hard links, such as FAT: the second name costs a copy.
-        spare.write_bytes(path.read_bytes())
-    spare.replace(backup)
+    for number in count(1):
+        backup = path.with_name(f"{path.name}.bak{f'-{number}' if number > 1 else ''}")
+        with suppress(FileExistsError):
+            try:
+                backup.hardlink_to(path)
+            except FileExistsError:
+                raise
+            except OSError:
+                # A file system without hard links, such as FAT: the second name costs a copy.
+                _copy_anew(path, backup)
+            return
+
+
+def _copy_anew(path: Path, copy: Path) -> None:
+    """Copy a file to a name that is free; `FileExistsError` where it is not."""
+    with path.open("rb") as source, copy.open("xb") as target:
+        try:
+            shutil.copyfileobj(source, target)
+        except OSError:
+            copy.unlink()
+            raise

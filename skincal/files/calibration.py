@@ -13,6 +13,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method
 
 
@@ -76,6 +77,18 @@ class Calibration:
                 f"the session has no estimates of the {method.value} method; expected one of: {known or 'none at all'}."
             )
         return self.estimates[method]
+
+    @property
+    def used_contacts(self) -> tuple[Contact, ...]:
+        """The contacts that count, as they are corrected."""
+        used = [contact for contact in self.contacts if contact.poke not in self.excluded]
+        for step in self.corrections:
+            used = [step.correction.corrected(contact) for contact in used]
+        return tuple(used)
+
+    def gains(self, method: Method) -> tuple[TaxelGain, ...]:
+        """Return how much each taxel answers to a newton, in the order of `channels`, by the normals of a method."""
+        return taxel_gains(self.used_contacts, self.of(method))
 
     def module_id(self, channel: int) -> int | None:
         """Return the id of the module that carries a channel; None where the layout does not say."""

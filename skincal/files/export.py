@@ -1,7 +1,7 @@
-"""Write a calibration in one of four formats, and say what is wrong with it and what it leaves out.
+"""Write a calibration in one of the formats of `formats.py`, and say what is wrong with it and what it leaves out.
 
 JSON holds everything that is needed to compute the calibration again. CSV has a row for each channel and method, PLY is a point
-cloud for MeshLab, CloudCompare and ParaView; `icub.py` makes the robot's position file.
+cloud for MeshLab, CloudCompare and ParaView; `icub.py` makes the robot's position file, `frames.py` those of simulators.
 
 Each check (`lint`) exists because a published position file had that fault; a fault is reported and does not stop the writing.
 Sources: the history of icub-main `app/skinGui/conf/positions` (a typo of 10 cm in the torso 29cc1b07e, a mirrored
@@ -26,6 +26,8 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
+from skincal.files.formats import FORMATS, ExportFormat
+from skincal.files.frames import mjcf_text, npz_bytes, sdf_text, urdf_text
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, parse_icub, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import LaidSkin, lay
@@ -37,6 +39,7 @@ from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
 from skincal.rig.correction import UsedCorrection
 from skincal.sentences import correction_words, state_sentence
+from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 
 BOX_MARGIN = 0.020
@@ -179,22 +182,27 @@ def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[flo
     return (distances / planned[near]).tolist()
 
 
-COLUMNS = ("channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm")
+COLUMNS = (
+    "channel", "module", "method", "state", "contacts", "x_m", "y_m", "z_m", "nx", "ny", "nz", "sd_mm",
+    "gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes",
+)  # fmt: skip
 
 
 def csv_text(calibration: Calibration) -> str:
     """Return the CSV text of every method; what is not known is left empty.
 
-    Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres. Numbers
-    have every digit that a double needs.
+    Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres; gains are as
+    for `taxel_gains`. Numbers have every digit that a double needs.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for estimate in (each for estimates in calibration.estimates.values() for each in estimates):
-        channel, module = estimate.channel, calibration.module_id(estimate.channel)
-        words = (estimate.method.value, estimate.state.value)
-        writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate)])
+    for method, estimates in calibration.estimates.items():
+        for estimate, gain in zip(estimates, calibration.gains(method), strict=True):
+            channel, module = estimate.channel, calibration.module_id(estimate.channel)
+            words = (method.value, estimate.state.value)
+            gained = (gain.mean, gain.spread, gain.pokes)
+            writer.writerow([channel, module, *words, estimate.contacts, *_csv_numbers(estimate), *gained])
     return out.getvalue()
 
 
@@ -272,6 +280,8 @@ ESTIMATE_KEYS = {
     "weakest": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
 }  # fmt: skip
 
+GAIN_KEYS = {"pokes": "pokes", "mean": "raw_per_N", "spread": "sd_raw_per_N"}
+
 
 def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
     """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
@@ -302,7 +312,10 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
         "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
         "estimates": {
-            method.value: [_estimate(calibration, estimate) for estimate in estimates]
+            method.value: [
+                _estimate(calibration, estimate, gain)
+                for estimate, gain in zip(estimates, calibration.gains(method), strict=True)
+            ]
             for method, estimates in calibration.estimates.items()
         },
     }
@@ -369,7 +382,7 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
     }
 
 
-def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
+def _estimate(calibration: Calibration, estimate: Estimate, gain: TaxelGain) -> dict[str, Any]:
     rival = estimate.rival
     return {
         "channel": int(estimate.channel),
@@ -381,16 +394,8 @@ def _estimate(calibration: Calibration, estimate: Estimate) -> dict[str, Any]:
             "position_m": _plain(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
         },
         "doubted": {str(poke): trust for poke, trust in sorted(estimate.doubted.items())},
+        "gain": _written(gain, GAIN_KEYS),
     }  # fmt: skip
-
-
-FORMATS = {
-    "icub": "rows of six zeros, which readers take as no position",
-    "json": "written without a position",
-    "csv": "written with an empty position",
-    "ply": "left out",
-}
-"""Each format, and what becomes of taxels without a position in it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,11 +418,11 @@ def write_calibration(
     method: Method,
     part: str | None = None,
 ) -> tuple[str, ...]:
-    """Write a calibration file; an older one is kept with `.bak` after its name.
+    """Write a calibration file; an older one is kept as `.bak`; see `write_atomically`.
 
     Parameters
     ----------
-    format : `"icub"` and `"ply"` hold `method` alone, `"json"` and `"csv"` every method
+    format : name of an `ExportFormat`; whether it holds `method` alone or every method stands in `FORMATS`
     part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
 
     Returns
@@ -426,31 +431,49 @@ def write_calibration(
 
     Raises InputError: the format or method is unknown, or the file cannot be written.
     """
-    if format not in FORMATS:
-        raise InputError(f"the format is {format!r}; expected one of {', '.join(FORMATS)}.")
+    content, sentences = calibration_file(calibration, format, method, part)
+    write_atomically(path, content)
+    return sentences
+
+
+def calibration_file(
+    calibration: Calibration,
+    format: str,  # noqa: A002 - as above
+    method: Method,
+    part: str | None = None,
+) -> tuple[bytes, tuple[str, ...]]:
+    """Return a calibration file's bytes, and what was found in it; all as for `write_calibration`, but nothing is written."""
+    names = {each.value: each for each in ExportFormat}
+    if format not in names:
+        raise InputError(f"the format is {format!r}; expected one of {', '.join(names)}.")
+    wanted = names[format]
     # Refuses a method without estimates before the mesh is loaded.
     calibration.of(method)
     shape = _part(calibration)
-    text = _text(calibration, format, method, part, shape)
-    methods = (method,) if format in ("icub", "ply") else tuple(calibration.estimates)
+    content = _content(calibration, wanted, method, part, shape)
+    methods = tuple(calibration.estimates) if FORMATS[wanted].every_method else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
         sentences += _left_out(calibration.of(each), each)
-    if format == "icub":
-        sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, text)]
-    write_atomically(path, text.encode("utf-8"))
-    return tuple(sentences)
+    if wanted is ExportFormat.ICUB:
+        sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, content.decode("utf-8"))]
+    return content, tuple(sentences)
 
 
-def _text(calibration: Calibration, format_: str, method: Method, part: str | None, shape: _Part) -> str:
-    if format_ == "icub":
-        return icub_text(calibration, method, part)
-    if format_ == "json":
-        return json_text(calibration, shape.findings)
-    if format_ == "csv":
-        return csv_text(calibration)
-    return ply_text(calibration, method)
+def _content(calibration: Calibration, format_: ExportFormat, method: Method, part: str | None, shape: _Part) -> bytes:
+    if format_ is ExportFormat.NPZ:
+        return npz_bytes(calibration, method)
+    if format_ is ExportFormat.ICUB:
+        text = icub_text(calibration, method, part)
+    elif format_ is ExportFormat.JSON:
+        text = json_text(calibration, shape.findings)
+    elif format_ is ExportFormat.CSV:
+        text = csv_text(calibration)
+    else:
+        of_one = {ExportFormat.URDF: urdf_text, ExportFormat.SDF: sdf_text, ExportFormat.MJCF: mjcf_text}
+        text = of_one.get(format_, ply_text)(calibration, method)
+    return text.encode("utf-8")
 
 
 def _part(calibration: Calibration) -> _Part:

@@ -34,6 +34,7 @@ import numpy as np
 from skincal.files.calibration import Calibration, placed_taxels
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, list_channels
+from skincal.model.given import TEXT_MOST, read_regular
 from skincal.model.skin import Layout
 from skincal.sentences import correction_words
 from skincal.taxels.result import Estimate, Method, State
@@ -64,7 +65,7 @@ def skin_part(calibration: Calibration, part: str | None = None) -> str:
 
 def _word(text: str) -> str:
     """Return text as one word that YARP reads as such."""
-    return re.sub(r"[\s()\[\]{}\"'#,$\\/]+", "_", text.strip()) or "unnamed"
+    return re.sub(r"[\s\x00-\x1f\x7f-\x9f()\[\]{}\"'#,$\\/]+", "_", text.strip()) or "unnamed"
 
 
 def representatives(layout: Layout | None, width: int, placed: IntArray) -> IntArray:
@@ -130,11 +131,7 @@ def read_icub(path: Path) -> FloatArray:
 
     Raises InputError: the file cannot be read, has no rows, or a row is not six finite numbers; names the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-    return parse_icub(text, str(path))
+    return parse_icub(read_regular(path, TEXT_MOST).decode("utf-8", "replace"), str(path))
 
 
 def parse_icub(text: str, where: str) -> FloatArray:

@@ -22,7 +22,7 @@ SAME = 1e-7
 
 
 def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
-    """Write the corrected layout to another file than was read; an older one there is kept with `.bak` after its name.
+    """Write the corrected layout to another file than was read; an older one there is kept as `.bak`; see `write_atomically`.
 
     Raises InputError: it is the file that was read, the layout is of no file, or the file cannot be written or would say
     something else; the file that was read is as it was.

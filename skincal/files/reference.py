@@ -1,21 +1,30 @@
-"""How far estimates lie from places that are known otherwise: a truth, a CAD model, an earlier calibration."""
+"""Places of taxels that are known otherwise: a truth, a CAD model, an earlier calibration; and how far estimates lie off.
+
+What is read: a `truth.json`, a calibration's JSON and CSV, which hold the places of each method, and an iCub position file.
+"""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+import csv
+import io
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
+from skincal.methods import leading_by
 from skincal.model.errors import InputError
-from skincal.taxels.result import Estimate
+from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
+from skincal.taxels.differences import Repeatability, repeatability
+from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
+RIG_KEY = "rig"
+"""In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
 """A simulated session has one beside its segments."""
 
 
@@ -53,26 +62,97 @@ class ErrorSummary:
     worst_channel: int
 
 
-def read_reference(path: Path) -> dict[int, FloatArray]:
-    """Read known taxel places, (3,) float in metres by channel, from a `truth.json` or an iCub position file.
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceSet:
+    """Places of taxels from one source, to be compared with another."""
 
-    Raises InputError: the file is missing or is neither of the two.
+    name: str
+    """Of the source, for the operator."""
+    link: str
+    """The frame of the places; empty where the source names none."""
+    places: Mapping[int, FloatArray]
+    """Channel to (3,) float, metres, in that frame."""
+    modules: Mapping[int, int] = field(default_factory=dict[int, int])
+    """Channel to the id of its module; empty where the source names none."""
+    method: Method | None = None
+    """By which the places were found; None where they were not, or it does not say."""
+
+
+def read_reference(path: Path) -> dict[int, FloatArray]:
+    """Read known taxel places, (3,) float in metres by channel; of several methods those of the one that leads.
+
+    Raises InputError: as for `read_places`.
     """
-    return _read(path)[1]
+    return dict(read_places(path).places)
+
+
+def read_places(path: Path, method: Method | None = None) -> PlaceSet:
+    """Read the places in a file: a `truth.json`, a calibration's JSON or CSV, or an iCub position file.
+
+    Parameters
+    ----------
+    method : whose places of a JSON or CSV that holds several; None for the method of the smallest predicted error, among those
+        that know nearly all taxels that any one knows
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is none of these, or has no such method.
+    """
+    sets = read_place_sets(path)
+    if method is not None:
+        chosen = next((each for each in sets if each.method is method), None)
+        if chosen is None:
+            known = ", ".join(each.method.value for each in sets if each.method is not None)
+            raise InputError(f"{path}: has no places of the {method.value} method; it has {known or 'those of no method'}.")
+        return chosen
+    return sets[0]
+
+
+def compare_sets(first: PlaceSet, second: PlaceSet) -> tuple[IntArray, IntArray, Repeatability]:
+    """Return the taxels that either set knows, the modules' ids, and how well the sets repeat each other.
+
+    The differences are of the first, ascending; the numbers of the modules count the second.
+
+    Raises InputError: the sets are in frames of different names.
+    """
+    if first.link and second.link and first.link != second.link:
+        raise InputError(
+            f"{first.name} is in the frame of {first.link!r}, {second.name} in that of {second.link!r}; expected places of "
+            "the same part."
+        )
+    channels = np.array(sorted(first.places.keys() | second.places.keys()), dtype=np.int64)
+    module_of = {**second.modules, **first.modules}
+    ids = np.array([module_of.get(channel, -1) for channel in channels.tolist()], dtype=np.int64)
+    named, owners = np.unique(ids, return_inverse=True)
+    # The smallest id is that of taxels without a module, where there are some.
+    none = int(len(named) > 0 and named[0] < 0)
+    here, there = (_rows(each.places, channels) for each in (first, second))
+    return channels, named[none:], repeatability(here, there, owners.astype(np.int64) - none)
+
+
+def _rows(places: Mapping[int, FloatArray], channels: IntArray) -> FloatArray:
+    unknown = np.full(3, np.nan)
+    return np.array([places.get(channel, unknown) for channel in channels.tolist()], dtype=float).reshape(-1, 3)
 
 
 def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
-    """Read known taxel places and check that they are of the scene's `link` and `channels`.
+    """Read known taxel places (`read_places`) and check that they are of the scene's `link` and `channels`.
 
-    Raises InputError: as for `read_reference`; also if the file is of another link or knows none of the channels.
+    Raises InputError: as for `read_places`; also if the file is of another link or knows none of the channels.
     """
-    named, places = _read(path)
+    read = read_places(path)
+    check_part(read, path, link, channels)
+    return Reference(origin, path.name, read.places)
+
+
+def check_part(found: PlaceSet, path: Path, link: str, channels: Collection[int]) -> None:
+    """Raise InputError where places read from `path` are of another link than `link`, or know none of `channels`."""
     # An iCub file names no link; the operator answers for it.
-    if named and named != link:
-        raise InputError(f"{path}: its places are in the frame of {named!r}; the scene calibrates {link!r}.")
-    if not places.keys() & set(channels):
+    if found.link and found.link != link:
+        raise InputError(f"{path}: its places are in the frame of {found.link!r}; the scene calibrates {link!r}.")
+    if not found.places.keys() & set(channels):
         raise InputError(f"{path}: it knows none of this skin's {len(channels)} taxels; choose the file of this part.")
-    return Reference(origin, path.name, places)
 
 
 def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
@@ -93,21 +173,71 @@ def plan_reference(name: str, places: FloatArray) -> Reference | None:
     return Reference(Origin.PLAN, name, known) if known else None
 
 
-def _read(path: Path) -> tuple[str, dict[int, FloatArray]]:
-    """Return the link that the file names, empty where it names none, and the places by channel."""
-    if path.suffix.lower() != ".json":
-        from skincal.files.icub import read_icub
+def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
+    """Read all sets of places in a file, at least one: of several methods the one that leads comes first.
 
-        # Zeros stand for no position in such a file.
-        return "", {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
+    Raises InputError: as for `read_places`.
+    """
     try:
-        document: Any = json.loads(path.read_text(encoding="utf-8"))
+        if path.suffix.lower() == ".json":
+            return _json_sets(path)
+        if path.suffix.lower() == ".csv":
+            return _csv_sets(path)
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError, csv.Error):
+        raise InputError(
+            f'{path}: not a reference; expected JSON with "taxels": [{{"channel", "position_m"}}], or JSON or CSV as '
+            "`skincal export` writes them."
+        ) from None
+    from skincal.files.icub import read_icub
+
+    # Zeros stand for no position in such a file.
+    places = {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
+    return (PlaceSet(path.name, "", places),)
+
+
+def _json_sets(path: Path) -> tuple[PlaceSet, ...]:
+    document: Any = parse_json(read_regular(path, DOCUMENT_MOST))
+    if "estimates" not in document:
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
-        return str(document.get("link", "")), places
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f'{path}: not a reference; expected JSON with "taxels": [{{"channel", "position_m"}}].') from None
+        return (PlaceSet(path.name, str(document.get("link", "")), places),)
+    rows = [
+        (Method(name), taxel["channel"], taxel["module"], taxel["position_m"], taxel["rms_m"])
+        for name, taxels in document["estimates"].items()
+        for taxel in taxels
+    ]
+    return _method_sets(path, str(document["frame"]), rows)
+
+
+def _csv_sets(path: Path) -> tuple[PlaceSet, ...]:
+    """Return the sets of a calibration's CSV, which tells no predicted error but its largest part, the sd."""
+    rows: list[_Row] = []
+    with io.StringIO(read_regular(path, DOCUMENT_MOST).decode("utf-8"), newline="") as file:
+        for row in csv.DictReader(file):
+            words = [row["x_m"], row["y_m"], row["z_m"]]
+            place = [float(word) for word in words] if all(words) else None
+            sd = float(row["sd_mm"]) * 1e-3 if row["sd_mm"] else None
+            rows.append((Method(row["method"]), int(row["channel"]), int(row["module"]) if row["module"] else None, place, sd))
+    return _method_sets(path, "", rows)
+
+
+_Row: TypeAlias = tuple[Method, int, int | None, Any, float | None]
+"""Method, channel, id of the module, position as three numbers or None, and predicted error in metres, or None."""
+
+
+def _method_sets(path: Path, link: str, rows: Sequence[_Row]) -> tuple[PlaceSet, ...]:
+    methods = list(dict.fromkeys(row[0] for row in rows))
+    if not methods:
+        raise ValueError
+    modules = {int(channel): int(module) for _, channel, module, _, _ in rows if module is not None}
+    sets: dict[Method, PlaceSet] = {}
+    errors: dict[Method, list[float]] = {}
+    for method in methods:
+        own = [row for row in rows if row[0] is method and row[3] is not None]
+        places = {int(channel): _place(place) for _, channel, _, place, _ in own}
+        sets[method] = PlaceSet(f"{path.name}, {method.value} method", link, places, modules, method)
+        errors[method] = [float(error) for *_, error in own if error is not None]
+    leads = leading_by(errors)
+    return tuple(sets[method] for method in sorted(methods, key=lambda method: method is not leads))
 
 
 def _place(numbers: object) -> FloatArray:

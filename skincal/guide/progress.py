@@ -228,6 +228,18 @@ def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: F
     return count
 
 
+def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings) -> int:
+    """Return about how many pokes a method takes from the first to enough, by `pokes_left` and `module_pokes_left`.
+
+    `modules` is (n,) of each taxel.
+    """
+    count = len(modules)
+    every, nothing, unknown = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64), np.full(count, np.inf)
+    if method is Method.MODULES:
+        return module_pokes_left(every, modules, nothing, unknown, settings)
+    return pokes_left(every, nothing, unknown, np.zeros(count), unknown, settings)
+
+
 def _settling(settings: GuideSettings) -> FloatArray:
     """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
     after = np.zeros(settings.patience + 1)

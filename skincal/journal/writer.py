@@ -30,7 +30,6 @@ from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec
 
 import numpy as np
-from mcap.writer import Writer
 
 from skincal import __version__
 from skincal.geometry import FloatArray
@@ -48,6 +47,7 @@ from skincal.journal.documents import (
     note_to_json,
 )
 from skincal.journal.lock import SessionLock, writer_of
+from skincal.journal.mcap_file import McapWriter
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Sample
 from skincal.model.scene import Scene, load_scene
@@ -70,8 +70,6 @@ _DECODED = {
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
 }
-CHUNK_BYTES = 16 << 20
-"""More than half a second brings, so that MCAP's writer never parts an item from its notes."""
 
 
 class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkFailure is
@@ -208,8 +206,8 @@ class JournalWriter:
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
         """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
-        for unix_ns, message in zip(at.tolist(), documents.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
-            self._add("/wrench", unix_ns, message.tobytes())
+        self._mcap.add_messages(self._channels["/wrench"], at, documents.encode_wrenches(at, "ft_sensor", wrenches))
+        self._buffered = True
 
     @_guarded
     def tick(self, now_ns: int) -> None:
@@ -279,8 +277,7 @@ class JournalWriter:
             raise
 
     def _begin(self, host_ns: int, *, continues: bool) -> None:
-        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._mcap.start(profile="ros2", library=f"skincal {__version__}")
+        self._mcap = McapWriter(self._file, profile="ros2", library=f"skincal {__version__}")
         about = {
             "format": FORMAT,
             "segment": self._number,
@@ -313,7 +310,7 @@ class JournalWriter:
         self._begun_ns = host_ns
 
     def _add(self, topic: str, unix_ns: int, data: bytes, sequence: int = 0) -> None:
-        self._mcap.add_message(self._channels[topic], unix_ns, data, unix_ns, sequence=sequence)
+        self._mcap.add_message(self._channels[topic], unix_ns, data, sequence)
         self._buffered = True
 
     def _add_event(self, event: dict[str, Any]) -> None:

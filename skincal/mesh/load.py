@@ -39,6 +39,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import solver_copy
 from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface, near_pairs
 from skincal.model.errors import InputError
+from skincal.model.given import MESH_MOST, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec
 
 Mesh = tuple[FloatArray, IntArray]
@@ -52,6 +53,10 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+TEXT_MESH_MOST = 64 << 20
+"""Bytes of a mesh in words: each word of some bytes takes forty while it is read. A million triangles of OBJ are 60 MB."""
+WORD_MOST = 64
+"""Bytes of a number in words: a double needs 24. An array of words is as wide as the longest of them."""
 
 
 def read_mesh(path: Path, data: bytes) -> Mesh:
@@ -61,10 +66,7 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
 
     Raises InputError: the suffix is not known, or the content is not of that format.
     """
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        known = ", ".join(_READERS)
-        raise InputError(f"{path}: the suffix {path.suffix or '(none)'!r} is not a mesh format read here; expected {known}.")
+    reader = _reader_of(path)
     try:
         vertices, triangles = reader(data)
     except (ValueError, IndexError, KeyError, OverflowError) as error:
@@ -75,6 +77,14 @@ def read_mesh(path: Path, data: bytes) -> Mesh:
             "the file is damaged: export the mesh again."
         )
     return vertices, triangles
+
+
+def _reader_of(path: Path) -> Callable[[bytes], Mesh]:
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        known = ", ".join(_READERS)
+        raise InputError(f"{path}: the suffix {path.suffix or '(none)'!r} is not a mesh format read here; expected {known}.")
+    return reader
 
 
 def fan(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
@@ -99,8 +109,8 @@ def _read_stl(data: bytes) -> Mesh:
     if count >= 0 and len(data) == size:
         corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER)["corners"].astype(float).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
-        words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", data)
-        corners = np.array(words).astype(float).reshape(-1, 3)
+        words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", _in_words(data))
+        corners = _numbers([word for point in words for word in point]).reshape(-1, 3)
         if len(corners) % 3:
             raise ValueError(f"{len(corners)} corners do not make whole triangles")
     elif not data:
@@ -108,6 +118,20 @@ def _read_stl(data: bytes) -> Mesh:
     else:
         raise ValueError(f"{len(data)} bytes; {size} expected for the {count} triangles announced")
     return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+def _in_words(data: bytes) -> bytes:
+    """Return the bytes of a mesh in words; `ValueError` where they are too many."""
+    if len(data) > TEXT_MESH_MOST:
+        raise ValueError(f"{len(data)} bytes of text; {TEXT_MESH_MOST} at most were expected: write it as a binary file")
+    return data
+
+
+def _numbers(words: list[bytes]) -> FloatArray:
+    longest = max(map(len, words), default=0)
+    if longest > WORD_MOST:
+        raise ValueError(f"a number of {longest} letters")
+    return np.array(words, dtype="S").astype(float)
 
 
 def _point(words: list[bytes]) -> tuple[float, float, float]:
@@ -127,7 +151,7 @@ def _read_obj(data: bytes) -> Mesh:
     points: list[float] = []
     corners: list[int] = []
     sizes: list[int] = []
-    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+    for line in _in_words(data).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
         words = line.split()
         if words and words[0] == b"v":
             points.extend(_point(words[1:]))
@@ -143,7 +167,7 @@ def _read_obj(data: bytes) -> Mesh:
 
 
 def _read_off(data: bytes) -> Mesh:
-    lines = [line for line in re.sub(rb"#[^\n]*", b"", data).splitlines() if line.strip()]
+    lines = [line for line in re.sub(rb"#[^\n]*", b"", _in_words(data)).splitlines() if line.strip()]
     if not lines:
         return np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     if lines[0].split()[0] != b"OFF":
@@ -190,6 +214,9 @@ def _read_ply(data: bytes) -> Mesh:
     elements, body = _read_header(data)
     vertices, triangles = np.empty((0, 3)), np.empty((0, 3), dtype=np.int64)
     for element in elements:
+        # Each record has a byte at least: a count is believed as far as there are bytes.
+        if not 0 <= element.count <= (body.left if element.properties else 0):
+            raise ValueError(f"{element.count} records of {element.name!r} announced in {body.left} bytes")
         if element.name == "vertex":
             records = body.table(element)
             if records is None:
@@ -227,7 +254,7 @@ def _read_header(data: bytes) -> tuple[list[_Element], _Body]:
         # One line end and no more: a binary body may begin with the same bytes.
         return elements, _Body(body[2:] if body[:2] == b"\r\n" else body[1:], order)
     # Words become doubles, whatever their type, so that both kinds of body are read alike.
-    return elements, _Body(np.array(body.split(), dtype="S").astype("<f8").tobytes(), "<")
+    return elements, _Body(_numbers(_in_words(body).split()).astype("<f8").tobytes(), "<")
 
 
 class _Body:
@@ -236,6 +263,11 @@ class _Body:
     def __init__(self, data: bytes, order: str) -> None:
         self._data, self._order = data, order
         self._at = 0
+
+    @property
+    def left(self) -> int:
+        """Bytes that were not read yet."""
+        return len(self._data) - self._at
 
     def _take(self, kind: str, count: int) -> list[float]:
         if count < 0:
@@ -260,7 +292,7 @@ class _Body:
                 parts.append((f"{item.name} length", self._order + item.count_kind, (1,)))
             parts.append((item.name, self._order + item.kind, (3 if item.count_kind else 1,)))
         dtype = np.dtype(parts)
-        if element.count < 0 or len(self._data) - self._at < element.count * dtype.itemsize:
+        if self.left < element.count * dtype.itemsize:
             return None
         records = np.frombuffer(self._data, dtype, element.count, self._at)
         if not all((records[name] == 3).all() for name, _, _ in parts if name.endswith(" length")):
@@ -294,6 +326,9 @@ SIZE_MIN, SIZE_MAX = 0.005, 3.0
 millimetres, miss it by a thousand."""
 MERGE_DISTANCE = 1e-6
 """m. Vertices this near are one: a hundredth of what a cover is made to, far above the rounding of a 32-bit file."""
+NEAR_MOST = 30_000_000
+"""Pairs of vertices that are looked at for being that near: 3 s. A million vertices of a cover make a tenth; 20,000 vertices in
+one micrometre would make 200 million."""
 ZERO_HEIGHT = 1e-7
 """m. A triangle flatter than this has no direction: a 32-bit file in millimetres rounds 0.5 m to 3e-8 m."""
 SIDE_MIN = 0.1
@@ -336,7 +371,8 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     Raises InputError: the file is missing, unreadable, of an unknown format, empty, has vertices that are not finite, or is a
     thousand times too large or too small; the message says what was seen and what to do.
     """
-    data = _read_bytes(spec.path)
+    _reader_of(spec.path)  # what has another suffix is not even opened
+    data = read_regular(spec.path, MESH_MOST, what="mesh file", advice="check [surface] mesh in the scene")
     vertices, triangles = read_mesh(spec.path, data)
     if len(triangles) == 0:
         raise InputError(f"{spec.path}: the mesh is empty ({len(vertices)} vertices, no triangle); export the part again.")
@@ -360,15 +396,6 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     }
     found = [Finding(kind, count, kind.value.format(count)) for kind, count in counts.items() if count]
     return surface, (size, *found)
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such mesh file; check [surface] mesh in the scene.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
 
 
 def _check_finite(path: Path, vertices: FloatArray) -> None:
@@ -423,7 +450,7 @@ def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     vertices = vertices[used]
     same = _identical(vertices)
     keep = np.flatnonzero(same == np.arange(len(vertices)))
-    near = connected(len(keep), near_pairs(vertices[keep], MERGE_DISTANCE))
+    near = connected(len(keep), near_pairs(vertices[keep], MERGE_DISTANCE, NEAR_MOST))
     index = np.empty(len(vertices), dtype=np.int64)
     index[keep] = keep[near]
     index = index[same]

@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, wraps
+from math import inf
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.errors import InputError
 
 SLIVER_RATIO = 100.0
 """Longest side over height of a triangle that is reported as a sliver: its smallest angle is below 0.6 degrees."""
@@ -149,10 +151,12 @@ def _across(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(normals, dtype=np.float64), lengths[row, longest]
 
 
-def near_pairs(points: FloatArray, reach: float) -> IntArray:
+def near_pairs(points: FloatArray, reach: float, most: float = inf) -> IntArray:
     """Return (m, 2): the pairs of `points` (n, 3) within `reach`, metres, each once, by a sweep along one direction; exact.
 
     All pairs of 4,200 taxels would take 400 MB, and scipy's tree half a second to import.
+
+    Raises InputError: `most` pairs and more lie within `reach` along that direction.
     """
     along = points @ _SWEEP
     order = np.argsort(along, kind="stable")
@@ -160,10 +164,16 @@ def near_pairs(points: FloatArray, reach: float) -> IntArray:
     pairs = [np.empty((0, 2), dtype=np.int64)]
     # A little farther than the reach, so that rounding parts no pair.
     limit = reach * (1.0 + 1e-9) + 1e-12 * np.abs(along).max(initial=0.0)
-    here, step = np.arange(len(order)), 1
+    here, step, tried = np.arange(len(order)), 1, 0
     while here.size:
         here = here[here + step < len(order)]
         here = here[along[here + step] - along[here] <= limit]
+        tried += len(here)
+        if tried > most:
+            raise InputError(
+                f"Of {len(points)} points more than {most:g} pairs lie within {reach * 1e6:g} um along a line; "
+                "points that are spread over a part were expected: export the mesh again, with more digits."
+            )
         both = np.stack([order[here], order[here + step]], axis=1)
         pairs.append(both[np.linalg.norm(points[both[:, 0]] - points[both[:, 1]], axis=1) <= reach])
         step += 1

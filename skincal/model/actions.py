@@ -29,6 +29,11 @@ class Undo:
 
 
 @dataclass(frozen=True, slots=True)
+class Redo:
+    """Bring again what undo took back last."""
+
+
+@dataclass(frozen=True, slots=True)
 class SetPose:
     """Choose the arm pose by its name in the scene; an empty name leaves it to the joint stream."""
 
@@ -80,6 +85,22 @@ class FoundAtLandmark:
 
 
 @dataclass(frozen=True, slots=True)
+class MissedLandmark:
+    """The pipeline found that a poke which a landmark was asked for passed it too far to have been there.
+
+    It follows from the bytes and from `AskLandmark` as `FoundAtLandmark` does. It takes the poke from a landmark that it was
+    found to be at; it is no step that undo takes back.
+    """
+
+    poke: int
+    name: str
+    miss: float
+    """m, how far its axis passes the landmark..."""
+    limit: float
+    """m, ...and how far it may."""
+
+
+@dataclass(frozen=True, slots=True)
 class AskLandmark:
     """Ask the operator for pokes at a landmark from now on; an empty name asks for none."""
 
@@ -123,12 +144,14 @@ Action: TypeAlias = (
     Exclude
     | Restore
     | Undo
+    | Redo
     | SetPose
     | MarkDead
     | Revive
     | AddLandmark
     | AtLandmark
     | FoundAtLandmark
+    | MissedLandmark
     | AskLandmark
     | Correct
     | Uncorrect
@@ -147,12 +170,14 @@ _KINDS: dict[str, type[Action]] = {
     "exclude": Exclude,
     "restore": Restore,
     "undo": Undo,
+    "redo": Redo,
     "set_pose": SetPose,
     "mark_dead": MarkDead,
     "revive": Revive,
     "add_landmark": AddLandmark,
     "at_landmark": AtLandmark,
     "found_at_landmark": FoundAtLandmark,
+    "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
     "correct": Correct,
     "uncorrect": Uncorrect,

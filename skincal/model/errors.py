@@ -2,11 +2,49 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Iterable
+
+SENTENCE_MOST = 300
+"""Characters of a sentence: five lines of a terminal. What is quoted in it may be a file's whole content."""
+WORD_MOST = 80
+"""Characters of a word, such as a path, in a sentence that is too long."""
+NOT_SHOWN = ("Cc", "Cf", "Cs")
+"""Unicode's categories of what moves a terminal's cursor, turns the order of letters, or is half a letter."""
 
 
 class InputError(Exception):
-    """Input is at fault: the message says what was seen, what was expected and what to do. Exit code 2, no traceback."""
+    """Input is at fault: the message says what was seen, what was expected and what to do. Exit code 2, no traceback.
+
+    The sentence quotes files and devices: it is made plain, and its middle left out where it is longer than `SENTENCE_MOST`.
+    """
+
+    def __init__(self, sentence: str) -> None:
+        super().__init__(shortened(plain_text(sentence)))
+
+
+def plain_text(text: str) -> str:
+    """Return text on one line that no terminal takes for an order: control characters are shown as question marks."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join("?" if unicodedata.category(letter) in NOT_SHOWN else letter for letter in text)
+
+
+def shortened(sentence: str, most: int = SENTENCE_MOST) -> str:
+    """Return a sentence of at most so many characters: long words lose their middle first, then the whole."""
+    if len(sentence) <= most:
+        return sentence
+    shorter = " ".join(_short_word(word) for word in sentence.split(" "))
+    if len(shorter) > most:
+        head = most * 2 // 3
+        shorter = f"{shorter[:head]}\N{HORIZONTAL ELLIPSIS}{shorter[head + 1 - most :]}"
+    return shorter
+
+
+def _short_word(word: str) -> str:
+    if len(word) <= WORD_MOST:
+        return word
+    return f"{word[: WORD_MOST // 2]}\N{HORIZONTAL ELLIPSIS}{word[1 - WORD_MOST // 2 :]}"
 
 
 MOST_NAMED = 8

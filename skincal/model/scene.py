@@ -16,7 +16,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import Table, check_metres, read_toml
+from skincal.model.tables import Table, check_metres, parse_toml, read_text
 
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
@@ -168,8 +168,8 @@ def load_scene(path: Path) -> Scene:
 
     Raises InputError, which names the file, the key, what was seen and what was expected.
     """
-    root = Table(read_toml(path), str(path))
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path).replace("\r\n", "\n")  # as sessions of old hold it
+    root = Table(parse_toml(text, path), str(path))
     skin = root.table("skin")
     if skin is None:
         raise InputError(f"{path}: [skin] is missing; expected a table with at least channels.")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import reprlib
 import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
@@ -9,7 +11,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.model.errors import InputError
+from skincal.model.errors import InputError, plain_text
+from skincal.model.given import TEXT_MOST, read_regular
 
 T = TypeVar("T")
 
@@ -19,31 +22,40 @@ INTEGER_MAX = 10**18
 """Whole numbers of 64 bits end soon after; no count, channel or setting is as large."""
 DIRECTION_MAX = 1e100
 """The square of a longer vector, or of one shorter than its inverse, leaves the range of a double: its direction is lost."""
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Return a TOML file's content; `InputError` says what is wrong with it and where."""
-    return parse_toml(read_text(path), path)
+DOTS_MOST = 32
+"""A scene has tables three deep; the time to read a dotted name grows with the square of its dots."""
+_DOTTED = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{DOTS_MOST}}}")
+_SHORT = reprlib.Repr()
+_SHORT.maxlist, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlevel = 16, 60, 60, 4
 
 
 def read_text(path: Path) -> str:
     """Return a file's text, its ends of line as they are; `InputError` says why it cannot be read."""
+    data = read_regular(path, TEXT_MOST)
     try:
-        return path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such file; check the path.") from None
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path and its rights.") from None
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """Return the content of a TOML file's text; `InputError` says what is wrong with it and where."""
+    if _DOTTED.search(text):
+        raise InputError(f"{path}: a name has {DOTS_MOST} dots or more; expected a few levels.")
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        raise InputError(f"{path}: its lists or tables are nested too deep; expected a few levels.") from None
+    except ValueError as error:  # also for numbers of very many digits
         raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
+
+
+def shown(value: object) -> str:
+    """Return how a value is written, with its middle left out where it is long."""
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # Python writes no number of more than 4,300 digits
+        return "a number of very many digits"
 
 
 class Table:
@@ -52,6 +64,8 @@ class Table:
     def __init__(self, values: dict[str, Any], where: str) -> None:
         self._values = dict(values)
         self.where = where
+        for key in self._values:
+            _demand_plain(key, where)
 
     @property
     def keys(self) -> list[str]:
@@ -67,12 +81,14 @@ class Table:
             return default
         value = self._values.pop(key)
         if isinstance(value, int) and abs(value) > INTEGER_MAX:
-            raise InputError(f"{self.where}: {key} has {len(str(abs(value)))} digits; expected {_name(kind)} of 18 at most.")
+            raise InputError(f"{self.where}: {key} has {_digits(value)} digits; expected {_name(kind)} of 18 at most.")
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         # To Python true and false are whole numbers.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise InputError(f"{self.where}: {key} is {value!r}; expected {_name(kind)}.")
+            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {_name(kind)}.")
+        if isinstance(value, str):
+            _demand_plain(value, f"{self.where}: {key}")
         if isinstance(value, float) and not np.isfinite(value):
             raise InputError(f"{self.where}: {key} is {value}; expected a finite number.")
         return value
@@ -90,7 +106,7 @@ class Table:
             array = np.empty(0)
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():
-            raise InputError(f"{self.where}: {key} is {value!r}; expected {wanted} finite numbers.")
+            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {wanted} finite numbers.")
         return array
 
     def direction(self, key: str) -> FloatArray:
@@ -120,7 +136,7 @@ class Table:
         if value is default:
             return default
         if value not in known:
-            raise InputError(f"{self.where}: {key} is {value!r}; expected one of {', '.join(known)}.")
+            raise InputError(f"{self.where}: {key} is {shown(value)}; expected one of {', '.join(known)}.")
         return known[value]
 
     def table(self, key: str) -> Table | None:
@@ -137,7 +153,7 @@ class Table:
         values = self.take(key, list, [])
         for value in values:
             if not isinstance(value, dict):
-                raise InputError(f"{self.where}: {key} holds {value!r}; expected tables [[{key}]].")
+                raise InputError(f"{self.where}: {key} holds {shown(value)}; expected tables [[{key}]].")
         return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
 
     def done(self) -> None:
@@ -147,6 +163,17 @@ class Table:
         """
         if self._values:
             raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
+
+
+def _demand_plain(text: str, where: str) -> None:
+    """Refuse text that would reach a terminal or a file's header as an order."""
+    if plain_text(text) != text:
+        raise InputError(f"{where}: {shown(text)} holds a control character; expected plain text.")
+
+
+def _digits(value: int) -> int:
+    """Return how many decimal digits a whole number has; above some hundred, about how many."""
+    return len(str(abs(value))) if value.bit_length() < 1000 else int(value.bit_length() * 0.30103) + 1
 
 
 def _name(kind: type) -> str:

@@ -25,7 +25,7 @@ uncertainty, 1/sqrt(sum w |b - mean b|^2), is too large, the plan's turn is take
 at the pose. Gauss and Newton's step comes from QR of the rows (their condition is never squared), with the singular values of
 the small factor giving the directions that the pokes determine. Alone it converges by a constant share each time, and goes to
 and fro by millimetres where the pokes hardly determine a module's tilt. So the change of the rows with the pose is used as
-well, B (`bends_of`), of the misses that the step would leave:
+well, B (`ModuleRows.bends`), of the misses that the step would leave:
 
     step = R^-1 (I - R'^-1 B R^-1)^-1 Q'b,   A = Q R,
 
@@ -35,24 +35,23 @@ in how soon it is found.
 **Trust** is that of `trust.h`, for the whole module: a poke far off what the others say counts less, measured against the
 module's own spread. The others are those of the same arm pose, where they are enough: a pose that is reported wrong shifts
 all its pokes, and none of them is to blame.
+
+Touches, starts and thresholds are found here; rows, trust and search are done in `skincal/solver/source/modules.h`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from itertools import pairwise
-from typing import TypeVar
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, crossed, joined
+from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, joined
+from skincal.solver.machine import INTEGER, Call, Machine, shared
 from skincal.taxels.contact_table import Evidence, across
 from skincal.taxels.result import Estimate
-from skincal.taxels.solve import triangle
 
 MIDDLE = 1.6
 """The middle of n pads is off the contact by this many `NoiseSettings.contact` over n, each direction: measured on the
@@ -151,22 +150,6 @@ def find_touches(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RowSpread:
-    """The covariance D of each of m pokes: even I + swing swing' + skin skin'."""
-
-    even: FloatArray
-    """(m,) float, m^2: q."""
-    swing: FloatArray
-    """(m, 2) float, metres: p, of the force's noise at the lever."""
-    skin: FloatArray
-    """(m, 2) float, metres: r, of the contact's place in the skin."""
-    push: FloatArray
-    """(m, 2) float, metres: the roots of q's parts that change with the pose, force/|f| u.l and s u.n."""
-    share: FloatArray
-    """(m,) float: force/|f|."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ModuleRows:
     """The whitened rows of m pokes."""
 
@@ -174,92 +157,45 @@ class ModuleRows:
     """(m, 2, d) float, 1/m: change of the middle across the push with the module's unknowns, in standard deviations."""
     misses: FloatArray
     """(m, 2) float: how far the axis passes the middle, in standard deviations."""
-    pitches: FloatArray
-    """(m,) float: squared pitch, in standard deviations."""
     whiten: FloatArray
     """(m, 2, 2) float, 1/m: L^-1."""
-    distances: FloatArray
-    """(m,) float, metres: how far the axis passes the middle."""
-    levers: FloatArray
-    """(m, 3) float, metres: from the sensor to the middle."""
-    gradients: FloatArray
-    """(m, 3, d) float: change of the middle with the module's unknowns."""
     normals: FloatArray
     """(m, 3) float, unit, outward: of the skin at the middle."""
-    spread: RowSpread
+    bends: FloatArray
+    """(m, d, d) float: how A'b of each poke changes with the unknowns but for -A'A, A its slopes and b its misses."""
 
 
 def whitened(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
     """Return the rows of pokes whose modules have their pads at `pads`."""
+    count, unknowns = len(touches.of), pads.gradients.shape[2]
+    with shared().call() as call:
+        asked = _asked(call, touches, noise, unknowns)
+        laid = [call.give(pads.points), call.give(pads.gradients), call.give(pads.normals)]
+        shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
+        places = [call.room(shape) for shape in shapes]
+        call.run("module_rows", [*asked, *laid, *places])
+        return ModuleRows(*map(call.taken, places))
+
+
+def _asked(call: Call, touches: Touches, noise: NoiseSettings, unknowns: int) -> list[int]:
+    """Return what `Touches` in `skincal/solver/source/modules.h` begins with, up to the pads."""
     evidence, at = touches.evidence, touches.rows
-    places, gradients, normals = touches.middles(pads)
-    pairs, pushes, forces = evidence.pairs[at], evidence.directions[at], evidence.forces[at]
-    lever, share, beside = places - evidence.sensors[at], noise.force / forces, np.sqrt(touches.offsets)
-    moment = (noise.moment / forces) ** 2
-    swing, out = (np.sum(pairs * v[:, None], axis=2) for v in (share[:, None] * lever, beside[:, None] * normals))
-    push = np.stack([share * np.sum(pushes * lever, axis=1), beside * np.sum(pushes * normals, axis=1)], axis=1)
-    skin = np.stack([-out[:, 1], out[:, 0]], axis=1)
-    spread = RowSpread(moment + np.sum(push * push, axis=1), swing, skin, push, share)
-    whiten = _inverse_root(spread)
-    off = np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
-    slopes = np.sum(pairs[:, :, :, None] * gradients[:, None], axis=2)
-    return ModuleRows(
-        slopes=np.sum(whiten[:, :, :, None] * slopes[:, None], axis=2),
-        misses=np.sum(whiten * off[:, None], axis=2),
-        pitches=evidence.pitches[at] ** 2 / (moment + np.sum(swing * swing, axis=1)),
-        whiten=whiten,
-        distances=np.sqrt(np.sum(off * off, axis=1)),
-        levers=lever,
-        gradients=gradients,
-        normals=normals,
-        spread=spread,
-    )
-
-
-def _inverse_root(spread: RowSpread) -> FloatArray:
-    """Return (m, 2, 2) L^-1 of D = L L', L lower triangular."""
-    even, p, r = spread.even, spread.swing, spread.skin
-    xx = even + p[:, 0] ** 2 + r[:, 0] ** 2
-    xy = p[:, 0] * p[:, 1] + r[:, 0] * r[:, 1]
-    cross = p[:, 0] * r[:, 1] - p[:, 1] * r[:, 0]
-    determinant = even * (even + np.sum(p * p + r * r, axis=1)) + cross * cross
-    l11 = np.sqrt(xx)
-    l22 = np.sqrt(determinant) / l11
-    inverse = np.zeros((len(xx), 2, 2))
-    inverse[:, 0, 0], inverse[:, 1, 0], inverse[:, 1, 1] = 1.0 / l11, -xy / (xx * l22), 1.0 / l22
-    return inverse
-
-
-def bends_of(touches: Touches, rows: ModuleRows, ground: ModuleGround) -> FloatArray:
-    """Return (m, d, d): how A'b of each poke changes with the unknowns but for -A'A, A its slopes and b its misses.
-
-    With w = D^-1 E (a - c) that is w'E d2c - (D^-1 E dc)' dD w; a turn about an axis changes dc by axis x dc, n by axis x n.
-    """
-    spread, at = rows.spread, touches.rows
-    pairs, pushes = touches.evidence.pairs[at], touches.evidence.directions[at]
-    back = rows.whiten.transpose(0, 2, 1)
-    slopes, w = back @ rows.slopes, back @ rows.misses[:, :, None]
-    axes = ground.axes(rows.normals) / LEVER
-    turns = axes.shape[1]
-    swing = spread.share[:, None, None] * rows.gradients
-    pushed, parts = spread.push[:, 0, None, None] * swing, [(spread.swing, pairs @ swing)]
-    if turns > 1:
-        # Without a surface the module's normal turns, too.
-        skin = np.zeros_like(rows.gradients)
-        tilted = crossed(axes, rows.normals[:, None]).transpose(0, 2, 1)
-        skin[:, :, -turns:] = np.sqrt(touches.offsets)[:, None, None] * tilted
-        out = pairs @ skin
-        pushed = pushed + spread.push[:, 1, None, None] * skin
-        parts.append((spread.skin, np.stack([-out[:, 1], out[:, 0]], axis=1)))
-    bent = -2.0 * (slopes.transpose(0, 2, 1) @ w) @ (pushes[:, None] @ pushed)
-    for part, change in parts:
-        row = part[:, None]
-        bent -= slopes.transpose(0, 2, 1) @ change * (row @ w)
-        bent -= (row @ slopes).transpose(0, 2, 1) @ (w.transpose(0, 2, 1) @ change)
-    # w'E . (axis x dc) = (w'E x axis) . dc
-    pull = crossed(w.transpose(0, 2, 1) @ pairs, axes)
-    bent[:, -turns:, -turns:] += pull @ rows.gradients[:, :, -turns:]
-    return bent
+    rules = (
+        LEVER, FULL, NONE, FEWEST, OF_POSE, LEFT, ALIKE, SEEKING, SMALL, USUAL_MISS, USUAL_PITCH, STEP_MAX, SETTLED, DONE,
+        HOLDS, BACK, STEPS_MAX, NO_RANK,
+    )  # fmt: skip
+    return [
+        len(at),
+        unknowns,
+        call.give(np.append(touches.starts, len(touches.answers)), INTEGER),
+        call.give(touches.answers, INTEGER),
+        call.give(touches.shares),
+        call.give(evidence.columns.take(at, axis=1)),
+        call.give(evidence.poses[at], INTEGER),
+        call.give(touches.offsets),
+        call.give(np.array([noise.force, noise.moment, noise.pose_turn, noise.pose_shift])),
+        call.give(np.array(rules)),
+    ]
 
 
 FLOOR = 0.002
@@ -401,9 +337,9 @@ class Fitted:
     of: IntArray
     """(n,) the module of each pad, 0 to b - 1."""
     covariances: FloatArray
-    """(b, d, d) float, m^2, of the unknowns (a turn as the way at `LEVER`); infinite along `blind`."""
-    blind: tuple[FloatArray, ...]
-    """For each module (k, d) the directions of its unknowns that the pokes do not determine."""
+    """(b, d, d) float, m^2, of the unknowns (a turn as the way at `LEVER`); without meaning along `blind`."""
+    blind: FloatArray
+    """(b, d, d) float: of each module the directions of its unknowns that the pokes do not determine, the other rows zero."""
     misses: FloatArray
     """(b,) float, metres: at what distance the axes pass the middles, the root mean square by trust."""
     trust: FloatArray
@@ -447,225 +383,42 @@ def fit_modules(
     start : of each module; within half a module and 60 degrees
     doubting : whether pokes far off the others count less
     """
-    search = _Search(touches, model, start, noise)
-    if doubting:
-        search.trust = np.concatenate([_trust_of(search.rows, span, touches) for span in search.spans])
-    for _ in range(STEPS_MAX):
-        search.step()
-        if not search.going.any():
-            break
-    held = search.found()
-    return Fitted(
-        search.poses,
-        search.pads,
-        search.of,
-        np.stack([_covariance(touches, module, search.trust, noise) for module in held]),
-        tuple(module.blind for module in held),
-        np.array([_miss(module, search.trust) for module in held]),
-        search.trust,
-        search.moving,
-    )
+    modules: list[int] = touches.modules.tolist()
+    own = [model.pads[module] for module in modules]
+    sizes, count, unknowns = [len(pads) for pads in own], len(own), model.ground.unknowns
+    machine, ground = _machine(model.ground)
+    with machine.call() as call:
+        asked = _asked(call, touches, noise, unknowns)
+        pads = [call.room(shape) for shape in ((sum(sizes), 3), (sum(sizes), 3, unknowns), (sum(sizes), 3))]
+        spans = np.searchsorted(touches.of, np.arange(count + 1))
+        cut = [call.give(spans, INTEGER), call.give(np.cumsum([0, *sizes]), INTEGER), call.give(np.concatenate(own)), ground]
+        trust = call.changed(np.ones(len(touches.of)))
+        poses = [call.changed(vectors) for vectors in (start.points, start.x, start.normals)]
+        poses.append(call.changed(start.triangles, INTEGER))
+        under, of_unknowns = call.room((sum(sizes),), INTEGER), (count, unknowns, unknowns)
+        held = [call.room(shape) for shape in (of_unknowns, of_unknowns, (count,), (count,))]
+        call.run("place_modules", [*asked, *pads, count, int(doubting), *cut, trust, *poses, under, *held])
+        points, gradients, normals = map(call.taken, pads)
+        at, x, outward, triangles = map(call.taken, poses)
+        covariances, blind, misses, moving = map(call.taken, held)
+        return Fitted(
+            poses=ModulePoses(at, x, outward, triangles.astype(np.int64)),
+            pads=Pads(points, gradients, normals, call.taken(under).astype(np.int64)),
+            of=np.repeat(np.arange(count), sizes),
+            covariances=covariances,
+            blind=blind,
+            misses=misses,
+            trust=call.taken(trust),
+            moving=moving,
+        )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Held:
-    """How the rows hold one module where it stands, in the k directions of its unknowns that they determine."""
+def _machine(ground: ModuleGround) -> tuple[Machine, int]:
+    """Return the machine that places modules, and the place of what they lie on there; 0 for no surface."""
+    if not isinstance(ground, ModulesOnSurface):
+        return shared(), 0
+    # Imported only now: a scene without a mesh loads nothing of it.
+    from skincal.mesh.geodesics import geodesics_of
 
-    singular: FloatArray
-    """(k,) float, 1/m: how firmly."""
-    axes: FloatArray
-    """(k, d) float, unit: these directions."""
-    right: FloatArray
-    """(k,) float: how far off along them, in standard deviations."""
-    blind: FloatArray
-    """(d - k, d) float, unit: the others."""
-    rows: ModuleRows
-    """Of all modules."""
-    span: slice
-    """Its own among them."""
-
-    @property
-    def inverse(self) -> FloatArray:
-        """(d, k) float, metres: its square is the covariance of the unknowns."""
-        return self.axes.T / self.singular
-
-    def left(self) -> FloatArray:
-        """Return (m, 2) what would be left of the module's misses if its rows were linear, however far it had to go."""
-        return self.rows.misses[self.span] - np.sum(self.rows.slopes[self.span] * (self.inverse @ self.right), axis=2)
-
-
-class _Search:
-    """Modules on their way to where the rows hold them best; those that have settled stay, however long others take."""
-
-    def __init__(self, touches: Touches, model: ModuleModel, start: ModulePoses, noise: NoiseSettings) -> None:
-        ends = np.searchsorted(touches.of, np.arange(len(touches.modules) + 1)).tolist()
-        self.spans = [slice(a, b) for a, b in pairwise(ends)]
-        modules: list[int] = touches.modules.tolist()
-        own = [model.pads[module] for module in modules]
-        self.of, self._flat = np.repeat(np.arange(len(own)), [len(pads) for pads in own]), np.concatenate(own)
-        self._touches, self._ground, self._noise = touches, model.ground, noise
-        self.trust = np.ones(len(touches.of))
-        self.poses, self.pads = start, self._laid(start)
-        self.rows = whitened(touches, self.pads, noise)
-        self.going = np.ones(len(own), dtype=bool)
-        self._before, self._last = np.zeros((len(own), model.ground.unknowns)), np.full(len(own), STEP_MAX)
-        self._held: list[_Held | None] = [None] * len(own)
-
-    def _laid(self, poses: ModulePoses) -> Pads:
-        return self._ground.laid(poses.take(self.of), self._flat)
-
-    def step(self) -> None:
-        """Move the modules that have not settled, each by one step; the last one is too short to be walked."""
-        held = self.found()
-        left = np.concatenate([module.left() for module in held])
-        bends = bends_of(self._touches, replace(self.rows, misses=left), self._ground)
-        steps = np.stack([_newton(module, bends[module.span], self.trust[module.span]) for module in held])
-        back = np.sum(steps * self._before, axis=1) < -BACK * np.sum(self._before * self._before, axis=1)
-        steps = np.where(back[:, None], 0.5, 1.0) * steps
-        sizes = np.abs(steps).max(axis=1)
-        settled = (sizes <= SETTLED) & ((sizes * sizes <= DONE * self._last) | (2.0 * sizes >= self._last))
-        # A module that has settled stays as it was found there, whatever another step would be.
-        settled |= ~self.going
-        ended = self.going & settled
-        self.poses = _chosen(self.going, self._ground.moved(self.poses, steps), self.poses)
-        self.pads = _chosen(ended[self.of], _shifted(self.pads, steps[self.of]), self.pads)
-        self._held = [module if end else None for module, end in zip(held, settled, strict=True)]
-        self.going, self._before, self._last = self.going & ~settled, steps, sizes
-        if self.going.any():
-            self.pads = _chosen(self.going[self.of], self._laid(self.poses), self.pads)
-            self.rows = whitened(self._touches, self.pads, self._noise)
-
-    @property
-    def moving(self) -> FloatArray:
-        """(b,) float, metres: the last step of modules that have not settled, 0 of the others."""
-        return np.where(self.going, self._last, 0.0)
-
-    def found(self) -> list[_Held]:
-        """Return how each module is held; of those that have settled, at their last step."""
-        return [
-            _holding(self.rows, span, self.trust[span]) if module is None else module
-            for module, span in zip(self._held, self.spans, strict=True)
-        ]
-
-
-_Rows = TypeVar("_Rows", ModulePoses, Pads)
-
-
-def _chosen(first: NDArray[np.bool_], here: _Rows, there: _Rows) -> _Rows:
-    """Return the rows of `here` where `first` (n,), else those of `there`."""
-    if first.all() or not first.any():
-        return here if first.all() else there
-    own, other = ([np.asarray(getattr(rows, field.name)) for field in fields(here)] for rows in (here, there))
-    pairs = zip(own, other, strict=True)
-    return type(here)(*(np.where(first.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in pairs))
-
-
-def _shifted(pads: Pads, steps: FloatArray) -> Pads:
-    """Return the pads (n,) after steps (n, d) of their modules that are too short for more than the gradient."""
-    return replace(pads, points=pads.points + np.sum(pads.gradients * steps[:, None], axis=2))
-
-
-def _trust_of(rows: ModuleRows, span: slice, touches: Touches) -> FloatArray:
-    """Return the trust of one module's pokes, each judged among those of its arm pose, or among all that are left over."""
-    poses = touches.evidence.poses[touches.rows[span]]
-    names, owner, sizes = np.unique(poses, return_inverse=True, return_counts=True)
-    group = np.where(sizes >= OF_POSE, np.arange(len(names)), -1)[owner]
-    trust = np.ones(len(poses))
-    for own in np.unique(group):
-        some = np.flatnonzero(group == own)
-        at = some + span.start
-        trust[some] = _found_trust(rows.slopes[at], rows.misses[at], rows.pitches[at])
-    return trust if trust.sum() >= LEFT else np.ones(len(poses))
-
-
-def _found_trust(slopes: FloatArray, misses: FloatArray, pitches: FloatArray) -> FloatArray:
-    """Return the trust of some of a module's pokes, by steps from its pose in which far pokes pull little."""
-    count = len(misses)
-    if count < FEWEST:
-        return np.ones(count)
-    raised = 1.0 + SMALL / max(2 * count - 3, 1)
-    pitches = pitches / max(1.0, raised * float(np.median(pitches)) / USUAL_PITCH)
-    left = misses
-    for _ in range(SEEKING):
-        squares = np.sum(left * left, axis=1) + pitches
-        move = _step(slopes, left, 1.0 / np.maximum(squares, ALIKE**2))
-        left = left - np.sum(slopes * move, axis=2)
-    squares = np.sum(left * left, axis=1)
-    squares = squares / max(1.0, raised * float(np.median(squares)) / USUAL_MISS) + pitches
-    trust = trust_of(squares)
-    return trust if trust.sum() >= LEFT else np.ones(count)
-
-
-def _step(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> FloatArray:
-    """Return (d,) Gauss and Newton's step, of the smallest norm where the rows do not determine one, and not too long."""
-    singular, axes, right = _decomposed(slopes, misses, trust)
-    good = singular > NO_RANK * singular[0]
-    return axes[good].T @ _short(right[good] / singular[good])
-
-
-def _by_size(slopes: FloatArray) -> IntArray:
-    """Return an order of pokes in which sums do not depend on how the pokes are numbered."""
-    return np.argsort(-np.sum(slopes * slopes, axis=(1, 2)), kind="stable")
-
-
-def _holding(rows: ModuleRows, span: slice, trust: FloatArray) -> _Held:
-    slopes, misses = rows.slopes[span], rows.misses[span]
-    order = _by_size(slopes)
-    singular, axes, right = _decomposed(slopes[order], misses[order], trust[order])
-    good = singular > NO_RANK * singular[0]
-    return _Held(singular[good], axes[good], right[good], axes[~good], rows, span)
-
-
-def _newton(held: _Held, bends: FloatArray, trust: FloatArray) -> FloatArray:
-    """Return (d,) the step of one module, which uses how its rows change, `bends` (m, d, d), where that leaves it held."""
-    inverse, right, order = held.inverse, held.right, _by_size(held.rows.slopes[held.span])
-    bend = np.sum(trust[order][:, None, None] * bends[order], axis=0)
-    curvature = np.eye(len(right)) - inverse.T @ bend @ inverse
-    if len(right) and np.linalg.eigvalsh(curvature + curvature.T)[0] > 2.0 * HOLDS:
-        right = np.asarray(np.linalg.solve(curvature, right), dtype=np.float64)
-    return held.axes.T @ _short(right / held.singular)
-
-
-def _short(ways: FloatArray) -> FloatArray:
-    """Return ways along the directions of singular values, none too long: one hardly known does not hold up the others."""
-    return np.clip(ways, -STEP_MAX, STEP_MAX)
-
-
-def _decomposed(slopes: FloatArray, misses: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return singular values (d,), their directions (d, d) as rows and right sides (d,) of the weighted rows."""
-    unknowns = slopes.shape[-1]
-    root = np.sqrt(trust)[:, None]
-    factor = triangle((root[:, :, None] * slopes).reshape(-1, unknowns), (root * misses).ravel())
-    left, singular, axes = np.linalg.svd(factor[:, :unknowns])
-    return singular, axes, left.T @ factor[:, unknowns]
-
-
-def _covariance(touches: Touches, held: _Held, trust: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return the covariance (d, d) of a module's unknowns."""
-    covariance = held.inverse @ held.inverse.T
-    if noise.pose_turn > 0 or noise.pose_shift > 0:
-        slopes, trust = held.rows.slopes[held.span], trust[held.span]
-        gain = covariance @ (trust[:, None, None] * slopes).reshape(-1, slopes.shape[-1]).T
-        covariance = covariance + _of_poses(touches, held.rows, held.span, gain, noise)
-    return covariance
-
-
-def _miss(held: _Held, trust: FloatArray) -> float:
-    weights, distances = trust[held.span], held.rows.distances[held.span]
-    return float(np.sqrt(np.sum(weights * distances**2) / max(weights.sum(), 1e-300)))
-
-
-def _of_poses(touches: Touches, rows: ModuleRows, span: slice, gain: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return (d, d) what errors of the arm's poses add, each one for all pokes in it (`NoiseSettings.pose_turn`)."""
-    evidence, at = touches.evidence, touches.rows[span]
-    pairs = evidence.pairs[at]
-    # A pose turned by w about the sensor and shifted by t moves the axis by w x lever + t.
-    moved = np.concatenate([-noise.pose_turn * (pairs @ cross_matrix(rows.levers[span])), noise.pose_shift * pairs], axis=2)
-    moved = (rows.whiten[span] @ moved).reshape(-1, 6)
-    added = np.zeros((len(gain), len(gain)))
-    owners = np.repeat(evidence.poses[at], 2)
-    for pose in np.unique(owners):
-        own = owners == pose
-        part = gain[:, own] @ moved[own]
-        added += part @ part.T
-    return added
+    known = geodesics_of(ground.surface)
+    return known.machine, known.ground

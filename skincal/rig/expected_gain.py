@@ -107,6 +107,19 @@ def expected_error(
     return Gain(now, after, len(planned))
 
 
+def expected_miss(poke: LandmarkPoke, noise: NoiseSettings) -> float:
+    """Return how far the axis of a poke may be expected to pass its landmark, root mean square, metres.
+
+    By a rig that is wrong as `RigPrior` has it, by the sensor's noise, and by the hand.
+    """
+    prior, lever = RigPrior(), float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3]))
+    force = float(np.linalg.norm(poke.force))
+    # Whitened by a spread of one metre the rows are in metres.
+    rows = _rows(readings_of([poke], {poke.pose: 0}), poke.place[None], 1.0, EXACT, prior.scales(1))
+    own = prior.landmark**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
+    return float(np.sqrt(np.sum(rows.of_rig**2) + 2.0 * own))
+
+
 def unchecked_error(
     estimates: Sequence[Estimate], contacts: Sequence[Contact], pokes: Sequence[LandmarkPoke], noise: NoiseSettings
 ) -> float | None:

@@ -6,7 +6,7 @@ Nothing here changes the session. A view that shows a landmark as the target sen
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, rig_moves
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
-from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs
+from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
@@ -25,6 +25,7 @@ from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, 
 from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
+from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
@@ -52,6 +53,8 @@ class SessionGuide:
         """What is shown."""
         self.wanted = True
         """The operator wants to be guided."""
+        self.costs = costs_of(self.plan, methods_of(part.scene, part.surface))
+        """About how many pokes each method takes from the first to enough; nothing where no layout places the taxels."""
 
     def follow(
         self,
@@ -295,6 +298,14 @@ class ModulesEnough:
         """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
         nothing = float("nan")
         return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings)
+
+
+def costs_of(plan: PlannedPlaces, methods: Iterable[Method]) -> Mapping[Method, int]:
+    """Return about how many pokes each method takes from the first to enough, the cheapest first; see `SessionGuide.costs`."""
+    if not len(plan.channels) or not np.isfinite(plan.places).all():
+        return {}
+    pokes = {method: pokes_from_start(method, plan.modules, GuideSettings()) for method in methods}
+    return dict(sorted(pokes.items(), key=lambda item: item[1]))
 
 
 def plan_of(part: Part) -> PlannedPlaces:

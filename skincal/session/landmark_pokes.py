@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,11 +12,12 @@ import numpy as np
 from skincal.contacts.outcome import Outcome, Reason, Rejection
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.guide.guidance import was_there
-from skincal.model.actions import AddLandmark, AtLandmark, FoundAtLandmark
+from skincal.model.actions import AddLandmark, AtLandmark, FoundAtLandmark, MissedLandmark
 from skincal.model.errors import InputError
-from skincal.model.scene import Landmark
+from skincal.model.scene import Landmark, NoiseSettings
 from skincal.model.tables import LENGTH_MAX
 from skincal.rig.correction_fit import LandmarkPoke
+from skincal.rig.expected_gain import expected_miss
 from skincal.session.undo import Step
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ REACTION_S = 0.25
 """s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction."""
 ON_SURFACE = 0.010
 """m: what lies farther from the surface is no point of it, such as one of a jig, and may be poked from any side."""
+MISS_FACTOR = 3.0
+"""A poke passes the landmark that it was asked for at no more than this many times what is expected of an ordinary rig
+(`expected_miss`): 34 mm on the forearm. Nine in ten pass at 19 mm; a poke at another landmark passes at 33 to 81."""
 
 WITHIN = 0.020
 """m. A poke is taken to be at the landmark that its axis passes within this..."""
@@ -57,6 +61,10 @@ class SessionLandmarks:
     def __init__(self, landmarks: tuple[Landmark, ...]) -> None:
         self.landmarks = landmarks
         self._named: Mapping[int, str] = {}
+        self.missed: Mapping[int, MissedLandmark] = {}
+        """Pokes that a landmark was asked for and that passed it too far, by their number."""
+        self.by_hand = frozenset[int]()
+        """Numbers of the pokes of which the operator said where they were."""
 
     def named(self, outcome: Callable[[int], Outcome | None]) -> Mapping[int, str]:
         """Return the number of each poke that was at a landmark and has an axis, and the landmark's name.
@@ -94,7 +102,15 @@ class SessionLandmarks:
         named = {poke: name for poke, name in self._named.items() if poke != action.poke}
         if action.name:
             named[action.poke] = action.name
+        if isinstance(action, AtLandmark):
+            self.by_hand |= {action.poke}
+            self.missed = {poke: miss for poke, miss in self.missed.items() if poke != action.poke}
         return self._set(f"poke {action.poke} at {action.name or 'no landmark'}", self.landmarks, named)
+
+    def miss(self, action: MissedLandmark) -> None:
+        """Take that a poke was not at the landmark that was asked for."""
+        self._named = {poke: name for poke, name in self._named.items() if poke != action.poke}
+        self.missed = {**self.missed, action.poke: action}
 
     def check_name(self, name: str) -> None:
         """Refuse a landmark that is not there with an InputError; an empty name is none."""
@@ -125,21 +141,83 @@ class LandmarkFinder:
         """Take what the operator is asked for since `host_s`, seconds of the host's monotonic clock."""
         self.asked, self._asked_s = name, host_s
 
-    def find(self, new: Iterable[Outcome], landmarks: Iterable[Landmark]) -> list[FoundAtLandmark]:
-        """Return which of `new` pokes were at the landmark that is asked for.
+    def find(
+        self, tries: LandmarkTries, landmarks: Iterable[Landmark], noise: NoiseSettings
+    ) -> list[FoundAtLandmark | MissedLandmark]:
+        """Return which of the new pokes were at the landmark that is asked for, and which passed it too far.
 
-        They began `REACTION_S` after it was asked for at least, have an axis, and no taxel far from it answered.
+        They began `REACTION_S` after it was asked for at least, have an axis, and no taxel far from it answered. One that
+        passes it at more than `MISS_FACTOR` times what is expected is not taken, unless as many of those before passed as
+        far: then the sensor's frame may be wrong, and these pokes show it. Once most pass as expected, the others are taken
+        back, but for those that the operator named.
         """
         landmark = next((landmark for landmark in landmarks if landmark.name == self.asked), None)
         if landmark is None:
             return []
-        late = [outcome for outcome in new if outcome.start_s >= self._asked_s + REACTION_S]
-        return [
-            FoundAtLandmark(outcome.poke, landmark.name)
-            for outcome in late
-            if poke_at(outcome, landmark) is not None
-            and (isinstance(outcome, Rejection) or was_there(outcome, landmark, self._places()))
-        ]
+        passes = {poke.poke: Passing.of(poke, noise) for poke in tries.named}
+        near = sum(each.right for each in passes.values())
+        far = len(passes) - near + len(tries.missed)
+        found: list[FoundAtLandmark | MissedLandmark] = []
+        for outcome in tries.new:
+            poke = poke_at(outcome, landmark)
+            if poke is None or not self._may_be(outcome, landmark):
+                continue
+            passing = Passing.of(poke, noise)
+            if passing.right or near <= far:
+                found.append(FoundAtLandmark(outcome.poke, landmark.name))
+            else:
+                found.append(passing.missed)
+            near, far = near + passing.right, far + (not passing.right)
+        if near > far:
+            wrong = (each for poke, each in passes.items() if not each.right and poke not in tries.by_hand)
+            found[:0] = [each.missed for each in wrong]
+        return found
+
+    def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
+        """Return whether a poke began late enough, and no taxel far from the landmark answered."""
+        late = outcome.start_s >= self._asked_s + REACTION_S
+        return late and (isinstance(outcome, Rejection) or was_there(outcome, landmark, self._places()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkTries:
+    """Pokes that landmarks were asked for."""
+
+    new: Sequence[Outcome]
+    """In the right frame."""
+    named: Sequence[LandmarkPoke]
+    """Those before that are taken to have been there."""
+    missed: Mapping[int, MissedLandmark]
+    """Those before that passed their landmark too far, by their number."""
+    by_hand: Collection[int]
+    """Numbers of pokes of which the operator said where they were."""
+
+
+@dataclass(frozen=True, slots=True)
+class Passing:
+    """How far a poke's axis passes a landmark."""
+
+    poke: int
+    name: str
+    miss: float
+    """m."""
+    limit: float
+    """m: `MISS_FACTOR` times what is expected."""
+
+    @classmethod
+    def of(cls, poke: LandmarkPoke, noise: NoiseSettings) -> Passing:
+        """Compare a poke with what is expected of it."""
+        return cls(poke.poke, poke.name, poke.miss, MISS_FACTOR * expected_miss(poke, noise))
+
+    @property
+    def right(self) -> bool:
+        """Whether it passes no farther than it may."""
+        return self.miss <= self.limit
+
+    @property
+    def missed(self) -> MissedLandmark:
+        """What is recorded of it where it passes farther."""
+        return MissedLandmark(self.poke, self.name, self.miss, self.limit)
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:

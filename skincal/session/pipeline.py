@@ -116,7 +116,7 @@ class Pipeline:
 
     def act(self, action: Action, host_ns: int) -> None:
         """Do what the operator wants, and record it; InputError, and nothing done, where that cannot be."""
-        self.session.act(action)
+        self.session.act(action, host_ns * 1e-9)
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
@@ -230,9 +230,11 @@ class Pipeline:
         # Asked before the outcomes are taken: the second outcome of a poke is no new poke.
         last = self.session.last_poke
         self._note(item, outcomes)
-        new = {outcome.poke: outcome for outcome in outcomes if outcome.poke > last}
-        for found in self._landmarks.find(new.values(), self.session.landmarks):
-            self.act(found, item.host_ns)
+        new = {outcome.poke for outcome in outcomes if outcome.poke > last}
+        if new and self._landmarks.asked:
+            tries = self.session.landmark_tries(new)
+            for found in self._landmarks.find(tries, self.session.landmarks, self.scene.noise):
+                self.act(found, item.host_ns)
 
     def _note(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         self._now_ns = max(self._now_ns, item.host_ns)

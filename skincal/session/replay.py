@@ -14,7 +14,7 @@ from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
-from skincal.model.actions import FoundAtLandmark, Stamped
+from skincal.model.actions import FoundAtLandmark, MissedLandmark, Stamped
 from skincal.model.errors import InputError
 from skincal.model.scene import with_layout
 from skincal.session.part import load_scene_surface
@@ -77,7 +77,7 @@ def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
     if isinstance(item, Stamped):
         # Not the pipeline's `act`: what the detector made of an action stands in the notes that follow.
-        pipeline.session.act(item.action)
+        pipeline.session.act(item.action, item.host_ns * 1e-9)
     elif isinstance(item, Taken | Totals):
         pipeline.take(item)
     elif isinstance(item, SegmentMark):
@@ -114,7 +114,7 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
             pipeline.begin_segment(item.links)
     elif isinstance(item, Stamped):
         # The bytes and what was asked for lead to these again.
-        if not isinstance(item.action, FoundAtLandmark):
+        if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
             pipeline.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
         pipeline.put_down(item.host_ns)

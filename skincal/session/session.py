@@ -26,6 +26,8 @@ from skincal.model.actions import (
     Exclude,
     FoundAtLandmark,
     MarkDead,
+    MissedLandmark,
+    Redo,
     Restore,
     Revive,
     SetPose,
@@ -37,10 +39,10 @@ from skincal.model.scene import Landmark, Scene
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
-from skincal.session.landmark_pokes import SessionLandmarks
+from skincal.session.landmark_pokes import LandmarkTries, SessionLandmarks
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import Solving
-from skincal.session.undo import History, Step
+from skincal.session.undo import Entry, History, Step
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import SharedRows
 
@@ -78,7 +80,7 @@ class Session:
         self.found_dead: Mapping[int, str] = {}
         """Channels that the detector found to be dead, whatever the operator thinks of them."""
         self._known = SessionLandmarks(scene.landmarks)
-        self._history = History(self._excluded.__contains__, lambda poke: self._set_excluded(poke, True))
+        self._history = History(self._excluded.__contains__, self._set_excluded, self._done)
         self._answers: Counter[int] = Counter()
         """How many contacts that count each channel answered in."""
         layout = scene.skin.layout
@@ -130,6 +132,11 @@ class Session:
         """The pokes that were at a landmark and count, in the order of their numbers, in the right frame."""
         return self._known.pokes(self.framed().values())
 
+    def landmark_tries(self, new: Collection[int]) -> LandmarkTries:
+        """Return how pokes passed the landmarks that were asked for, those of `new` numbers in the right frame."""
+        framed = self._corrections.framed
+        return LandmarkTries([framed[poke] for poke in new], self.landmark_pokes, self._known.missed, self._known.by_hand)
+
     @property
     def shared_errors(self) -> SharedRows | None:
         """What the correction of the rig that is in use does not know; None without one, or where that was not recorded."""
@@ -143,8 +150,12 @@ class Session:
     @property
     def can_undo(self) -> str:
         """What undo would take back, in words; empty where there is nothing."""
-        last = self._history.last()
-        return "" if last is None else last.words
+        return self._history.can_undo
+
+    @property
+    def history(self) -> tuple[Entry, ...]:
+        """What can be taken back, the newest last."""
+        return self._history.entries
 
     @property
     def corrections(self) -> Mapping[str, UsedCorrection]:
@@ -175,7 +186,7 @@ class Session:
         self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
         # What comes next can make a rejection of an accepted poke, which is then no step of the operator's any more.
         if now and not was:
-            self._history.add(outcome.poke)
+            self._history.add_poke(outcome.poke)
         if was and not now:
             self._history.forget_poke(outcome.poke)
 
@@ -209,25 +220,35 @@ class Session:
         if name != before_name or not same:
             self._changed()
 
-    def act(self, action: Action) -> None:
+    def act(self, action: Action, at_s: float = math.nan) -> None:
         """Do what the operator wants.
+
+        Parameters
+        ----------
+        at_s : host's monotonic clock, seconds, for the history
 
         Raises
         ------
         InputError
-            There is no such poke, pose, landmark or channel, or nothing to undo; the session is as it was.
+            There is no such poke, pose, landmark or channel, or nothing to undo or redo; the session is as it was.
         """
         if isinstance(action, AskLandmark):
             # What is asked for changes nothing of what is known, and is not taken back.
             self._known.check_name(action.name)
             return
+        if isinstance(action, MissedLandmark):
+            # Found, as an outcome is: no step of the operator's.
+            self._known.miss(action)
+            self._changed()
+            return
         if isinstance(action, Undo):
-            step = self._history.last(drop=True)
-            if step is None:
+            if not self._history.undo():
                 raise InputError("There is nothing to undo: no poke was accepted and nothing was changed.")
-            step.take_back()
+        elif isinstance(action, Redo):
+            if not self._history.redo():
+                raise InputError("There is nothing to redo: nothing was taken back, or something else was done since.")
         else:
-            self._history.add(self._done(action))
+            self._history.do(action, at_s, found=isinstance(action, FoundAtLandmark))
         self._changed()
 
     def _done(self, action: Action) -> Step:
@@ -282,8 +303,13 @@ class Session:
             link_from_sensor=self._current_pose[1],
             dead=self.dead,
             can_undo=self.can_undo,
+            can_redo=self._history.can_redo,
+            history=self._history.entries,
+            undone=self._history.undone,
+            deed=self._history.deed,
             landmarks=self.landmarks,
             at_landmarks=self.at_landmarks,
+            missed_landmarks=self._known.missed,
             corrections=self.corrections,
         )
         return self._snapshot

@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import Landmark
 from skincal.rig.correction import UsedCorrection
+from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
 
 
@@ -41,10 +43,20 @@ class Snapshot:
     """Channels that are not used, with the reason."""
     can_undo: str
     """What undo would take back, in words; empty if nothing."""
+    can_redo: str = ""
+    """What redo would bring again, likewise."""
+    history: tuple[Entry, ...] = ()
+    """What can be taken back, the newest last, with pokes that were taken out by hand."""
+    undone: tuple[Entry, ...] = ()
+    """What can be brought again, the next last."""
+    deed: Deed | None = None
+    """What the operator did last; None before the first."""
     landmarks: tuple[Landmark, ...] = ()
     """Known points of the part: those of the scene, then those that the operator added."""
     at_landmarks: Mapping[int, str] = field(default_factory=dict[int, str])
     """Pokes that were at a landmark: number to its name."""
+    missed_landmarks: Mapping[int, MissedLandmark] = field(default_factory=dict[int, MissedLandmark])
+    """Pokes that a landmark was asked for and that passed it too far, by their number."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
 

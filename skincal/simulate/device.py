@@ -13,8 +13,9 @@ import binascii
 import heapq
 import struct
 from collections import Counter
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from skincal.model.readings import Stream
 from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
 from skincal.simulate.simulated_rig import Rig, Stance
+
+if TYPE_CHECKING:
+    from skincal.simulate.makers import Maker, MakerEncoder
 
 MICROSECONDS = 1_000_000
 NANOSECONDS = 1_000_000_000
@@ -40,6 +44,8 @@ class DeviceSettings:
 
     format: str = "skb"
     """"skb", "skt" or "text"."""
+    speakers: Mapping[Stream, str] = field(default_factory=dict[Stream, str])
+    """Makers' devices that send a stream instead, by their names in `makers.MAKERS`."""
     wrench_hz: float = 1000.0
     """Hz. The rate that the program must bear; Bota's sensors reach 1004 Hz."""
     skin_hz: float = 50.0
@@ -284,9 +290,26 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
     # Three streams also without an arm, so that no board draws otherwise because of it.
     for (stream, hz, latency, width, about), own in zip(wanted, rng.spawn(3), strict=False):
         clock = Clock(errors, own)
-        encoder = make_encoder(settings.format, top, width if stream is Stream.SKIN else 0)
-        boards.append(SimulatedDevice(stream.value, stream, hz, clock, encoder, LossyLink(latency, errors, own), about, width))
+        encoder: Encoder
+        if stream in settings.speakers:
+            maker = _maker(settings.speakers[stream])
+            # TCP damages nothing, and UDP nothing that is still taken.
+            damaging = errors if maker.serial else replace(errors, corrupted=0.0, dropped=0.0)
+            encoder, line, pace = maker.encoder(), LossyLink(latency, damaging, own), maker.hz or hz
+        else:
+            encoder, line, pace = (
+                make_encoder(settings.format, top, width if stream is Stream.SKIN else 0),
+                LossyLink(latency, errors, own),
+                hz,
+            )
+        boards.append(SimulatedDevice(stream.value, stream, pace, clock, encoder, line, about, width))
     return boards
+
+
+def _maker(name: str) -> Maker:
+    from skincal.simulate.makers import MAKERS
+
+    return MAKERS[name]
 
 
 CRC_START = 0xFFFF
@@ -408,8 +431,8 @@ def _checked(text: str) -> bytes:
     return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_START)
 
 
-Encoder: TypeAlias = SkbEncoder | TextEncoder
-ENCODERS: dict[str, type[Encoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
+Encoder: TypeAlias = "SkbEncoder | TextEncoder | MakerEncoder"
+ENCODERS: dict[str, type[SkbEncoder | TextEncoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
 
 
 def _fits(name: str, values: str, width: int) -> bool:

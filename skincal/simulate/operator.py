@@ -72,6 +72,20 @@ class TargetOrder:
     """The place is a known point of the part, which one sees and feels."""
 
 
+@dataclass(frozen=True, slots=True)
+class PaceOrder:
+    """Be so many times as quick between pokes as by habit."""
+
+    pace: float
+
+    @classmethod
+    def of(cls, pace: float) -> PaceOrder:
+        """Return the order; ValueError where no hand is as quick or as slow."""
+        if not PACES[0] <= pace <= PACES[1]:
+            raise ValueError(pace)
+        return cls(pace)
+
+
 class NoTarget(Enum):
     """What a guide says where it names no target; the value is its line."""
 
@@ -82,12 +96,14 @@ class NoTarget(Enum):
 
 
 OperatorTarget: TypeAlias = TargetOrder | NoTarget
-Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | NoTarget
+Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | PaceOrder | NoTarget
 
 ORDER_HELP = (
     "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, "
-    "target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (- a place, + a known point), any or wait"
+    "target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (- a place, + a known point), pace TIMES, any or wait"
 )
+PACES = (0.1, 4.0)
+"""How many times as quick as by habit a hand may be between pokes."""
 
 
 def read_order(line: str) -> Order | None:
@@ -118,8 +134,8 @@ def _order_of(words: list[str]) -> Order | None:
             tilt, azimuth, force = map(float, numbers)
             if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
                 return PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
-        case ["pose", name]:
-            return PoseOrder(name)
+        case ["pose" | "pace" as what, value]:
+            return PoseOrder(value) if what == "pose" else PaceOrder.of(float(value))
         case ["target", channel, *numbers] if len(numbers) == 6:
             values = np.array([float(number) for number in numbers])
             place, push = values[:3] * 1e-3, values[3:]
@@ -449,7 +465,7 @@ class Told:
         elif isinstance(order, PoseOrder):
             self._rig.stance(order.name)
         else:
-            raise InputError("target, any and wait are for --operator guided; expected poke or pose.")
+            raise InputError("target, pace, any and wait are for --operator guided; expected poke or pose.")
         self._orders.put(order)
 
     def next(self, now: float) -> OperatorAction | None:
@@ -487,6 +503,8 @@ class Guided(Auto):
     """From any thread."""
     _seen: OperatorTarget = NoTarget.ANY
     """What is on the screen now."""
+    _natural: Habits | None = None
+    """Those that it began with, once its pace was changed."""
     _touch: float | None = None
     """s, when the hand that is on its way will touch."""
 
@@ -498,8 +516,12 @@ class Guided(Auto):
         InputError
             There is no such taxel, or the order is not a guide's.
         """
+        if isinstance(order, PaceOrder):
+            self._natural = self._natural or self._habits
+            self._habits = self._natural.at_pace(order.pace)
+            return
         if not isinstance(order, TargetOrder | NoTarget):
-            raise InputError("poke and pose are for --operator told; expected target, any or wait.")
+            raise InputError("poke and pose are for --operator told; expected target, pace, any or wait.")
         if isinstance(order, TargetOrder) and order.channel is not None:
             self._rig.row_of(order.channel)
         # Without a lock: in Python one assignment is seen whole by every thread.

@@ -20,7 +20,7 @@ _PAGE = 1 << 16
 """Bytes by which the memory grows."""
 _ALIGNED = 16
 """Bytes. Every array begins at a multiple of it."""
-FLOAT, INTEGER, _WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
+FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
 """The kinds of numbers that the solver reads."""
 
 
@@ -34,10 +34,11 @@ def _module() -> tuple[wasmtime.Engine, wasmtime.Module]:
 class Machine:
     """A memory of its own, in which the solver runs; threads take turns.
 
-    What is kept in it stays for all calls. Its places are offsets into the memory, 32 bits.
+    What is kept in it stays for all calls; what another machine has kept may be `kept` from the first. Its places are offsets
+    into the memory, 32 bits.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kept: NDArray[np.uint8] | None = None) -> None:
         engine, module = _module()
         self._store = wasmtime.Store(engine)
         exports: Any = wasmtime.Instance(self._store, module, []).exports(self._store)
@@ -45,10 +46,14 @@ class Machine:
         self._memory: wasmtime.Memory = exports["memory"]
         self._functions: dict[str, Any] = {}
         self._asked, heap = self.value("asked_at"), self.value("heap")
-        self._kept = heap + -heap % _ALIGNED
+        self._first = self._kept = heap + -heap % _ALIGNED
+        self._twin: Machine | None = None
+        self._twin_of = 0
         self._bytes: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
         self._look()
         self._lock = threading.Lock()
+        if kept is not None:
+            self.keep(kept)
 
     def value(self, name: str) -> int:
         """Return what a function of the solver without arguments returns."""
@@ -66,6 +71,13 @@ class Machine:
             self._kept = _after(place, array.nbytes)
             self.write(place, array, array.dtype)
             return place
+
+    def twin(self) -> Machine:
+        """Return the machine of a second thread, with all that is kept in this one at the same places."""
+        with self._lock:
+            if self._twin is None or self._twin_of != self._kept:
+                self._twin, self._twin_of = Machine(self.read(self._first, self._kept - self._first)), self._kept
+            return self._twin
 
     @contextmanager
     def call(self) -> Generator[Call]:
@@ -87,7 +99,7 @@ class Machine:
 
     def run(self, name: str, words: Sequence[int], free: int) -> None:
         """Run a function of the solver, which is asked `words` and may use the memory from `free` on."""
-        self.write(self._asked, np.array([free, *words]), _WORD)
+        self.write(self._asked, np.array([free, *words]), WORD)
         function = self._functions.get(name)
         if function is None:
             function = self._functions[name] = self._exports[name]

@@ -56,6 +56,7 @@ from skincal.model.readings import (
 )
 from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
+from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
 
 WINDOW_S = 60.0
@@ -422,7 +423,7 @@ class _LinkIntake:
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_NS // RATE_STEP_NS + 1)
 
     def _new_decoder(self) -> LinkDecoder:
-        return LinkDecoder(self.spec.format, self._channels, self.spec.carries)
+        return LinkDecoder(format_of(self.spec.address, self.spec.format), self._channels, self.spec.carries)
 
     def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
         if self._last_ns == 0 and self._state is LinkState.LOST:

@@ -24,18 +24,24 @@ from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 from skincal.model.errors import InputError
+from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.streams.device_address import parse_device
+from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 DEFAULT_BAUD = 115200
 FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
-KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, or a file"
+KNOWN = (
+    "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device such as netft://HOST or yarp:/PORT "
+    "(skincal devices lists them)"
+)
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
@@ -50,27 +56,6 @@ BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 
 
-class FailureKind(Enum):
-    """Why a link cannot be opened or read."""
-
-    ADDRESS = "address not understood"
-    ABSENT = "not there"
-    IN_USE = "in use"
-    DENIED = "permission denied"
-    REFUSED = "refused"
-    VANISHED = "vanished"
-    ENDED = "ended"
-    OTHER = "other"
-
-
-class LinkFailure(Exception):  # noqa: N818 - most are no error: a port is unplugged, a file ends
-    """A link cannot be opened, read or written; the message is a sentence for the operator."""
-
-    def __init__(self, kind: FailureKind, sentence: str) -> None:
-        super().__init__(sentence)
-        self.kind = kind
-
-
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
     """A link as the operator describes it."""
@@ -78,7 +63,8 @@ class LinkSpec:
     name: str
     """Unique in a session, such as `"wrench"`."""
     address: str
-    """`/dev/ttyUSB0`, `COM3`, either with `@921600` for its baud rate; `socket://host:port`; `file:PATH` or a file's path."""
+    """`/dev/ttyUSB0`, `COM3`, either with `@921600` for its baud rate; `socket://host:port`; `file:PATH` or a file's path; a
+    device's address (`skincal.streams.device_address`)."""
     carries: tuple[Stream, ...]
     format: str = "auto"
     """One of `skincal.streams.decoders.detect.NAMES`."""
@@ -90,6 +76,7 @@ class LinkKind(Enum):
     SERIAL = "serial port"
     TCP = "TCP server"
     FILE = "file"
+    DEVICE = "device that is spoken to"
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +85,7 @@ class Address:
 
     kind: LinkKind
     place: str
-    """Name of the port, path of the file, or host."""
+    """Name of the port, path of the file, host, or the whole address of a device that is spoken to."""
     number: int
     """Baud rate, or the TCP server's port."""
 
@@ -112,6 +99,8 @@ def parse_address(address: str) -> Address:
         raise InputError(f"The address is empty; expected {KNOWN}.")
     if address.startswith(SOCKET_PREFIX):
         return Address(LinkKind.TCP, *_host_and_port(address))
+    if parse_device(address) is not None:
+        return Address(LinkKind.DEVICE, address, 0)
     path, baud = split_baud(address)
     # Before the schemes: the name of a file that is there may begin like one.
     if path.startswith(FILE_PREFIX) or Path(path).is_file():
@@ -141,22 +130,6 @@ def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ..
     )
 
 
-class Link(Protocol):
-    """An open link."""
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return the bytes at hand, waiting at most `timeout_s` for the first; empty if none came. Raises LinkFailure."""
-        ...
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to the device. Raises LinkFailure."""
-        ...
-
-    def close(self) -> None:
-        """Give the port back. Raises nothing."""
-        ...
-
-
 def open_link(spec: LinkSpec) -> Link:
     """Open what a link's address names.
 
@@ -168,6 +141,11 @@ def open_link(spec: LinkSpec) -> Link:
         raise LinkFailure(FailureKind.ADDRESS, str(error)) from error
     if address.kind is LinkKind.TCP:
         return TcpLink(spec.address, address.place, address.number)
+    if address.kind is LinkKind.DEVICE:
+        # Only now, as each device's own modules in there: a scene costs what its devices need.
+        from skincal.streams.device_links import Ports, open_device
+
+        return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink))
     if address.kind is LinkKind.FILE:
         return PlaybackLink(Path(address.place), spec, address.number)
     return SerialLink(address.place, address.number)
@@ -364,13 +342,13 @@ class PlaybackLink:
 
         self._path = path
         try:
-            self._file = path.open("rb")
-            self._decoder = LinkDecoder(spec.format, None, spec.carries)
-        except FileNotFoundError as error:
-            raise LinkFailure(FailureKind.ABSENT, f"There is no file {path}; check the name.") from error
-        except OSError as error:
-            raise LinkFailure(FailureKind.OTHER, f"{path} cannot be read: {error.strerror or error}.") from error
+            self._file = open_regular(path, advice="check the name")
         except InputError as error:
+            raise LinkFailure(FailureKind.OTHER if path.exists() else FailureKind.ABSENT, str(error)) from error
+        try:
+            self._decoder = LinkDecoder(spec.format, None, spec.carries)
+        except InputError as error:
+            self._file.close()
             raise LinkFailure(FailureKind.ADDRESS, str(error)) from error
         self._byte_s = BITS_PER_BYTE / baud
         self._block: bytes | None = None
@@ -427,6 +405,8 @@ access until the system has set its owner."""
 
 EXPECTED_WHILE_LOST = (FailureKind.ABSENT, FailureKind.REFUSED)
 """Reasons that say no more than that the link is still away."""
+AFTER = {FailureKind.ENDED: LinkState.ENDED, FailureKind.NONSENSE: LinkState.FAILED}
+"""State of a link that is read no further."""
 
 
 class Reader:
@@ -490,9 +470,9 @@ class Reader:
         try:
             self._read(link)
         except LinkFailure as failure:
-            ended = failure.kind is FailureKind.ENDED
-            self._say(LinkState.ENDED if ended else LinkState.LOST, str(failure))
-            return ended
+            self._say(AFTER.get(failure.kind, LinkState.LOST), str(failure))
+            # What speaks another language will do so again: one sentence, not one a second.
+            return failure.kind in AFTER
         finally:
             link.close()
         # Only a stop ends the reading without a failure.

@@ -29,7 +29,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel, Pads
-from skincal.modules.pose_fit import bends_of, fit_modules, whitened
+from skincal.modules.pose_fit import fit_modules, whitened
 from skincal.studies import exact
 from skincal.studies.alternatives import ModuleProblem
 from skincal.studies.exact import NO_NUMBER, Truth, distance, distance_to
@@ -340,7 +340,7 @@ def modules_by_normal_equations(case: Case, order: IntArray, surface: Surface | 
         rows = whitened(problem.touches, problem.laid(pose), problem.noise)
         a = rows.slopes.reshape(-1, rows.slopes.shape[2])
         right, plain = a.T @ rows.misses.ravel(), a.T @ a
-        matrix = plain - np.sum(bends_of(problem.touches, rows, problem.model.ground), axis=0)
+        matrix = plain - np.sum(rows.bends, axis=0)
         bent = bool(np.linalg.eigvalsh(matrix + matrix.T)[0] > 0.0)
         step = _solved(matrix if bent else plain, right)
         if not np.isfinite(step).all():

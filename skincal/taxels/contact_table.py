@@ -21,7 +21,7 @@ came, nor on what was in it and was dropped again.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -90,12 +90,14 @@ class Evidence:
         """(t,) contacts of each taxel."""
         return self.starts[1:] - self.starts[:-1]
 
-    def doubted(self) -> list[dict[int, float]]:
+    def doubted(self) -> list[Mapping[int, float]]:
         """Return for each taxel the pokes whose trust is below 1: number to trust."""
-        doubted: list[dict[int, float]] = [{} for _ in range(len(self.channels))]
+        doubted: dict[int, dict[int, float]] = {}
         for place in (self.trust < 1.0).nonzero()[0].tolist():
-            doubted[int(self.taxels[place])][int(self.pokes[place])] = float(self.trust[place])
-        return doubted
+            doubted.setdefault(int(self.taxels[place]), {})[int(self.pokes[place])] = float(self.trust[place])
+        # One for all that doubt nothing: thousands of empty ones would set the garbage collector off.
+        none = dict[int, float]()
+        return [doubted.get(taxel, none) for taxel in range(len(self.channels))]
 
     def trusted(self, trust: FloatArray) -> Evidence:
         """Return the same evidence with another trust (n,)."""
@@ -166,23 +168,20 @@ class ContactTable:
             return
         columns = _carried(contacts)
         owner, channels, weights = _answers(contacts)
-        for contact in contacts:
-            self.drop(contact.poke)
+        pokes = [contact.poke for contact in contacts]
+        self._drop_all(pokes)
         first, begin = self._contacts, self._answers
         self._contacts, self._answers = first + len(contacts), begin + len(owner)
         self._make_room()
         rows = slice(first, self._contacts)
         self._table[:, rows] = columns
-        self._pokes[rows] = [contact.poke for contact in contacts]
+        self._pokes[rows] = pokes
         self._poses[rows] = [self._pose_names.setdefault(contact.pose, len(self._pose_names)) for contact in contacts]
         self._live[rows] = True
         self._total[rows] = np.bincount(owner, weights=weights, minlength=len(contacts))
         self._owner[begin : self._answers] = owner + first
         self._weight[begin : self._answers] = weights
-        for row, contact in enumerate(contacts, start=first):
-            # One poke given twice in a list: the last counts, as it does in two calls.
-            self.drop(contact.poke)
-            self._rows[contact.poke] = row
+        self._name(pokes, first)
         order = np.argsort(channels, kind="stable")
         channels, answers = channels[order], order + begin
         edges = _starts(channels)
@@ -191,6 +190,21 @@ class ContactTable:
             if channel not in self._of_channel:
                 self._of_channel[channel] = array("q")
             self._of_channel[channel].frombytes(answers[start:end].tobytes())
+
+    def _drop_all(self, pokes: Sequence[int]) -> None:
+        for poke in pokes if self._rows else ():
+            self.drop(poke)
+
+    def _name(self, pokes: Sequence[int], first: int) -> None:
+        """Note that the pokes, none of which is in, have the rows from `first` on."""
+        rows = dict(zip(pokes, range(first, first + len(pokes)), strict=True))
+        if len(rows) == len(pokes):
+            self._rows.update(rows)
+            return
+        for row, poke in enumerate(pokes, start=first):
+            # One poke given twice in a list: the last counts, as it does in two calls.
+            self.drop(poke)
+            self._rows[poke] = row
 
     def drop(self, poke: int) -> None:
         """Leave out the contact of a poke, if there is one."""
@@ -308,14 +322,16 @@ def _grown(columns: NDArray[Any], room: int) -> NDArray[Any]:
 
 def _answers(contacts: Sequence[Contact]) -> tuple[IntArray, IntArray, FloatArray]:
     """Return for each answer: index of the contact, channel, weight k = t_j/max_y t_y."""
-    sizes = np.array([len(contact.channels) for contact in contacts])
-    channels = np.concatenate([contact.channels for contact in contacts]).astype(np.int64)
+    answering = [contact.channels for contact in contacts]
+    sizes = np.fromiter(map(len, answering), np.int64, len(answering))
+    channels = np.concatenate(answering).astype(np.int64)
     responses = np.concatenate([contact.responses for contact in contacts]).astype(float)
     owner = np.repeat(np.arange(len(contacts)), sizes)
-    strongest = np.zeros(len(contacts))
+    strongest, some = np.zeros(len(contacts)), np.flatnonzero(sizes)
+    if len(some):
+        strongest[some] = np.maximum.reduceat(responses, (np.cumsum(sizes) - sizes)[some])
     with np.errstate(invalid="ignore", divide="ignore"):
-        np.maximum.at(strongest, owner, responses)
-        weights = responses / strongest[owner]
+        weights = responses / np.maximum(strongest, 0.0)[owner]
     good = np.isfinite(weights) & (weights > 0)
     if not good.all():
         poke = contacts[int(owner[(~good).argmax()])].poke
@@ -329,7 +345,7 @@ def _carried(contacts: Sequence[Contact]) -> FloatArray:
     with shared().call() as call:
         forces = call.give(np.array([contact.force for contact in contacts]))
         moments = call.give(np.array([contact.moment for contact in contacts]))
-        poses = call.give(np.array([contact.link_from_sensor for contact in contacts]))
+        poses = call.give(np.concatenate([contact.link_from_sensor for contact in contacts]))
         place = call.room((_COLUMNS, count))
         call.run("carry", [count, forces, moments, poses, place])
         columns = call.taken(place)

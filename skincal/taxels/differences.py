@@ -6,7 +6,8 @@ parts: its **shift**, the length of the mean difference, and its **shape**, what
 
     R = V diag(1, 1, det(V U')) U',   shape^2 = mean |R a - b|^2.
 
-The determinant keeps R from being a reflection: a mirrored module is not a turned one.
+The determinant keeps R from being a reflection: a mirrored module is not a turned one. The same motion over all taxels is what
+two sets have in common: a part that was mounted anew, or an error of the rig that moves all taxels alike.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from skincal.taxels.result import Estimate
 
 FEWEST = 3
 """Taxels that determine how a module is turned; with fewer its shape is not known."""
+ON_A_LINE = 1e-9
+"""Taxels whose extents have this ratio lie on one line, to the last digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,69 @@ class ModuleDifference:
     """m, length of the mean difference: what the module is moved by as a whole."""
     shape: float | None
     """m, rms after the module's own best rigid motion; None with fewer than three taxels."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommonMotion:
+    """The rigid motion of all taxels that fits best from one set of places to another, and what it leaves."""
+
+    turn: float
+    """rad."""
+    shift: float
+    """m, by how far it moves the taxels' middle: the length of the mean difference."""
+    mean: float
+    """m, of the lengths that are left."""
+    largest: float
+    """m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeatability:
+    """How well two sets of places repeat each other."""
+
+    lengths: FloatArray
+    """(n,) float, metres, of the differences; NaN where either is unknown."""
+    summary: Summary | None
+    """None where no taxel is known in both."""
+    motion: CommonMotion | None
+    """None with fewer than three taxels, or where these lie on one line: they do not tell how all is turned."""
+    modules: tuple[ModuleDifference, ...]
+    """Those with a taxel known in both, in the order of their numbers."""
+
+
+def repeatability(here: FloatArray, there: FloatArray, owners: IntArray | None = None) -> Repeatability:
+    """Return how well two sets of places of the same taxels repeat each other.
+
+    Parameters
+    ----------
+    here, there : (n, 3) float, metres, of the same taxels; NaN where unknown
+    owners : (n,) int, the number of each taxel's module from 0, negative for none; None where there are no modules
+    """
+    _, lengths = differences(here, there)
+    modules = () if owners is None else compare_groups(owners, here, there)
+    return Repeatability(lengths, summarise(lengths), common_motion(here, there), modules)
+
+
+def common_motion(here: FloatArray, there: FloatArray) -> CommonMotion | None:
+    """Return the rigid motion that fits best from `here` to `there`, both (n, 3) float, metres, NaN where unknown.
+
+    None where fewer than three taxels are known in both, or where they lie on one line.
+    """
+    rows = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+    if int(rows.sum()) < FEWEST:
+        return None
+    first, second = here[rows].mean(axis=0), there[rows].mean(axis=0)
+    a, b = here[rows] - first, there[rows] - second
+    left, sizes, right = np.linalg.svd(a.T @ b)
+    if sizes[1] <= ON_A_LINE * sizes[0]:
+        return None
+    left[:, 2] *= np.sign(np.linalg.det(left @ right))
+    turn = left @ right
+    # Of a small turn the cosine has no digits, of one near a half turn the sine has none.
+    sine = np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    angle = float(np.arctan2(sine, np.trace(turn) - 1.0))
+    off = np.linalg.norm(a @ turn - b, axis=1)
+    return CommonMotion(angle, float(np.linalg.norm(second - first)), float(off.mean()), float(off.max()))
 
 
 def places_of(estimates: Sequence[Estimate]) -> FloatArray:
@@ -103,10 +169,15 @@ def compare_modules(layout: Layout, channels: IntArray, here: FloatArray, there:
     channels : (n,) int, of the taxels
     here, there : (n, 3) float, metres, of the same taxels; NaN where unknown
     """
+    return compare_groups(layout.module_of[channels], here, there)
+
+
+def compare_groups(owners: IntArray, here: FloatArray, there: FloatArray) -> tuple[ModuleDifference, ...]:
+    """Return how far each module lies apart, as `compare_modules` does; `owners` as for `repeatability`."""
     ways, lengths = differences(here, there)
-    owners = layout.module_of[channels]
     rows = np.flatnonzero(np.isfinite(lengths) & (owners >= 0))
-    owners, count = owners[rows], len(layout.modules)
+    count = int(owners.max(initial=-1)) + 1
+    owners = owners[rows]
     known = np.bincount(owners, minlength=count)
     share = 1.0 / np.maximum(known, 1)
     mean = share * _sums(owners, lengths[rows, None], count)[:, 0]

@@ -25,9 +25,8 @@ What is said of a taxel here is its state and a `Cause` with numbers.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from math import copysign, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,35 +77,6 @@ def factor(a: FloatArray, b: FloatArray, starts: IntArray) -> Factors:
         return Factors(call.taken(roots), offsets, call.taken(ranks).astype(np.int64), solutions, blind)
 
 
-def triangle(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return (d, d + 1) R | c with |A p - b|^2 = |R p - c|^2 + a constant, of a (m, d) and b (m,): `factor` for any d.
-
-    R is triangular but for the order of its columns, which is that of p.
-    """
-    unknowns = a.shape[1]
-    rows = np.zeros((max(len(a), unknowns), unknowns + 1))
-    rows[: len(a), :unknowns], rows[: len(a), unknowns] = a, b
-    rows[: len(a)] = rows[np.argsort(-np.sum(a * a, axis=1), kind="stable")]
-    for k in range(unknowns):
-        # Columns that are done are zero here.
-        left = rows[k:]
-        squares = np.einsum("ij,ij->j", left[:, :unknowns], left[:, :unknowns])
-        pivot = int(squares.argmax())
-        size, v = sqrt(squares[pivot]), left[:, pivot].copy()
-        if size == 0.0:
-            break
-        if k == unknowns - 1:
-            # A plain projection, as in `factor.h`.
-            left[0, unknowns] = v @ left[:, unknowns] / size
-            left[0, pivot] = size
-        else:
-            alpha = copysign(size, v[0])
-            v[0] += alpha
-            left -= v[:, None] * (v @ left / (alpha * v[0]))
-            left[1:, pivot], left[0, pivot] = 0.0, -alpha
-    return rows[:unknowns]
-
-
 RIVAL_ODDS = 20.0
 """A place that is less than 20 times less likely than the estimate is a rival: the usual 95 %."""
 RIVAL_APART = 0.010
@@ -152,7 +122,7 @@ class Solution:
 
     evidence: Evidence
     """With the trust that was found."""
-    doubted: list[dict[int, float]]
+    doubted: list[Mapping[int, float]]
     """For each taxel the pokes whose trust is below 1: number to trust."""
     factors: Factors
     pushes: FloatArray
@@ -174,6 +144,7 @@ def solve(
     surface: Surface | None,
     last: IntArray | None = None,
     doubting: bool = True,
+    second: bool = False,
 ) -> Solution:
     """Solve each taxel of `evidence`.
 
@@ -182,6 +153,7 @@ def solve(
     surface : needed by the surface method
     last : (t,) the triangles of the last answers, -1 where there are none; they make the search shorter and nothing else
     doubting : whether contacts far off the others count less; else all have the trust of `evidence`
+    second : whether this is a second thread, beside one that solves, too
     """
     count, answers = len(evidence.channels), len(evidence.weights)
     free = Method.FREE in methods
@@ -191,6 +163,7 @@ def solve(
         from skincal.mesh.search import solver_copy
 
         machine, place = solver_copy(surface)
+    machine = machine.twin() if second else machine
     with machine.call() as call:
         asked = _asked(call, evidence, noise)
         trust = call.changed(evidence.trust)

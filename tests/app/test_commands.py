@@ -138,7 +138,7 @@ def test_a_key_that_means_something_is_refused_and_the_next_one_is_waited_for(be
     bench.open(OpenRequest(session=recorded))
     dialog = learn(bench, Key.Key_V)
     assert approved("commands.key_taken", key="V", command="Next method") in dialog.outcome.text()
-    assert bench.window.session_view.state.method is Method.SURFACE, "the key went to nobody else"
+    assert bench.window.session_view.state.method is Method.MODULES, "the key went to nobody else"
     tap(bench, Key.Key_Control)
     assert approved("commands.key_modifies", key="Ctrl") in dialog.outcome.text()
     tap(bench, Key.Key_B, Qt.KeyboardModifier.ControlModifier)
@@ -152,7 +152,7 @@ def test_a_key_that_means_something_is_refused_and_the_next_one_is_waited_for(be
     tap(bench, Key.Key_Escape)
     gone(bench, PedalsDialog)
     bench.key(Key.Key_V)
-    assert bench.window.session_view.state.method is not Method.SURFACE, "keys go to the window again"
+    assert bench.window.session_view.state.method is not Method.MODULES, "keys go to the window again"
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,7 @@ def test_a_new_session_starts_and_its_calibration_is_written_by_the_space_bar(be
     export = dialog_of(bench, ExportDialog)
     assert export.focusWidget() is export.write
     tap(bench, Key.Key_Space)
-    path = bench.documents / "icub-right-forearm-v1-surface.txt"
+    path = bench.documents / "icub-right-forearm-v1-modules.txt"
     bench.until(lambda: path.exists() and "Written" in export.outcome.text(), OPEN_MS)
     assert path.read_text().startswith("name ")
     tap(bench, Key.Key_Space)

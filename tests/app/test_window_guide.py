@@ -360,14 +360,14 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert changed(view, pixels(session_view.workspace.view)) == 0
     assert changed(on_map, pixels(session_view.workspace.map)) == 0
 
-    for method in (Method.SURFACE, Method.FREE, Method.MODULES):
+    for method in (Method.MODULES, Method.SURFACE, Method.FREE):
         assert session_view.state.guidance.method is method
         before, on_map = session_view.state.target, pixels(session_view.workspace.map)
         bench.key(Qt.Key.Key_N)
         assert session_view.state.target.channel != before.channel
         assert changed(on_map, pixels(session_view.workspace.map)) > 60
         bench.key(Qt.Key.Key_V)
-    assert session_view.state.guidance.method is Method.SURFACE
+    assert session_view.state.guidance.method is Method.MODULES
     assert session_view.state.target.channel != first.channel, "what was skipped stays skipped"
     again = session_view.state.guidance
     session_view.follow_again()
@@ -378,13 +378,15 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     assert paints.count == 0
 
 
-def test_turning_is_a_choice_of_the_view_menu_that_is_remembered(bench, qtbot, tmp_path, recorded):
+def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, qtbot, tmp_path, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["turn"].isChecked()
     assert stage_of(bench.window.session_view.workspace.view).turner.wanted
     bench.key(Qt.Key.Key_T)
     assert not stage_of(bench.window.session_view.workspace.view).turner.wanted
+    bench.key(Qt.Key.Key_4, Qt.KeyboardModifier.ControlModifier)
+    assert ellipses_drawn(bench) == 0
     bench.window.close()
     QSettings("skincal", "test").sync()
     other = Bench(qtbot, tmp_path / "again")
@@ -392,7 +394,17 @@ def test_turning_is_a_choice_of_the_view_menu_that_is_remembered(bench, qtbot, t
     other.until_all_is_there()
     assert not other.window.commands.actions["turn"].isChecked()
     assert not stage_of(other.window.session_view.workspace.view).turner.wanted
+    assert ellipses_drawn(other) == 0
+    other.key(Qt.Key.Key_4, Qt.KeyboardModifier.ControlModifier)
+    assert ellipses_drawn(other) == 1
     other.window.close()
+
+
+def ellipses_drawn(bench):
+    """How many shapes of ellipses are in the picture."""
+    stage = stage_of(bench.window.session_view.workspace.view)
+    (layer,) = (layer for layer in stage.layers if layer.name == "uncertainty")
+    return sum(stage.renderer.HasViewProp(prop) for prop in layer.props())
 
 
 def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):
@@ -423,7 +435,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
     for longest in (
         approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"),
-        approved("guide.enough", done=84, count=84, target_mm=3),
+        approved("guide.enough", done=84, count=84),
     ):
         now.headline.setText(longest)
         assert not is_elided(now.headline)

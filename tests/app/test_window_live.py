@@ -87,10 +87,10 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     bench.key(Qt.Key.Key_Backspace)
     assert known(bench.snapshot) == estimates
 
-    assert window.session_view.state.method is Method.SURFACE
+    assert window.session_view.state.method is Method.MODULES
     bench.key(Qt.Key.Key_V)
-    assert window.session_view.state.method is Method.FREE
-    assert workspace.method_box.currentData() is Method.FREE
+    assert window.session_view.state.method is Method.SURFACE
+    assert workspace.method_box.currentData() is Method.SURFACE
     bench.key(Qt.Key.Key_5)
     assert workspace.tabs.currentWidget() is workspace.devices
     assert set(workspace.devices.cards) == {"wrench", "skin", "joints"}

@@ -202,8 +202,8 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
         name = poked.asked
         number = poked.poke(answered=answered)
         assert bench.snapshot.at_landmarks[number] == name
-        assert poked.now.headline.text() == approved("landmark.accepted", poke=number, name=name)
-        assert poked.now.detail.text() == approved("landmark.ask_next", name=poked.asked)
+        assert poked.now.result.text().endswith(approved("landmark.accepted", poke=number, name=name))
+        assert poked.now.headline.text() == approved("landmark.ask", name=poked.asked)
         assert poked.asked != name
     assert [sound for sound, _ in bench.player.played] == ["ACCEPTED", "ACCEPTED"]
     assert bench.snapshot.can_undo == approved("landmark.undo_poke", poke=number, name=name)
@@ -274,6 +274,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
 def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     bench, panel = poked.bench, poked.panel
     bench.key(Key.Key_7)
+    bench.key(Key.Key_V)
     assert not bench.window.commands.actions["correct"].isEnabled()
     for _ in range(6):
         poked.poke()

@@ -24,6 +24,11 @@ KEPT: list[QMainWindow] = []
 def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
     """A view of the box with skin, built and on the screen."""
     plan_of = layout()
+    return view_of(qtbot, canvas, scene(plan_of if plan else None), box() if surface else None, laid(plan_of) if plan else skin)
+
+
+def view_of(qtbot, canvas, of, surface, skin):
+    """A view of a scene with 24 channels, built and on the screen."""
     window = QMainWindow()
     KEPT.append(window)
     view = View3D(window, canvas)
@@ -33,7 +38,7 @@ def make_view(qtbot, canvas=Canvas.RASTER, surface=True, plan=True, skin=None):
     with qtbot.waitExposed(window):
         window.show()
     with qtbot.waitSignal(view.ready, timeout=60_000):
-        view.begin(scene(plan_of if plan else None), box() if surface else None, laid(plan_of) if plan else skin, range(24))
+        view.begin(of, surface, skin, range(24))
     settle()
     return view
 

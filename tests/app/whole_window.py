@@ -53,7 +53,8 @@ class Bench:
         self.player = player or Listener()
         self.window = Window(self.controller, self.theme, QSettings("skincal", "test"), self.documents, self.player)
         self.window.resize(1280, 720)
-        qtbot.addWidget(self.window)
+        # Pokes in a temporary recording would else be asked about at the end of a test.
+        qtbot.addWidget(self.window, before_close_func=lambda window: window.leave())
         with qtbot.waitExposed(self.window):
             self.window.show()
 

@@ -21,6 +21,8 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
+from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
 
@@ -29,10 +31,13 @@ import numpy as np
 from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
+from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import STAMP_MAX
 from skincal.streams.links import LinkSpec
 
+LINE_MOST = 4 << 20
+"""Letters of a row: 100,000 channels have a quarter."""
 BLOCK = 64
 """Rows that are read at a time."""
 TEXTS_MAX = 1 << 12
@@ -188,8 +193,10 @@ def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[
     marks = [mark for mark in " \t\"'" if mark != separator]
     try:
         # Spreadsheets begin a file with a byte order mark.
-        with path.open(encoding="utf-8-sig", errors="replace") as file:
-            for text in file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
+            for text in iter(partial(file.readline, LINE_MOST), ""):
+                if len(text) == LINE_MOST:
+                    raise InputError(f"{path}: a line has {LINE_MOST} letters or more; expected a row a reading.")
                 # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):

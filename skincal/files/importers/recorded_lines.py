@@ -299,7 +299,8 @@ def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
 def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: Collection[str] = ()) -> Iterator[Chunk]:
     """Yield the lines of all files, of one time each, in the order of their time, neighbours of one file in one chunk; lazily.
 
-    Of the files named in `alone` every line is a chunk, so that it comes before all later lines of the others.
+    Of the files named in `alone` a chunk holds no more than the lines before the next chunk of another file, so that each comes
+    before all later lines of the others.
     """
     agree(timelines)
     origin = min(timeline.first for timeline in timelines)
@@ -307,7 +308,23 @@ def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: 
         _chunks(timeline, _placed(timeline, lines(), origin), together=timeline.name not in alone)
         for timeline, lines in zip(timelines, sources, strict=True)
     ]
-    return heapq.merge(*placed, key=lambda chunk: chunk.host_ns)
+    return _joined(heapq.merge(*placed, key=lambda piece: piece[0].host_ns))
+
+
+def _joined(pieces: Iterable[tuple[Chunk, bool]]) -> Iterator[Chunk]:
+    """Yield chunks, those that may be joined with their neighbours of the same file as one, at the time of the last."""
+    held: list[Chunk] = []
+    for chunk, joins in pieces:
+        fits = joins and held and chunk.link == held[0].link and chunk.host_ns - held[0].host_ns <= TOGETHER_NS
+        if held and not (fits and len(held) < TOGETHER_LINES):
+            yield Chunk(held[0].link, held[-1].host_ns, b"".join([one.data for one in held]))
+            held = []
+        if joins:
+            held.append(chunk)
+        else:
+            yield chunk
+    if held:
+        yield Chunk(held[0].link, held[-1].host_ns, b"".join([one.data for one in held]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,8 +355,10 @@ def _placed(timeline: RecordedTimes, blocks: Iterator[RecordedLines], origin: fl
         latest, before, index = int(times[-1]), float(stamps[-1]), end
 
 
-def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: bool) -> Iterator[Chunk]:
+def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: bool) -> Iterator[tuple[Chunk, bool]]:
     """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is a chunk alone.
+
+    Where lines do not go `together` each is a chunk; beside a chunk stands whether it may be joined with others.
 
     The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
     last line's is right, the others only look late. A clock's first line has no other to be measured by.
@@ -350,10 +369,10 @@ def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: boo
         times, steady, at = block.host_ns, block.steady, 0
         while at < len(times):
             if held and (not steady[at] or times[at] - first_ns > TOGETHER_NS or len(held) >= TOGETHER_LINES):
-                yield Chunk(timeline.name, last_ns, b"".join(held))
+                yield Chunk(timeline.name, last_ns, b"".join(held)), False
                 held = []
             if not (steady[at] and together):
-                yield Chunk(timeline.name, times[at], block.data[at])
+                yield Chunk(timeline.name, times[at], block.data[at]), steady[at] and not together
                 at += 1
                 continue
             first_ns = first_ns if held else times[at]
@@ -363,4 +382,4 @@ def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: boo
             held += block.data[at:end]
             last_ns, at = times[end - 1], end
     if held:
-        yield Chunk(timeline.name, last_ns, b"".join(held))
+        yield Chunk(timeline.name, last_ns, b"".join(held)), False

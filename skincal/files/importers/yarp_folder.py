@@ -22,6 +22,7 @@ import numpy as np
 from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
+from skincal.model.given import open_regular, read_regular
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
@@ -46,6 +47,8 @@ GRAMMAR_LINES = 50
 """Lines from which the grammar of an old log is found."""
 BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
+INFO_MOST = 1 << 16
+"""Bytes of `info.log`, which has some lines."""
 BLOCK = 1 << 13
 """bytes that are read at a time: some 100 wrenches."""
 TOO_LONG = b"...\n"
@@ -203,8 +206,8 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
 
 def _read_info(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
-    except OSError:
+        return read_regular(path, INFO_MOST).decode("utf-8", "replace")
+    except InputError:
         # Old data sets come without it.
         return ""
 
@@ -220,7 +223,7 @@ def _whole_lines(path: Path) -> Iterator[list[bytes]]:
     Of a line that is too long to be a record, `TOO_LONG` is given.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path, advice="check the path and its rights") as file:
             rest, cut = b"", False
             while data := file.read(BLOCK):
                 lines = BytesIO(rest + data).readlines()

@@ -3,6 +3,7 @@
  * Compiled for WebAssembly by `python -m tools.solver`. What a function is asked is written into `asked` before it is called:
  * where the memory that it may use begins, then a table of numbers and places of arrays.
  */
+#include "modules.h"
 #include "rival.h"
 #include "trust.h"
 #include "uncertainty.h"
@@ -179,7 +180,7 @@ static void solve_taxel(const Task *t, int i)
 }
 
 /* Without arguments a call costs a fifth: the host checks and converts each of them. */
-static struct { unsigned char *begin; Word table[31]; } asked;
+static struct { unsigned char *begin; Word table[47]; } asked;
 
 static void begin(void)
 {
@@ -312,5 +313,71 @@ EXPORT void second(void)
         Best found = q->triangles[i] < 0 ? none : second_to(q->surface, &m, vec_at(q->best + 3 * i), q->radii[i], q->limits[i]);
         put_best(q, i, found);
         q->tried[i] = m.tried;
+    }
+}
+
+/* n walks over a surface. */
+typedef struct {
+    const Ground *ground;
+    Word walks;
+    const double *ways;    /* (n, 2) metres, along x and along normal x x */
+    double *points, *x;    /* (n, 3) where they begin, then where they end */
+    int *triangles;        /* (n) */
+} Walks;
+
+EXPORT void walk(void)
+{
+    const Walks *q = (const Walks *)asked.table;
+    begin();
+    for (Word i = 0; i < q->walks; i++) {
+        Footing start = {q->triangles[i], vec_at(q->points + 3 * i), vec_at(q->x + 3 * i)};
+        Footing end = walked(q->ground, start, q->ways[2 * i], q->ways[2 * i + 1]);
+        put(q->points + 3 * i, end.point);
+        put(q->x + 3 * i, end.x);
+        q->triangles[i] = end.triangle;
+    }
+}
+
+EXPORT void place_modules(void)
+{
+    const Boards *q = (const Boards *)asked.table;
+    begin();
+    for (Word i = 0; i < q->modules; i++) {
+        unsigned char *mark = top;
+        place(q, (int)i);
+        top = mark;
+    }
+}
+
+/* The whitened rows of pokes on modules whose pads lie where they are said to. */
+typedef struct {
+    Touches touches;
+    double *slopes, *misses, *whiten; /* (m, 2, d), (m, 2), (m, 2, 2) */
+    double *normals;                  /* (m, 3) of the skin at the middles */
+    double *bends;                    /* (m, d, d), see `add_bends`; null: not asked for */
+} ModuleRows;
+
+EXPORT void module_rows(void)
+{
+    const ModuleRows *q = (const ModuleRows *)asked.table;
+    Word d = q->touches.unknowns;
+    begin();
+    for (Word i = 0; i < q->touches.pokes; i++) {
+        Row r;
+        row_of(&q->touches, (int)i, &r);
+        for (Word k = 0; k < 2; k++) {
+            for (Word j = 0; j < d; j++) q->slopes[(2 * i + k) * d + j] = r.slopes[k][j];
+            q->misses[2 * i + k] = r.misses[k];
+        }
+        q->whiten[4 * i] = r.whiten[0];
+        q->whiten[4 * i + 1] = 0.0;
+        q->whiten[4 * i + 2] = r.whiten[1];
+        q->whiten[4 * i + 3] = r.whiten[2];
+        put(q->normals + 3 * i, r.middle.normal);
+        if (!q->bends) continue;
+        double bends[UNKNOWNS][UNKNOWNS] = {{0}};
+        add_bends(&q->touches, &r, r.misses, 1.0, bends);
+        for (Word j = 0; j < d; j++)
+            for (Word k = 0; k < d; k++) q->bends[(i * d + j) * d + k] = bends[j][k];
     }
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -178,6 +178,19 @@ class Collector:
         return WrenchBatch(seq, device_s, values, saturated, invalid)
 
 
+class Pieces(Protocol):
+    """Cuts bytes into pieces; how the bytes came makes no difference."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether bytes of a piece that is not whole are kept, or left out."""
+        ...
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        """Return the pieces that `data` completes; None stands for bytes that are no piece."""
+        ...
+
+
 class Splitter:
     """Cuts bytes at `mark`; what has no mark yet is kept, never more than `limit` bytes."""
 
@@ -211,7 +224,7 @@ class Splitter:
 
 
 class PieceDecoder(ABC):
-    """A decoder of pieces that end with a mark.
+    """A decoder of pieces, which end with a mark unless it cuts them otherwise.
 
     The first piece after opening may have lost its beginning: it counts as nothing, unless it is good.
     """
@@ -220,14 +233,21 @@ class PieceDecoder(ABC):
     mark: ClassVar[bytes]
     limit: ClassVar[int]
     """Bytes. A piece beyond it is dropped whole."""
+    no_piece: ClassVar[Loss] = Loss.UNREADABLE
+    """As what bytes are counted that are no piece."""
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         self.counts: Counter[Loss] = Counter()
         self.good: int = 0
         """Records that are surely of this format."""
         self._collector = Collector(channels, carries, self.counts)
-        self._splitter = Splitter(self.mark, self.limit)
+        self._splitter = self._make_splitter()
         self._first = True
+        self.extras: dict[str, float] = {}
+        """What else the device measured last, by name and unit, such as its temperature."""
+
+    def _make_splitter(self) -> Pieces:
+        return Splitter(self.mark, self.limit)
 
     @property
     def note(self) -> str:
@@ -237,7 +257,7 @@ class PieceDecoder(ABC):
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete."""
         for piece in self._splitter.split(data):
-            problem = Loss.UNREADABLE if piece is None else self._decode(piece)
+            problem = self.no_piece if piece is None else self._decode(piece)
             if problem is not None and not self._first:
                 self.counts[problem] += 1
             self._first = False

@@ -1,14 +1,17 @@
 """The decoders by their names, and which of them a link needs.
 
-That is found from the bytes and the host's stamps of its chunks alone, so that a replay decides alike.
-SKB/1 and SKT/1 prove themselves: one record with a good checksum decides. Until then both are tried side by side, and
-delimited text with them; 300 ms after the first bytes the readings of the text are let through. A device that sends words
-first and records later is still found: text is final only when it has given a reading.
+That is found from the bytes and the host's stamps of its chunks alone, so that a replay decides alike. SKB/1 and SKT/1
+prove themselves: one record with a good checksum decides, as it does for makers' devices that have one, which are tried,
+too, once bytes come that are no text. Until then all are tried side by side, and delimited text with them; 300 ms after the
+first bytes the readings of the text are let through. A device that sends words first and records later is still found: text
+is final only when it has given a reading.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from importlib import import_module
+from typing import Any
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
@@ -29,7 +32,24 @@ _CLASSES: dict[str, type[PieceDecoder]] = {
     "csv": CsvDecoder,
 }
 """By the name in a link's description."""
-NAMES = (AUTO, *_CLASSES)
+_MAKERS = {
+    "rdt": ("rdt", "RdtDecoder"),
+    "yarp-port": ("yarp_port", "YarpPortDecoder"),
+    "bota": ("bota", "BotaDecoder"),
+    "robotiq": ("robotiq", "RobotiqDecoder"),
+    "robotiq-text": ("robotiq", "RobotiqTextDecoder"),
+    "rtde": ("rtde", "RtdeDecoder"),
+    "xela": ("xela", "XelaDecoder"),
+    "papillarray": ("papillarray", "PapillArrayDecoder"),
+}
+"""File and class of the decoders of makers' devices: imported where a link needs one."""
+_SELF_PROVING = ("bota", "robotiq", "papillarray")
+"""Those whose checksum proves them; tried where bytes come that no text has."""
+NAMES = (AUTO, *_CLASSES, *_MAKERS)
+OWN_PROBES = 2
+"""SKB/1 and SKT/1, which are always tried."""
+_TEXT = bytes([*range(9, 14), *range(32, 127)])
+"""Bytes that a text has."""
 TEXT_AFTER_NS = 300_000_000
 """Nanoseconds of bytes without a good checksum before text is believed: six frames at 20 Hz, ten at 35 Hz."""
 TEXT_AFTER_BYTES = 65536
@@ -41,6 +61,11 @@ def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -
 
     Raises InputError: no format has this name.
     """
+    if name in _MAKERS:
+        file, kind = _MAKERS[name]
+        made: Any = getattr(import_module(f"skincal.streams.decoders.{file}"), kind)
+        decoder: PieceDecoder = made(channels, carries)
+        return decoder
     if name not in _CLASSES:
         raise InputError(f"A link's format is {name!r}; expected one of {', '.join(NAMES)}.")
     return _CLASSES[name](channels, carries)
@@ -51,7 +76,8 @@ class LinkDecoder:
 
     def __init__(self, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> None:
         self._chosen: PieceDecoder | None = None
-        self._probes: tuple[SkbDecoder, SktDecoder] | None = None
+        self._probes: tuple[PieceDecoder, ...] | None = None
+        self._link = channels, carries
         self._text = TextDecoder(channels, carries)
         self._held: list[tuple[int, Batch]] = []
         self._first_ns: int | None = None
@@ -76,10 +102,17 @@ class LinkDecoder:
         """What the device got wrong or said last, a sentence; empty if nothing."""
         return "" if self._chosen is None else self._chosen.note
 
+    @property
+    def extras(self) -> dict[str, float]:
+        """What else the device measured last, by name and unit."""
+        return {} if self._chosen is None else self._chosen.extras
+
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
         """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
         if self._probes is None:
             return [] if self._chosen is None else [(host_ns, batch) for batch in self._chosen.feed(data)]
+        if len(self._probes) == OWN_PROBES and data.translate(None, _TEXT):
+            self._probes += tuple(make_decoder(name, *self._link) for name in _SELF_PROVING)
         for probe in self._probes:
             batches = probe.feed(data)
             if probe.good:

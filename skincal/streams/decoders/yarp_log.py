@@ -172,7 +172,7 @@ def is_header(line: bytes) -> bool:
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
 
 
-class _Steps:
+class Steps:
     """Counts the numbers missing in a sequence whose usual step is not 1 where the sender publishes on many ports."""
 
     def __init__(self) -> None:
@@ -222,7 +222,7 @@ class YarpDecoder(PieceDecoder):
             raise InputError("An imported file carries one stream; expected one file each for wrench, skin and joints.")
         self._first = False  # A log is read from its first line on: nothing of it is lost.
         self._stream = carries[0]
-        self._steps = _Steps()
+        self._steps = Steps()
 
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete."""

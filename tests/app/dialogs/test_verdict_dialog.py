@@ -12,18 +12,18 @@ from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
 from app.state.policies import Offer
-from app.text.verdict_text import (
+from app.text.rig_text import rig_state
+from skincal.guide.progress import Need, Why
+from skincal.guide.verdict import Check, Left, Verdict
+from skincal.guide.verdict_words import (
     check_words,
     done_words,
     figures,
     landmark_words,
     left_words,
     predicted_words,
-    rig_state,
+    sentence,
 )
-from skincal.guide.progress import Need, Why
-from skincal.guide.verdict import Check, Left, Verdict
-from skincal.guide.verdict_sentence import verdict_sentence
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
 from skincal.sentences import correction_sentence, rig_sentences
@@ -81,7 +81,7 @@ def verdict(
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
-    assert verdict_sentence(what) == said
+    assert sentence(what) == said
 
 
 def test_the_figures_are_those_of_the_verdict():

@@ -15,11 +15,12 @@ from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect_panel import InspectPanel
 from app.panels.message_bar import MessageBar
 from app.panels.now_panel import NowPanel
+from app.panels.plot_panels import PlotPanel, ReadingsPanel
 from app.panels.plots import CurvesPanel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
 from app.panels.rig_panel import ArmPanel
 from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map
-from app.panels.widgets import theme_colours
+from app.panels.widgets import Painted, theme_colours
 from app.session_view import RIGHT_PX
 from app.state.policies import Mark
 from app.text.message import Message
@@ -479,3 +480,10 @@ def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
         dialog.buttons.accepted.emit()
     plan = chosen.args[0]
     assert (plan.addresses.wrench, plan.addresses.skin, plan.folder) == ("/dev/ttyUSB0", "/dev/ttyACM0", tmp_path / "new")
+
+
+def test_a_panel_that_only_its_subclasses_make_whole_cannot_be_made_itself(qtbot):
+    for kind in (Painted, PlotPanel):
+        with pytest.raises(TypeError, match="is made by its subclasses"):
+            kind()
+    qtbot.addWidget(ReadingsPanel())

@@ -10,8 +10,10 @@ from vtkmodules.vtkRenderingCore import vtkCamera
 
 from app.scene3d import camera
 from app.scene3d.camera import (
+    DOT,
     LEFT,
     REST_S,
+    SEEN,
     TURN_S,
     Stand,
     Turner,
@@ -21,7 +23,7 @@ from app.scene3d.camera import (
     turned_to,
     well_seen,
 )  # fmt: skip
-from app.scene3d.scene_state import View3DState
+from app.scene3d.scene_state import BALL, View3DState
 from skincal.contacts.outcome import PressPhase
 from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method
@@ -29,6 +31,7 @@ from tests.app.guide_support import target
 from tests.app.scene3d_support import live, snapshot
 
 TICK = 1 / 30
+SIZE = (900, 600)
 ASPECT = 1.5
 UP, X = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
@@ -197,7 +200,7 @@ class Turning:
         view = replace(view, progress=replace(view.progress, phase=self.phase))
         before = self.camera.GetPosition(), self.camera.GetViewUp(), self.camera.GetFocalPoint()
         reported = self.turner.step(
-            self.camera, ASPECT, View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
+            self.camera, SIZE, View3DState(snapshot(1, {}), view, Method.FREE, None, target=self.at), self.now_s
         )
         self.now_s += TICK
         moved = not np.allclose(np.concatenate(before), np.concatenate([
@@ -297,3 +300,25 @@ def test_switched_off_it_turns_nothing(turning):
     assert turning.run(1.0) == 0
     turning.ask(120)
     assert turning.run(0.4) > 8
+
+
+def test_where_a_taxel_would_be_a_dot_the_camera_goes_near_and_around_the_part(turning):
+    body = tube(radius=0.2, half=0.4)
+    camera.fit(turning.camera, body.vertices, UP, ASPECT, 0.015)
+    turning.turner = Turner(body, X)
+    slope = 2 * np.tan(np.radians(camera.VIEW_ANGLE / 2))
+    for degrees, along in ((0.0, 0.1), (10.0, 0.1), (170.0, -0.2), (-90.0, 0.3)):
+        turning.ask(degrees)
+        normal = turning.at.normal
+        turning.at = replace(turning.at, place=0.2 * normal + along * X)
+        for _ in range(12):
+            turning.tick()
+            position = np.array(turning.camera.GetPosition())
+            assert np.hypot(*position[1:]) > 0.2, "never through the part"
+        stand = stand_of(turning.camera)
+        assert well_seen(stand, turning.at.place, normal, ASPECT, body)
+        pixels = BALL * SIZE[1] / (slope * ((stand.position - turning.at.place) @ stand.axes[2]))
+        assert DOT < pixels < 1.3 * SEEN
+    turning.ask(-90.0)
+    turning.at = replace(turning.at, place=0.2 * turning.at.normal + 0.302 * X)
+    assert turning.run(1.0) == 0, "near as it is, the next taxel moves nothing"

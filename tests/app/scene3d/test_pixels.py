@@ -10,14 +10,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from scipy import ndimage
 
-from app.scene3d.camera import approach, orbit, project
+from app.scene3d.camera import approach, orbit, project, sight_of
+from app.scene3d.canvas import Canvas
 from app.scene3d.scene_state import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
+from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import Surface
+from skincal.mesh.lay import LaidSkin
+from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
+from tests.app.view3d_on_screen import KEPT, pixels, stage_of, turn, view_of
 
 pytestmark = pytest.mark.pixels
 
@@ -56,6 +62,12 @@ class Pictures:
     def close(self) -> None:
         self.stage.close()
         self.window.close()
+
+
+@pytest.fixture(autouse=True)
+def _windows():
+    yield
+    KEPT.clear()
 
 
 @pytest.fixture
@@ -111,6 +123,80 @@ def ring_steps() -> np.ndarray:
     from app.scene3d.target import RING
 
     return RING * np.array([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (np.cos(0.2), 0.0, -np.sin(0.2))])
+
+
+RADIUS = 0.04
+"""m, of a ball with skin all around: half of its taxels are turned away from any camera."""
+DEEP = {Method.FREE: (0.0, -1e-3, 1e-3, 3e-3, 8e-3), Method.SURFACE: (0.0,), Method.MODULES: (1.5e-3, 2.5e-3)}
+"""m. How far below the skin the estimates of each method lie, in turn."""
+
+
+def around_the_ball() -> np.ndarray:
+    """(24, 3) unit vectors, evenly spread."""
+    turn, height = np.arange(24) * np.pi * (3 - 5**0.5), 1 - (2 * np.arange(24) + 1) / 24
+    return np.stack([(1 - height**2) ** 0.5 * np.cos(turn), (1 - height**2) ** 0.5 * np.sin(turn), height], axis=1)
+
+
+def view_of_ball(qtbot, canvas: Canvas) -> View3D:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    skin = LaidSkin(RADIUS * around_the_ball(), around_the_ball(), (np.empty((0, 3)),) * 2)
+    view = view_of(qtbot, canvas, scene(PLAN), make_surface(ball.vertices, ball.faces), skin)
+    view.set_turning(False)
+    return view
+
+
+def spots(picture: np.ndarray, hue: np.ndarray, least: float) -> int:
+    """How many spots of a hue there are, lit or not, of so many pixels at least."""
+    # What light takes from a colour it takes from all of it.
+    share = picture / np.maximum(picture.sum(axis=-1, keepdims=True), 1)
+    like = (np.abs(share - hue / hue.sum()).max(axis=-1) < 0.06) & (picture.max(axis=-1) > 60)
+    numbered, count = ndimage.label(like, np.ones((3, 3)))
+    return int((np.bincount(numbered.ravel(), minlength=count + 1)[1:] >= least).sum())
+
+
+@pytest.mark.parametrize("canvas", list(Canvas))
+@pytest.mark.parametrize("method", list(Method))
+def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(qtbot, method, canvas):
+    view = view_of_ball(qtbot, canvas)
+    out = around_the_ball()
+    deep = np.resize(DEEP[method], 24)
+    places = (RADIUS - deep)[:, None] * out
+    known = tuple(estimate(channel, places[channel], method, sd=1e-5) for channel in range(24))
+    # Between the taxels, on the side that is seen.
+    screw = Landmark("screw", RADIUS * unit_of(out[4] + out[7] + out[9]), unit_of(out[4] + out[7] + out[9]))
+    side = unit_of(out[12] + out[9] + out[14])
+    target = Target(None, RADIUS * side, side, -side, 0.0, np.inf, 0.0)
+    shown = replace(snapshot(1, {}, {}), estimates={method: known}, landmarks=(screw,))
+    for turned in (0.0, 70.0, 200.0):
+        view.reset_camera()
+        turn(view, turned, 0.3 * turned)
+        view.show_moment(shown, None, method, None, target)
+        picture, sight = pixels(view).astype(float), sight_of(stage_of(view).renderer)
+        facing = np.einsum("ix,ix->i", out, unit_of(sight.place - places))
+        size = 3.2e-3 * sight.scale
+        for module, hue in enumerate(HUES[:2]):
+            own = facing[12 * module : 12 * module + 12]
+            assert np.abs(own).min() > 0.02, "none on the edge, where half a ball would count"
+            # Over the edge a ball on the skin, or above it, still stands out.
+            most = (own > np.where(deep[12 * module : 12 * module + 12] > 5e-4, 0.0, -0.25)).sum()
+            assert (own > 0).sum() <= spots(picture, hue.astype(float), 0.3 * size**2) <= most, f"turned by {turned}"
+        view.set_comparison(Comparison((Cloud(Tint.TO, places),), np.full((24, 2, 3), np.nan)))
+        dots = spots(pixels(view).astype(float), np.array(DARK.tints[Tint.TO], float), 12)
+        assert dots == (facing > 0).sum()
+        view.set_comparison(None)
+
+
+def test_a_ball_below_the_skin_has_a_hole_and_one_above_it_has_none(pictures):
+    places = PLACES - np.resize((0.0, 1.5e-3, 6e-3), 24)[:, None] * UP
+    known = tuple(estimate(channel, places[channel], sd=1e-5) for channel in range(24))
+    shown = pictures.of(View3DState(replace(snapshot(1, {}, {}), estimates={Method.FREE: known}), None, Method.FREE, None))
+    for channel in range(24):
+        middle = DARK.background if channel % 3 else HUES[channel // 12]
+        assert np.abs(pictures.around(shown, places[channel], 1) - middle).max() < 80, f"channel {channel}"
+
+
+def unit_of(ways: np.ndarray) -> np.ndarray:
+    return ways / np.linalg.norm(ways, axis=-1, keepdims=True)
 
 
 def test_what_is_brought_before_a_flat_part_seen_straight_from_afar_is_not_cut_off():

@@ -14,12 +14,15 @@ from PySide6.QtCore import QEvent, QPoint, Qt, QTimer
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 
+from app.commands import LAYERS
 from app.scene3d import offscreen
 from app.scene3d.axes import MOST_AXES
 from app.scene3d.canvas import Canvas
 from app.scene3d.scene_state import DARK, HUES, LIGHT, View3DState
 from app.scene3d.view import View3D
+from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
+from skincal.model.scene import Landmark
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot
 from tests.app.view3d_on_screen import (
@@ -39,7 +42,7 @@ from tests.app.view3d_on_screen import (
 )
 
 PLAN = layout()
-EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "landmarks", "target", "compare", "hints")
+EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "target", "landmarks", "compare", "hints")
 
 
 @pytest.fixture(autouse=True)
@@ -59,8 +62,8 @@ def test_every_layer_exists_that_the_scene_supports_and_no_other(qtbot):
     assert bare.list_layers() == EVERY[2:]
     assert make_view(qtbot, surface=False).list_layers() == EVERY[1:]
     actors = stage_of(bare).renderer.GetActors()
-    assert actors.GetNumberOfItems() == 14, (
-        "balls, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, the target's 3, 2 to compare"
+    assert actors.GetNumberOfItems() == 15, (
+        "balls, holes, marks, lines to the other method and to a rival, 3 axes, uncertainty, diamonds, target's 3, 2 to compare"
     )
 
 
@@ -233,14 +236,14 @@ def test_keys_pass_the_view_by(view, qtbot, monkeypatch):
     assert canvas_of(view).focusPolicy() == Qt.FocusPolicy.NoFocus
 
 
-def test_only_the_worst_three_and_the_selected_have_an_ellipsoid(view):
+def test_only_the_worst_and_the_selected_have_an_ellipsoid(view):
     spread = {c: estimate(c, (*PLAN.places[c], 0.0), sd=1e-4 * (1 + c)) for c in range(12)}
     layer = stage_of(view).layers[4]
     session = snapshot(1, spread)
-    assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11, 10, 9]
-    assert layer.rows(View3DState(session, None, Method.FREE, 10)) == [11, 10, 9]
-    assert layer.rows(View3DState(session, None, Method.FREE, 2)) == [11, 10, 9, 2]
-    assert layer.rows(View3DState(session, None, Method.FREE, 20)) == [11, 10, 9]
+    assert layer.rows(View3DState(session, None, Method.FREE, None)) == [11]
+    assert layer.rows(View3DState(session, None, Method.FREE, 11)) == [11]
+    assert layer.rows(View3DState(session, None, Method.FREE, 2)) == [11, 2]
+    assert layer.rows(View3DState(session, None, Method.FREE, 20)) == [11]
     view.show_moment(session, None, Method.FREE, None)
     first = pixels(view)
     view.show_moment(snapshot(2, {**spread, 11: estimate(11, (*PLAN.places[11], 0.0), sd=3e-3)}), None, Method.FREE, None)
@@ -270,14 +273,42 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
     axes = stage_of(view).layers[3]
     view.show_moment(session, None, Method.FREE, None)
-    assert axes.past.data.GetNumberOfLines() == 1, "the last poke's"
+    assert axes.past.data.GetNumberOfLines() == 0, "nothing is selected"
     view.show_moment(session, None, Method.FREE, 3)
-    assert axes.past.data.GetNumberOfLines() == 1 + MOST_AXES
-    ends = points_of(axes.past)[2:].reshape(-1, 2, 3).astype(float)
+    assert axes.past.data.GetNumberOfLines() == MOST_AXES
+    ends = points_of(axes.past).reshape(-1, 2, 3).astype(float)
     through = ends[:, 1] - ends[:, 0]
     to_taxel = np.array([*PLAN.places[3], 0.0]) - ends[:, 0]
     miss = np.linalg.norm(np.cross(through, to_taxel), axis=1) / np.linalg.norm(through, axis=1)
     np.testing.assert_allclose(miss, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", LAYERS)
+def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, name):
+    known = {c: estimate(c, (*PLAN.places[c], 0.0), sd=3e-3) for c in range(12)}
+    session = replace(
+        snapshot(1, known, pokes=[contact(1, 3, (*PLAN.places[3], 0.0))]),
+        landmarks=(Landmark("screw", np.array([0.0, -0.03, 0.0]), None),),
+    )
+    up = np.array([0.0, 0.0, 1.0])
+    target = Target(None, np.array([0.0, 0.02, 0.0]), up, -up, 0.0, np.inf, 0.0)
+    view.set_turning(False)
+    view.show_moment(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2)
+    every = pixels(view)
+    view.hide_layers(frozenset((name,)))
+    without = pixels(view)
+    assert (without != every).any(axis=-1).sum() > 50
+    if name == "estimates":
+        x, y = screen_place(view, 5)
+        assert stage_of(view).pick(x, view.height() - y) is None, "what is not seen is not meant"
+    if name == "axes":
+        drawn = Drawn(view)
+        assert not view.show_moment(session, live(), Method.FREE, 3, target, 0.2)
+        settle()
+        assert drawn.count == 0, "a poke in progress asks for no picture"
+        view.show_moment(session, live((0.0, 0.0, 0.1)), Method.FREE, 3, target, 0.2)
+    view.hide_layers(frozenset())
+    np.testing.assert_array_equal(pixels(view), every)
 
 
 def test_the_themes_differ_in_background_and_ink(view):

@@ -134,11 +134,11 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
     }
     said = {
         Cue.CONTACT: "press harder",
-        Cue.HELD: "enough, release",
+        Cue.HELD: "held: release",
         Cue.ACCEPTED: "counted for 10-03",
         Cue.REJECTED: "rejected: slid",
         Cue.DONE: f"{NAMES.short(2)} done",
-        Cue.ENOUGH: approved("guide.enough", done=24, count=24, target_mm=3),
+        Cue.ENOUGH: approved("guide.enough", done=24, count=24),
         Cue.LOST: "lost skin",
     }
     assert set(said) == set(Cue)
@@ -148,7 +148,7 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         now, line = now_line(line, each)
         assert due is not None
         assert due.sound is sound
-        assert said[sound] in f"{now.headline} {now.detail}"
+        assert said[sound] in f"{now.result.words if now.result else ''} {now.headline} {now.detail}"
 
 
 def test_taxels_that_one_poke_finishes_are_named_until_there_are_too_many():
@@ -156,7 +156,7 @@ def test_taxels_that_one_poke_finishes_are_named_until_there_are_too_many():
     for done, words in (((1, 2), f"{NAMES.short(1)}, {NAMES.short(2)} done"), (tuple(range(5)), "and 2 more done")):
         now, _ = now_line(memory, at(pokes=(touch(1),), guided=guidance(target(5), done=done)))
         assert words in now.detail
-        assert now.detail.index("done") < now.detail.index("Next: ")
+        assert now.headline == approved("guide.straight", taxel=NAMES.short(5))
 
 
 def wave(sound: Cue) -> np.ndarray:

@@ -76,7 +76,7 @@ def test_nothing_is_said_of_a_poke_that_counts():
     assert now.headline == "hold still", "at once"
     assert line.show(held(8.0, phase=PressPhase.STILL, still=0.9), 2.0).headline == "hold still"
     now = line.show(held(8.0, phase=PressPhase.HELD, still=1.0), 1.0)
-    assert (now.tone, now.headline) == (Tone.GOOD, "enough, release")
+    assert (now.tone, now.headline) == (Tone.GOOD, "held: release")
     assert now.detail == approved("press.aim_tilt", aim_mm=0.0, degrees=8, wanted=28)
 
 

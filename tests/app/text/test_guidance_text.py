@@ -12,7 +12,7 @@ from window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, to
 
 from app.state.press_coach import Lean, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
-from app.text.now_text import SETTLE_S, NowMemory, Tone, now_line
+from app.text.now_text import SETTLE_S, NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.progress import Need
@@ -72,9 +72,9 @@ def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
 
 def test_enough_names_how_many_meet_what():
     every = guidance(done=range(24))
-    assert enough_words(every, 0.003, ()) == approved("guide.enough", done=24, count=24, target_mm=3)
+    assert enough_words(every, ()) == approved("guide.enough", done=24, count=24)
     assert end_words(every, ()) == approved("verdict.on_space_bar")
-    assert enough_words(every, 0.003, {4: "stuck"}) == approved("guide.enough", done=23, count=23, target_mm=3)
+    assert enough_words(every, {4: "stuck"}) == approved("guide.enough", done=23, count=23)
     assert end_words(every, {4: "stuck"}).startswith(f"1 not used{BETWEEN}")
 
 
@@ -98,29 +98,31 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
     now, _ = settled(guidance(asked), PressPhase.TARING)
     assert (now.headline, now.detail) == ("keep hands off", approved("guide.next_while_taring", taxel="10-03"))
     now, _ = settled(guidance(done=range(24)))
-    assert (now.tone, now.headline) == (Tone.GOOD, approved("guide.enough", done=24, count=24, target_mm=3))
+    assert (now.tone, now.headline) == (Tone.GOOD, approved("guide.enough", done=24, count=24))
     assert settled(None)[0].headline == "ready: poke"
     assert settled(guidance())[0].headline == "ready: poke", "nothing that could be reached is left"
 
 
-@pytest.mark.parametrize(("peak", "said"), [(3, "accepted 10-03  11.2 N"), (5, "counted for 10-05  11.2 N")])
+@pytest.mark.parametrize(("peak", "said"), [(3, "poke 1 accepted 10-03  11.2 N"), (5, "poke 1 counted for 10-05  11.2 N")])
 def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     _, memory = settled(guidance(target(3)))
     done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
     now, memory = now_line(memory, done)
-    assert (now.tone, now.headline) == (Tone.GOOD, said)
-    assert now.detail.startswith("Next: poke 10-07"), "a quick hand does not wait for the line to say it"
+    assert now.result == Said(Tone.GOOD, said)
+    asks = Tone.GO, approved("guide.straight", taxel="10-07")
+    assert (now.tone, now.headline) == asks, "a quick hand does not wait for the line to say it"
     assert ("10-03 was asked for" in now.detail) == (peak == 5)
     # The same poke with its last tare changes nothing of it, though something else is asked for by now.
     now, memory = now_line(memory, guided(guidance(target(7)), [touch(1, (peak,))], 3, PressPhase.TARING, 101.5))
-    assert now.headline == said
+    assert now.result.words == said
     assert memory.asked == 7
 
 
 def test_a_rejection_is_a_rejection_whatever_was_asked():
     _, memory = settled(guidance(target(5)))
     now, memory = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.TARING, 101.0))
-    assert (now.tone, now.headline) == (Tone.BAD, approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5))
+    assert now.result == Said(Tone.BAD, approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
+    assert now.headline == approved("guide.straight", taxel="10-05"), "the target stays"
     now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.PRESSING, 101.2))
     assert now.headline == "hold still"
 
@@ -128,7 +130,8 @@ def test_a_rejection_is_a_rejection_whatever_was_asked():
 def test_without_a_guide_every_accepted_poke_is_accepted():
     _, memory = settled(None)
     now, _ = now_line(memory, guided(None, [touch(1, (5,))], 2, PressPhase.TARING, 101.0))
-    assert now.headline == "accepted 10-05  11.2 N"
+    assert now.result.words == "poke 1 accepted 10-05  11.2 N"
+    assert now.headline == "ready: poke"
 
 
 class Asked:
@@ -225,8 +228,8 @@ def test_a_poke_that_is_taken_back_is_not_said_to_count():
     poke = touch(1, (3,))
     before = NowMemory.of(session())
     now, memory = now_line(before, frame(session(2, pokes=[poke]), now_s=1.0))
-    assert now.headline.startswith("accepted")
+    assert now.result.words.startswith("poke 1 accepted")
     now, memory = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.1))
-    assert not now.headline.startswith(("accepted", "counted"))
+    assert now.result is None
     later, _ = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.2))
-    assert not later.headline.startswith(("accepted", "counted"))
+    assert later.result is None

@@ -17,7 +17,7 @@ from app.session.recording import Storage
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkLook, same_results
-from app.text.now_text import SETTLE_S, VERDICT_S, NowMemory, Tone, now_line
+from app.text.now_text import DEED_S, SETTLE_S, VERDICT_S, NowMemory, Said, Tone, now_line
 from app.text.outcomes import (
     error_words,
     link_words,
@@ -29,8 +29,10 @@ from app.text.outcomes import (
     verdict_words,
 )
 from app.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
-from skincal.contacts.outcome import PressPhase, Reason
+from skincal.contacts.outcome import RAW, PressPhase, Reason
+from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkState, Stream
+from skincal.session.undo import Deed, DeedKind
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
@@ -82,7 +84,9 @@ def test_a_rejection_names_its_number_and_its_limit():
     assert reason_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == approved("now.too_soft", seen=3.1, least=4.0)
     assert reason_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == approved("now.too_short", seen=0.12, least="0.30")
     assert reason_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == approved("now.not_still", seen=8.0, most=5.0)
-    assert reason_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered"
+    assert reason_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered", "as sessions of old have it"
+    assert reason_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW)) == approved("now.none_answered", largest=4.3, needed="12.0")
+    assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW), NAMES) == "rejected: no taxel answered"
     assert reason_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "tare changed"
 
 
@@ -140,8 +144,9 @@ def test_looks_of_links():
 
 
 def say(memory, at):
+    """What came of the newest poke, where that is said, else what to do."""
     now, memory = now_line(memory, at)
-    return now.headline, memory
+    return now.headline if now.result is None else now.result.words, memory
 
 
 def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke():
@@ -152,9 +157,9 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
     assert text == "ready: poke"
     done = session(2, pokes=[slip(1)])
     text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
-    assert text == approved("now.rejected_slid", seen_mm=2.1, most_mm=1.5)
+    assert text == approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5)
     text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S - 0.01))
-    assert text.startswith("rejected")
+    assert text.startswith("poke 1 rejected")
     text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
     assert text == "hold still"
     text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S + 0.01))
@@ -175,7 +180,7 @@ def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_i
     assert text == "ready: poke"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
     text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
-    assert text == approved("now.rejected_tare", seen=1.4, most=1.0)
+    assert text == approved("now.rejected_tare", poke=1, seen=1.4, most=1.0)
 
 
 def test_a_flicker_between_calm_phases_is_not_said():
@@ -196,7 +201,7 @@ def test_what_is_said_while_pressing():
     assert pressed(PressPhase.PRESSING, 2.0).headline == "press harder"
     assert pressed(PressPhase.PRESSING, 16.0).headline == "press less"
     assert pressed(PressPhase.STILL, 8.0).headline == "hold still"
-    assert pressed(PressPhase.HELD, 8.0).headline == "enough, release"
+    assert pressed(PressPhase.HELD, 8.0).headline == "held: release"
 
 
 def test_trouble_goes_before_phases():
@@ -356,3 +361,54 @@ def test_a_recording_with_a_folder_is_never_removed(tmp_path):
     assert not storage.can_keep
     storage.finish()
     assert storage.folder.exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        (DeedKind.UNDONE, approved("now.taken_back", what="poke 438")),
+        (DeedKind.REDONE, approved("now.brought_again", what="poke 438")),
+        (DeedKind.DONE, approved("now.done", what="poke 438")),
+    ],
+)
+def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_while_the_next_poke_presses(kind, words):
+    poke = touch(438)
+    memory = NowMemory.of(session(1, pokes=[poke]))
+    after = replace(session(2, pokes=[poke], excluded=[438]), deed=Deed(1, kind, "poke 438"))
+    now, memory = now_line(memory, frame(after, reading(PressPhase.PRESSING, 8.0), 100.0))
+    assert now.result == Said(Tone.CALM, words)
+    assert now.headline == "hold still", "beside what to do, not in its place"
+    now, memory = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + DEED_S - 0.1))
+    assert now.result is not None
+    now, _ = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + DEED_S + 0.1))
+    assert now.result is None
+    now, _ = now_line(memory, frame(replace(after, pokes=(*after.pokes, *session(1, pokes=[touch(439)]).pokes)), now_s=101.0))
+    assert now.result == Said(Tone.GOOD, "poke 439 accepted 10-03  11.2 N"), "a poke that ends is newer"
+
+
+def test_what_was_done_before_the_session_was_opened_is_no_news():
+    old = replace(session(2), deed=Deed(3, DeedKind.UNDONE, "poke 5"))
+    now, _ = now_line(NowMemory.of(old), frame(old))
+    assert now.result is None
+
+
+def test_until_a_poke_counts_the_line_says_what_each_method_costs():
+    costs = {Method.MODULES: 28, Method.SURFACE: 517}
+    now, memory = now_line(NowMemory(), replace(frame(), costs=costs))
+    assert now.result == Said(Tone.CALM, approved("now.costs", modules=30, surface=520))
+    assert now_line(NowMemory(), replace(frame(), costs={Method.FREE: 500}))[0].result is None, "nothing to choose"
+    poked = session(2, pokes=[touch(1)])
+    now, _ = now_line(NowMemory.of(poked), replace(frame(poked), costs=costs))
+    assert now.result is None
+    assert memory.deed is None
+
+
+def test_a_poke_far_off_its_landmark_is_told_with_its_number():
+    words = (
+        approved("now.missed", poke=1, name="corner", seen_mm=52, most_mm=34),
+        approved("now.missed_counts", poke=1, taxel="10-03", name="corner", seen_mm=52, most_mm=34),
+    )
+    for poke, said, tone in zip((slip(1, Reason.NO_TAXEL), touch(1)), words, (Tone.BAD, Tone.GOOD), strict=True):
+        missed = replace(session(2, pokes=[poke]), missed_landmarks={1: MissedLandmark(1, "corner", 0.052, 0.0341)})
+        now, _ = now_line(now_line(NowMemory(), frame())[1], frame(missed))
+        assert now.result == Said(tone, said)

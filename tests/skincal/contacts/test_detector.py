@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.detector import ContactDetector
-from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
+from skincal.contacts.outcome import RAW, Contact, PressPhase, Reason, Rejection
 from skincal.geometry import Arm, DhLink
 from skincal.model.scene import ArmSpec, ContactSettings
 from tests.skincal.poke_script import PERIOD_S, Script, outcome_key, small_scene, some_pokes
@@ -196,7 +196,7 @@ def test_a_torque():
 
 def test_no_taxel():
     found = rejected(quiet_script().press(FORCE, POINT, {3: 9.0}).quiet(), Reason.NO_TAXEL)
-    assert found.value == 0
+    assert (found.value, found.limit, found.unit) == (9.0, small_scene().contacts.response_min, RAW)
 
 
 def test_an_answer_must_stand_above_the_channels_own_noise():

@@ -1,7 +1,6 @@
 import csv
 import json
 import math
-import os
 import subprocess
 import sys
 import threading
@@ -103,6 +102,9 @@ def test_json_has_no_nan_and_names_its_units(part):
         "pose_turn_rad": 0.0, "pose_shift_m": 0.0,
     }  # fmt: skip
     assert document["skincal_version"] == "0.1.0"
+    gains = [each["gain"] for each in document["estimates"]["surface"]]
+    assert gains[0]["raw_per_N"] > 0
+    assert gains[-1] == {"pokes": 0, "raw_per_N": None, "sd_raw_per_N": None}
 
 
 def test_every_setting_has_a_unit():
@@ -114,7 +116,19 @@ def test_csv_has_a_row_a_channel_and_method(part, tmp_path):
     calibration = make_calibration(part, unseen=(5,), blind=(13,))
     said = write_calibration(calibration, "csv", tmp_path / "c.csv", Method.FREE)
     text = (tmp_path / "c.csv").read_text()
-    assert text.splitlines()[0] == "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm"
+    assert text.splitlines()[0] == (
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
+    )
+    gains = calibration.gains(Method.FREE)
+    for gain, row in zip(gains, csv.DictReader(text.splitlines()), strict=False):
+        told = [row[name] for name in ("gain_raw_per_N", "gain_sd_raw_per_N", "gain_pokes")]
+        assert told == [
+            "" if gain.mean is None else repr(gain.mean),
+            "" if gain.spread is None else repr(gain.spread),
+            str(gain.pokes),
+        ]
+    assert any(gain.mean is not None for gain in gains)
+    assert any(gain.mean is None for gain in gains)
     rows = list(csv.DictReader(text.splitlines()))
     layout = part.scene.skin.layout
     assert layout is not None
@@ -209,15 +223,6 @@ def test_unknown_formats_and_methods_are_refused(part, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_old_file_is_kept_and_nothing_else_is_left(tmp_path):
-    path = tmp_path / "positions.txt"
-    for text in (b"one", b"two", b"three"):
-        write_atomically(path, text)
-    assert path.read_bytes() == b"three"
-    assert (tmp_path / "positions.txt.bak").read_bytes() == b"two"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["positions.txt", "positions.txt.bak"]
-
-
 def test_no_reader_ever_sees_a_half_file(tmp_path):
     path = tmp_path / "p.txt"
     texts = {b"a" * 200_000, b"b" * 300_000}
@@ -247,18 +252,6 @@ def test_a_missing_folder_and_a_folder_in_the_way_are_refused(tmp_path):
     (tmp_path / "taken").mkdir()
     with pytest.raises(InputError, match=approved_pattern("export.is_folder")):
         write_atomically(tmp_path / "taken", b"")
-
-
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs a device that is always full")  # noqa: PTH110
-def test_a_full_disk_leaves_the_old_file_whole(tmp_path):
-    path = tmp_path / "p.txt"
-    write_atomically(path, b"old")
-    part_file = tmp_path / f".p.txt.{os.getpid()}.part"
-    part_file.symlink_to("/dev/full")
-    with pytest.raises(InputError, match="cannot be written"):
-        write_atomically(path, b"new" * 10_000)
-    assert path.read_bytes() == b"old"
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["p.txt"]
 
 
 def test_export_imports_no_window():

@@ -147,7 +147,7 @@ def test_what_is_no_position_file_is_said_with_its_line(text, said):
 
 
 def test_a_missing_file_is_said(tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="there is no such file"):
         read_icub(tmp_path / "none.txt")
 
 

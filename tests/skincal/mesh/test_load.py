@@ -256,7 +256,7 @@ def test_a_missing_file(tmp_path):
     with pytest.raises(InputError, match=approved_pattern("mesh.missing")):
         load_surface(SurfaceSpec(tmp_path / "none.stl", 1e-3, np.eye(4)))
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder"):
         load_surface(SurfaceSpec(tmp_path / "folder.stl", 1e-3, np.eye(4)))
 
 

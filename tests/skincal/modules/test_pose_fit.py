@@ -10,6 +10,7 @@ from skincal.contacts.outcome import Contact
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
+from skincal.modules import pose_fit
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import LEVER, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
 from skincal.modules.pose_fit import find_touches, offset_squares, whitened
@@ -420,3 +421,39 @@ def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_m
         for estimate in many[Method.MODULES].values()
         if estimate.reason and estimate.reason.cause is Cause.MODULE_MOVING
     ]
+
+
+def trust_by_hand(slopes, misses, pitches):
+    """The trust of pokes judged together, by numpy's `lstsq` on the rows as they stand."""
+    count, left = len(misses), misses
+    raised = 1.0 + pose_fit.SMALL / (2 * count - 3)
+    pitches = pitches / max(1.0, raised * np.median(pitches) / pose_fit.USUAL_PITCH)
+    for _ in range(pose_fit.SEEKING):
+        roots = np.sqrt(1.0 / np.maximum(np.sum(left**2, axis=1) + pitches, pose_fit.ALIKE**2))[:, None]
+        move = np.linalg.lstsq((roots[:, :, None] * slopes).reshape(2 * count, -1), (roots * left).ravel())[0]
+        left = left - slopes @ move
+    squares = np.sum(left**2, axis=1)
+    squares = squares / max(1.0, raised * np.median(squares) / pose_fit.USUAL_MISS) + pitches
+    return pose_fit.trust_of(squares)
+
+
+def test_pokes_are_trusted_as_least_squares_in_plain_numpy_says(rng):
+    model = model_of()
+    poses = moved_poses(model, rng, 0.001, 0.02)
+    contacts = press(model, poses, rng, 60, modules=[2], noise=0.002)
+    far = [replace(contact, moment=contact.moment + 0.05) if contact.poke % 9 == 0 else contact for contact in contacts]
+    table = ContactTable(far)
+    evidence = table.evidence(model.channels_of([2]))
+    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [2])
+    found = pose_fit.fit_modules(touches, model, poses[2], NOISE).trust
+    rows, at = whitened(touches, laid(model, 2, poses[2]), NOISE), touches.rows
+    middles = touches.middles(laid(model, 2, poses[2]))[0]
+    pairs, forces, levers = evidence.pairs[at], evidence.forces[at], middles - evidence.sensors[at]
+    swing = (NOISE.force / forces)[:, None] * np.sum(pairs * levers[:, None], axis=2)
+    pitches = evidence.pitches[at] ** 2 / ((NOISE.moment / forces) ** 2 + np.sum(swing**2, axis=1))
+    assert 3 <= (found < 1).sum() <= 20
+    # Three arm poses with twenty pokes each: judged by themselves.
+    for pose in np.unique(evidence.poses[at]):
+        own = evidence.poses[at] == pose
+        by_hand = trust_by_hand(rows.slopes[own], rows.misses[own], pitches[own])
+        np.testing.assert_allclose(found[own], by_hand, rtol=0, atol=1e-9)

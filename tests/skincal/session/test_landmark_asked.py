@@ -14,7 +14,7 @@ from skincal.cli.record import OrderLine, _loop
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
-from skincal.model.actions import AskLandmark, FoundAtLandmark, Stamped, Undo, from_json, to_json
+from skincal.model.actions import AskLandmark, AtLandmark, FoundAtLandmark, MissedLandmark, Stamped, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene
@@ -93,7 +93,9 @@ def test_a_landmark_that_is_not_there_cannot_be_asked_for_and_asking_changes_not
     assert pipeline.asked_landmark == "", "what follows a break was not asked for"
 
 
-@pytest.mark.parametrize("action", [AskLandmark("a b"), AskLandmark(""), FoundAtLandmark(3, "a b")])
+@pytest.mark.parametrize(
+    "action", [AskLandmark("a b"), AskLandmark(""), FoundAtLandmark(3, "a b"), MissedLandmark(3, "a", 0.05, 0.03)]
+)
 def test_these_actions_travel_as_json(action):
     assert from_json(json.loads(json.dumps(to_json(action)))) == action
 
@@ -134,7 +136,7 @@ def test_record_makes_the_same_of_the_same_bytes_and_orders(recorded, capsys):
     items = queue.SimpleQueue()
     for item in SessionLog(folder).items():
         if isinstance(item, Stamped):
-            if not isinstance(item.action, FoundAtLandmark):
+            if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
                 items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
         elif hasattr(item, "link"):
             items.put(item)
@@ -159,3 +161,62 @@ def test_the_bytes_are_what_counts(recorded):
         if isinstance(item, Chunk):
             headless.feed(item)
     assert headless.snapshot().at_landmarks == {}
+
+
+FAR = POINT + np.array([0.0, -0.09, 0.0])
+
+
+def far_and_near(scene, places):
+    """A pipeline in which the head was asked for throughout, and what was poked is `places`, in that order."""
+    script = Script(scene).quiet()
+    for place in places:
+        script.press(FORCE, place, {}).quiet()
+    items = as_chunks(script.samples)
+    orders = [Stamped(starts_of(scene, items)[0] - 500_000_000, AskLandmark("head"))]
+    return items, orders
+
+
+def test_a_poke_that_passes_the_landmark_too_far_is_a_rejection_with_its_number(scene):
+    pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (POINT, FAR, POINT)))
+    snapshot = pipeline.snapshot()
+    assert snapshot.at_landmarks == {1: "head", 3: "head"}
+    (missed,) = snapshot.missed_landmarks.values()
+    assert (missed.poke, missed.name) == (2, "head")
+    across = np.linalg.norm(np.cross(FAR - POINT, FORCE / np.linalg.norm(FORCE)))
+    assert missed.miss == pytest.approx(across, abs=1e-6)
+    assert 0.01 < missed.limit < missed.miss
+    assert snapshot.can_undo == approved("landmark.undo_poke", poke=3, name="head"), "it is no step of its own"
+
+
+def test_the_operator_knows_better(scene):
+    pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (POINT, FAR)))
+    pipeline.act(AtLandmark(2, "head"), 10**18)
+    assert pipeline.snapshot().at_landmarks == {1: "head", 2: "head"}
+    assert pipeline.snapshot().missed_landmarks == {}
+
+
+def test_pokes_that_all_pass_far_show_a_wrong_frame_and_are_kept(scene):
+    pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (FAR, FAR, FAR)))
+    assert pipeline.snapshot().at_landmarks == dict.fromkeys((1, 2, 3), "head")
+
+
+def test_one_that_was_kept_is_taken_back_once_most_pass_near(scene):
+    pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (FAR, POINT, POINT)))
+    assert pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}
+    assert list(pipeline.snapshot().missed_landmarks) == [1]
+
+
+@pytest.mark.parametrize("again", [replay, load])
+def test_what_missed_is_the_same_in_a_session_that_is_played_or_loaded(tmp_path, again):
+    path = write_scene(tmp_path / "source").path
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f'\n[[landmarks]]\nname = "head"\nplace = {POINT.tolist()}\n')
+    scene = load_scene(path)
+    items, orders = far_and_near(scene, (FAR, POINT, POINT, FAR))
+    pipeline = fed(Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS)), items, orders)
+    pipeline.close()
+    other = again(tmp_path / "s")
+    assert other.findings == ()
+    assert list(pipeline.snapshot().missed_landmarks) == [1, 4]
+    assert other.snapshot().missed_landmarks == pipeline.snapshot().missed_landmarks
+    assert other.snapshot().at_landmarks == pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}

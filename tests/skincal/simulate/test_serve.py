@@ -14,7 +14,8 @@ from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
-from skincal.simulate.serve import PtyOutlet, Server, TcpOutlet
+from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.simulate.serve import Server
 from skincal.streams.decoders.detect import make_decoder
 from tests.skincal.sim_support import make_rig
 

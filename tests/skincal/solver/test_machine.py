@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import wasmtime
 
+from skincal import methods
 from skincal.mesh import search
 from skincal.mesh.search import GRAZING, nearest_to_rows
 from skincal.mesh.surface import make_surface
@@ -21,7 +22,8 @@ from skincal.simulate.faults import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve
-from skincal.taxels.result import Method
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.mesh.mesh_support import KINDS, random_metrics, same, soup, together, tube
 from tests.skincal.sim_support import make_rig
 from tools import solver
@@ -209,3 +211,47 @@ def test_what_is_kept_stays_while_the_memory_grows():
         assert given > max(kept)
     for place, array in kept.items():
         np.testing.assert_array_equal(machine.read(place, array.nbytes).view(float), array)
+
+
+def test_a_twin_has_what_is_kept_and_what_is_kept_later():
+    machine = Machine()
+    first = machine.keep(np.arange(5.0))
+    twin = machine.twin()
+    assert twin is machine.twin()
+    assert twin is not machine
+    second = machine.keep(np.arange(7.0))
+    later = machine.twin()
+    for place, count in ((first, 5), (second, 7)):
+        np.testing.assert_array_equal(later.read(place, 8 * count).view(float), np.arange(count))
+
+
+@pytest.mark.parametrize("surface", [True, False])
+def test_two_threads_find_what_one_does_to_the_last_bit(monkeypatch, surface):
+    rig = make_rig(RigErrors.paper(), 1)
+    rng = np.random.default_rng(8)
+    contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng)
+    table, channels = ContactTable(contacts), rig.channels.tolist()
+    wanted = [method for method in PER_TAXEL if surface or method is not Method.SURFACE]
+
+    def bits(value):
+        return None if value is None else value.tobytes()
+
+    def solved(at_once):
+        monkeypatch.setattr(methods, "_AT_ONCE", at_once)
+        found = methods.estimate_from(table, channels, wanted, rig.scene.noise, rig.surface if surface else None)
+        return [
+            (
+                estimate.state,
+                *(None if value is None else value.tobytes() for value in (estimate.position, estimate.covariance)),
+            )
+            for method in wanted
+            for estimate in found[method].values()
+        ]
+
+    told = []
+    solve_one = methods.solve
+    monkeypatch.setattr(methods, "solve", lambda *asked: (told.append(asked[-1]), solve_one(*asked))[1])
+    one = solved(1 << 30)
+    assert told == [False]
+    assert solved(100) == one
+    assert told[1:].count(True) == len(told) // 2 > 2

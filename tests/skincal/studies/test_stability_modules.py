@@ -10,12 +10,11 @@ from skincal.mesh.geodesics import Footing, geodesics_of
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.modules import pose_fit
-from skincal.modules.pose_fit import bends_of, whitened
+from skincal.modules.pose_fit import whitened
 from skincal.studies import exact, stability
 from skincal.studies.exact import InPlane, OnMesh, find_truth
 from skincal.studies.stability import compare, judge, problem_of, shipped_module
 from skincal.studies.stability_cases import PADS, CaseSizes, all_module_cases, in_space, on_sheet
-from skincal.taxels.solve import factor, triangle
 
 TINY = CaseSizes(contacts=7, grid=6, many=300, draws=8)
 CASES = {case.name: case for case in all_module_cases(TINY)}
@@ -145,24 +144,12 @@ def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_them
             return np.einsum("mid,mi->d", rows.slopes, rows.misses)
 
         rows = whitened(one.touches, one.laid(pose), one.noise)
-        predicted = np.sum(bends_of(one.touches, rows, ground), axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
+        predicted = np.sum(rows.bends, axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
         step = 1e-7 * np.eye(ground.unknowns)
         measured = np.stack([(pull(way) - pull(-way)) / 2e-7 for way in step], axis=1)
         np.testing.assert_allclose(predicted, measured, rtol=0, atol=1e-6 * np.abs(measured).max())
         without = -np.einsum("mid,mie->de", rows.slopes, rows.slopes)
         assert np.abs(without - measured).max() > 1e-4 * np.abs(measured).max(), "the bends matter"
-
-
-def test_the_triangle_keeps_the_digits_of_light_rows_beside_heavy_ones():
-    rng = np.random.default_rng(5)
-    a = rng.normal(size=(12, 3)) * np.where(np.arange(12) % 4, 1e-9, 1.0)[:, None]
-    a[::4, 2] = 0.0
-    b = a @ np.array([1.0, -2.0, 3.0])
-    root = triangle(a, b)
-    found = np.linalg.solve(root[:, :3], root[:, 3])
-    np.testing.assert_allclose(found, [1.0, -2.0, 3.0], rtol=1e-13)
-    np.testing.assert_allclose(found, factor(a, b, np.array([0, 12])).solutions[0], rtol=1e-13)
-    assert not triangle(np.zeros((2, 6)), np.zeros(2)).any()
 
 
 SOME = [

@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.modules.health import neighbours_of
-from skincal.taxels.differences import compare_modules, differences, places_of, summarise, worst_rows
+from skincal.taxels.differences import (
+    common_motion,
+    compare_modules,
+    differences,
+    places_of,
+    repeatability,
+    summarise,
+    worst_rows,
+)
 from skincal.taxels.result import Estimate, Method, State
 
 SCENE = load_scene(resource("scenes/icub-forearm/scene.toml"))
@@ -198,3 +207,50 @@ def test_it_costs_little_enough_for_every_poke(rng, least_time, modules, most_s)
         neighbours.ratios(layout.channels, there)
 
     assert least_time(work, below=most_s) < most_s
+
+
+def test_a_motion_of_all_taxels_is_found_again_and_leaves_nothing(rng):
+    here = bent(rng)
+    axis = np.array([1.0, -2.0, 2.0]) / 3.0
+    turn = Rotation.from_rotvec(np.radians(7.0) * axis).as_matrix()
+    there = (here - here.mean(axis=0)) @ turn.T + here.mean(axis=0) + np.array([0.003, 0.0, -0.004])
+    there[5] = np.nan
+    here[6] = np.nan
+    known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+    found = common_motion(here, there)
+    assert found.turn == pytest.approx(np.radians(7.0), abs=1e-12)
+    assert found.shift == pytest.approx(np.linalg.norm((there - here)[known].mean(axis=0)), rel=1e-9)
+    assert found.largest < 1e-15
+    repeated = repeatability(here, there, OWNERS)
+    assert repeated.motion == found
+    assert repeated.summary.known == known.sum()
+    assert repeated.modules == compare_modules(LAYOUT, CHANNELS, here, there)
+    assert max(each.shape for each in repeated.modules) < 1e-15
+
+
+@pytest.mark.parametrize("degrees", [1e-6, 90.0, 179.999999])
+def test_small_and_large_turns_keep_their_digits(rng, degrees):
+    here = bent(rng)
+    turn = Rotation.from_rotvec(np.radians([0.0, degrees, 0.0])).as_matrix()
+    assert np.degrees(common_motion(here, here @ turn.T).turn) == pytest.approx(degrees, rel=1e-6)
+
+
+def test_what_is_no_motion_is_left_over_and_a_mirror_is_not_taken_for_a_turn(rng):
+    here = bent(rng)
+    there = here + 0.001 * rng.normal(size=here.shape)
+    best = common_motion(here, there)
+    rest = np.sqrt(np.sum((there - here - (there - here).mean(axis=0)) ** 2, axis=1))
+    assert 0.0005 < best.mean < rest.mean() + 1e-6
+    mirrored = common_motion(here, here * [-1.0, 1.0, 1.0])
+    assert mirrored.mean > 0.001
+
+
+def test_two_taxels_or_a_line_of_them_tell_no_motion_and_taxels_without_modules_no_modules(rng):
+    here = bent(rng)
+    few = np.full_like(here, np.nan)
+    few[:2] = here[:2]
+    assert common_motion(few, here) is None
+    line = np.outer(np.arange(5.0), [1.0, 2.0, 3.0])
+    assert common_motion(line, line) is None
+    assert repeatability(here, here).modules == ()
+    assert [each.known for each in repeatability(here[:4], here[:4], np.array([-1, 1, 1, -1])).modules] == [2]

@@ -1,31 +1,56 @@
-"""The verdict on a session, put into words: pure functions, without Qt."""
+"""The verdict on a session, put into words, which the window and a session's report share: pure functions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-
-from app.state.policies import Offer
-from app.text.outcomes import METHOD_NAMES
-from app.text.rig_text import offer_words
-from app.units import count, millimetres, minutes, number
-from skincal.guide.progress import GuideSettings
+from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
-from skincal.rig.correction import UsedCorrection
+from skincal.model.errors import plural
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import correction_sentence, rig_sentences
-from skincal.session.review import Review
 from skincal.taxels.result import Method
+
+
+def sentence(verdict: Verdict) -> str:
+    """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
+
+    Taxels that are predicted to so much and not done, because they need something else, are not counted.
+    """
+    if not verdict.used:
+        return "No taxel is used." if verdict.left else "No taxel has answered yet."
+    if verdict.done == verdict.used:
+        used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
+        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {1e3 * verdict.wanted:g} mm"
+        if verdict.method is Method.MODULES:
+            done = f"{done} among each other"
+    else:
+        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
+    early = "" if verdict.enough else "Not enough yet: "
+    return f"{early}{done}{_agreement(verdict)}."
+
+
+def _agreement(verdict: Verdict) -> str:
+    check, landmarks = verdict.check, verdict.landmarks
+    if not check.believed:
+        return ", but the held-out pokes speak against it"
+    if landmarks is not None and not landmarks.agrees:
+        return ", but the landmarks speak against it"
+    if not check.tells:
+        return "; too few pokes are held out to check it" if verdict.done else ""
+    if not check.agrees:
+        return ", but the held-out pokes hardly agree"
+    if landmarks is None:
+        return ", and the held-out pokes agree; whether the whole skin is shifted, only landmarks show"
+    return ", and the held-out pokes and the landmarks agree"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
     """Return the numbers behind the sentence, each with its name."""
     return (
-        ("Done", f"{verdict.done} of {count(verdict.used, 'taxel')}, {METHOD_NAMES[verdict.method]} method"),
+        ("Done", f"{verdict.done} of {plural(verdict.used, 'taxel')}, {verdict.method.value} method"),
         ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Predicted", predicted_words(verdict)),
-        ("Work", f"{count(verdict.pokes, 'poke')} in {minutes(verdict.seconds)}"),
+        ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
     )
 
 
@@ -44,7 +69,7 @@ def check_words(verdict: Verdict) -> str:
     check = verdict.check
     if not check.checked:
         return "no poke could be held out yet"
-    words = f"{check.inside} of {count(check.checked, 'held-out poke')} fell where the others predicted"
+    words = f"{check.inside} of {plural(check.checked, 'held-out poke')} fell where the others predicted"
     if check.believed and not check.tells:
         return f"{words}: too few to say anything"
     if check.agrees:
@@ -61,7 +86,7 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     if landmarks is None:
         return f"not checked: it needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
     how = "held out of the correction" if landmarks.corrected else "without a correction"
-    words = f"{count(landmarks.pokes, 'poke')}, {how}, pass them at {number(landmarks.ratio, 1)} times what is predicted"
+    words = f"{plural(landmarks.pokes, 'poke')}, {how}, pass them at {landmarks.ratio:.1f} times what is predicted"
     if landmarks.agrees:
         return words
     return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
@@ -74,25 +99,21 @@ def predicted_words(verdict: Verdict) -> str:
         return "no taxel is known"
     if unchecked is None:
         return (
-            f"{millimetres(predicted.every)}: the whole skin may be off by {millimetres(predicted.whole)}, "
-            f"taxels among each other by {millimetres(predicted.among)}"
+            f"{_mm(predicted.every)}: the whole skin may be off by {_mm(predicted.whole)}, "
+            f"taxels among each other by {_mm(predicted.among)}"
         )
-    return f"{millimetres(predicted.every)} for a right rig; an ordinary one's own errors add about {millimetres(unchecked)}"
-
-
-def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show."""
-    if offers:
-        return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
-    in_use = " ".join(correction_sentence(correction) for correction in used)
-    if in_use:
-        return in_use
-    if review is not None and review.pokes:
-        return rig_sentences(review.rig)[0]
-    return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
+    return f"{_mm(predicted.every)} for a right rig; an ordinary one's own errors add about {_mm(unchecked)}"
 
 
 def left_words(left: Left) -> str:
     """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
     needs = ", ".join(need.value for need in left.needs)
     return f"{left.why.value}: needs {needs}" if needs else left.why.value
+
+
+def _mm(metres: float, decimals: int = 1) -> str:
+    return f"{metres * 1e3:.{decimals}f} mm"
+
+
+def _minutes(seconds: float) -> str:
+    return f"{max(1, round(seconds / 60.0))} min"

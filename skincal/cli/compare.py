@@ -1,0 +1,91 @@
+"""`compare`: how far two sets of places of the same taxels lie apart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.cli.calibrate import Json
+
+if TYPE_CHECKING:
+    from skincal.files.reference import PlaceSet
+    from skincal.geometry import IntArray
+    from skincal.taxels.differences import Repeatability
+
+Places = typer.Argument(
+    help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a truth.json. After a colon one "
+    "of free, surface, modules; of a session also plan or truth. Without it the method of the smallest predicted error.",
+    show_default=False,
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    example = "Examples: skincal compare monday tuesday; skincal compare trial:modules trial:truth --json"
+    app.command(epilog=example)(compare)
+
+
+def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_json: Json = False) -> None:
+    """Compare two sets of places of the same taxels: mean and worst, common rigid motion, module by module."""
+    from skincal.cli import report
+    from skincal.files.reference import compare_sets
+    from skincal.session.named_places import find_places
+
+    sets = find_places(first), find_places(second)
+    channels, modules, found = compare_sets(*sets)
+    result = comparison_result(sets, channels, modules, found)
+    report.print_result({**result, "text": _lines(result)}, as_json)
+
+
+def comparison_result(
+    sets: tuple[PlaceSet, PlaceSet], channels: IntArray, modules: IntArray, found: Repeatability
+) -> dict[str, Any]:
+    """Return what a comparison says, millimetres and degrees; `channels` and `modules` as from `compare_sets`."""
+    import numpy as np
+
+    summary, motion = found.summary, found.motion
+    known = [(int(channels[row]), float(found.lengths[row])) for row in np.flatnonzero(np.isfinite(found.lengths)).tolist()]
+    return {
+        "first": sets[0].name,
+        "second": sets[1].name,
+        "taxels": 0 if summary is None else summary.known,
+        "error_mm": None if summary is None else {
+            "mean": summary.mean * 1e3, "rms": summary.rms * 1e3, "worst": summary.largest * 1e3,
+            "worst_channel": int(channels[summary.row]),
+        },
+        "common_motion": None if motion is None else {
+            "turn_deg": float(np.degrees(motion.turn)), "shift_mm": motion.shift * 1e3,
+            "left_mean_mm": motion.mean * 1e3, "left_worst_mm": motion.largest * 1e3,
+        },
+        "modules": [
+            {
+                "module": int(modules[each.module]), "taxels": each.known, "mean_mm": each.mean * 1e3,
+                "shift_mm": each.shift * 1e3, "shape_mm": None if each.shape is None else each.shape * 1e3,
+            }
+            for each in found.modules
+        ],
+        "apart_mm": {str(channel): length * 1e3 for channel, length in known},
+    }  # fmt: skip
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    """Return the text of `comparison_result`."""
+    error, motion = result["error_mm"], result["common_motion"]
+    lines = [f"from {result['first']} to {result['second']}"]
+    if error is None:
+        return [*lines, "no taxel is known in both"]
+    lines.append(
+        f"{result['taxels']} taxels known in both: apart {error['mean']:.2f} mm mean, {error['rms']:.2f} rms, "
+        f"{error['worst']:.2f} at most (channel {error['worst_channel']})"
+    )
+    if motion is not None:
+        lines.append(
+            f"all together moved by {motion['shift_mm']:.2f} mm and turned by {motion['turn_deg']:.2f} degrees; without that "
+            f"apart {motion['left_mean_mm']:.2f} mm mean, {motion['left_worst_mm']:.2f} at most"
+        )
+    for each in result["modules"]:
+        shape = "" if each["shape_mm"] is None else f", shape {each['shape_mm']:.2f}"
+        moved = f"mean {each['mean_mm']:.2f} mm, shift {each['shift_mm']:.2f}{shape}"
+        lines.append(f"module {each['module']:3d}: {each['taxels']} taxels, {moved}")
+    return lines

@@ -1,0 +1,33 @@
+"""`report`: what a session came to, as one file for the browser and for paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skincal.cli.calibrate import Json, SessionArgument
+from skincal.taxels.result import Method
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command("report", epilog="Example: skincal report my-session --out report.html")(write)
+
+
+def write(
+    session: SessionArgument,
+    out: Annotated[Path, typer.Option(help="File to write (*.html); an older one is kept as .bak.")],
+    method: Annotated[
+        Method | None,
+        typer.Option(help="Whose estimates are shown; else those of the method that leads.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write the report of a session: verdict and evidence, pictures, errors, rig, pokes, settings and versions in one file."""
+    from skincal.cli import report
+    from skincal.reporting.page import write_report
+
+    verdict = write_report(session, out, method)
+    report.print_result({"file": out, "verdict": verdict, "text": [verdict, f"wrote {out}"]}, as_json)

@@ -1,0 +1,391 @@
+"""A report's page: what is known of a session in words, tables and pictures, in one HTML file that needs no other.
+
+Every number is a value of `SessionFacts`; here it gets its unit. Names come from files and devices of strangers, so the
+template escapes all text, and the page forbids a browser to run or to fetch anything.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from skincal.files.atomic import write_atomically
+from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
+from skincal.guide.progress import GuideSettings
+from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, sentence
+from skincal.model.errors import list_channels, plural
+from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
+from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
+from skincal.rig.correction import RIG
+from skincal.sentences import (
+    correction_sentence,
+    frame_sentence,
+    left_sentences,
+    misfit_sentence,
+    rig_sentences,
+    state_sentence,
+    unchecked_sentence,
+)
+from skincal.session.error_history import MAX, MEAN, P95, TAXELS
+from skincal.taxels.gains import TaxelGain
+from skincal.taxels.result import Estimate, Method
+
+DASH = "\N{EN DASH}"
+_UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
+AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
+"""What a check says of the verdict."""
+GUIDE_UNITS = {
+    "wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad", "tolerance": "rad", "unknown": "m",
+    "poke_s": "s", "hand_speed": "m/s",
+}  # fmt: skip
+"""Units of the guide's settings; a plain number where none stands."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportTable:
+    """A table of a section; rows may be marked by what their last cell says."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+    small: bool = False
+    """Whether it is long, and so set in small type."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportPicture:
+    """A picture of a section, in the page itself."""
+
+    source: str
+    """A `data:` address."""
+    words: str
+    """What is seen, for who does not see it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSection:
+    """A part of the page under a heading."""
+
+    title: str
+    sentences: Sequence[str] = ()
+    pictures: Sequence[ReportPicture] = ()
+    tables: Sequence[ReportTable] = ()
+
+
+def write_report(folder: Path, path: Path, method: Method | None = None) -> str:
+    """Write the report of a recorded session; return its verdict. An older file stays beside it with `.bak` after its name.
+
+    Parameters
+    ----------
+    method : whose estimates are shown; None for the one that leads
+
+    Raises
+    ------
+    InputError
+        The folder is no session, the scene lacks the method, or the file cannot be written.
+    """
+    facts = gather_facts(folder, method)
+    write_atomically(path, report_page(facts).encode("utf-8"))
+    return sentence(facts.verdict)
+
+
+def report_page(facts: SessionFacts) -> str:
+    """Return the page."""
+    # Only now: the commands' help needs no template.
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    scene = facts.part.scene
+    return environment.get_template("report.html.jinja").render(
+        title=f"{scene.name} {DASH} {facts.name}",
+        made=f"{facts.made:%Y-%m-%d %H:%M} UTC",
+        simulated=facts.truth is not None,
+        link=scene.link,
+        method=facts.method.value,
+        version=facts.versions["skincal"],
+        verdict=sentence(facts.verdict),
+        enough=facts.verdict.enough and not facts.verdict.doubted,
+        sections=tuple(_sections(facts)),
+    )
+
+
+def _visible(value: object) -> object:
+    """Return text without characters that are not seen, and may turn the order of all that follow."""
+    return _UNSEEN.sub("\N{REPLACEMENT CHARACTER}", value) if isinstance(value, str) else value
+
+
+def _sections(facts: SessionFacts) -> Iterator[ReportSection]:
+    yield _verdict(facts)
+    yield _part(facts)
+    yield _map(facts)
+    yield _errors(facts)
+    yield _rig(facts)
+    yield _pokes(facts)
+    yield _lint(facts)
+    yield _devices(facts)
+    yield _settings(facts)
+    yield _taxels(facts)
+    yield _versions(facts)
+
+
+# ---- the verdict and what it rests on ----
+
+
+def _verdict(facts: SessionFacts) -> ReportSection:
+    left = facts.verdict.left
+    tables = [
+        ReportTable(("", ""), figures(facts.verdict)),
+        ReportTable(("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on"),
+    ]
+    if left:
+        of: dict[str, list[int]] = {}
+        for each in left:
+            of.setdefault(left_words(each), []).append(each.channel)
+        rows = [(why, str(len(some)), list_channels(some, most=len(some))) for why, some in of.items()]
+        headings = ("Why they are not done", "Taxels", "Channels")
+        tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not done"))
+    return ReportSection("Verdict and evidence", tables=tables)
+
+
+def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
+    """Yield what was checked, what was found, and what it says; also what could not be checked."""
+    check, landmarks = facts.verdict.check, facts.verdict.landmarks
+    said = AGREES if check.agrees else AGAINST
+    yield "Held-out pokes", check_words(facts.verdict), said if check.tells or not check.believed else OPEN
+    said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
+    yield "Landmarks", landmark_words(landmarks), said
+    yield _frame_evidence(facts)
+    yield _module_evidence(facts)
+    yield (
+        "Exported file",
+        "what was remarked stands below" if facts.lint else "nothing to remark",
+        (plural(len(facts.lint), "remark") if facts.lint else AGREES),
+    )
+    lead = next(each for each in facts.methods if each.method is facts.method)
+    if lead.error is None:
+        yield "Truth", "not known: only a simulated rig tells where its taxels are", OPEN
+    else:
+        yield "Truth", f"simulated: taxels are {_mm(lead.error.mean)} off in the mean, {_mm(lead.error.max)} at most", "known"
+    yield (
+        "Recording",
+        " ".join(facts.findings) or "read without damage",
+        (plural(len(facts.findings), "remark") if facts.findings else AGREES),
+    )
+
+
+def _frame_evidence(facts: SessionFacts) -> tuple[str, str, str]:
+    if facts.frame is None:
+        return "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
+    return "Sensor's frame", frame_sentence(facts.frame), AGREES if facts.frame.right else AGAINST
+
+
+def _module_evidence(facts: SessionFacts) -> tuple[str, str, str]:
+    what = "Modules as planned"
+    if facts.mend is None:
+        return what, "not checked: the scene has no layout", OPEN
+    if facts.mend.misfits:
+        return what, " ".join(misfit_sentence(misfit) for misfit in facts.mend.misfits), AGAINST
+    if not facts.judged:
+        return what, "too little is known of every module", OPEN
+    return what, f"none of {plural(facts.judged, 'module')} looks mirrored, turned or swapped", AGREES
+
+
+# ---- pictures and errors ----
+
+
+def _part(facts: SessionFacts) -> ReportSection:
+    words = f"The part from four sides ({', '.join(SIDES)}), its taxels coloured by {error_name(facts)}."
+    note = "Each view shows the taxels of its side. Dark is wrong; the darkest are the worst twentieth."
+    return ReportSection("The part", (note,), (_picture(draw_sides(facts), "png", words),))
+
+
+def _map(facts: SessionFacts) -> ReportSection:
+    layout = facts.part.scene.skin.layout
+    if layout is None:
+        return ReportSection("Map", ("The scene has no layout, so there is no map.",))
+    words = f"The layout unrolled, its modules with their numbers, taxels coloured by {error_name(facts)}."
+    note = "Rings are taxels whose place is not known, crosses those that are not used."
+    return ReportSection("Map", (note,), (_picture(draw_map(facts, layout), "svg", words),))
+
+
+def _errors(facts: SessionFacts) -> ReportSection:
+    against = "against the truth" if facts.truth is not None else "as predicted, since the truth is not known"
+    words = f"{error_name(facts).capitalize()} of each method against pokes, against time, and against what solving costs."
+    tables = [ReportTable(METHOD_HEADINGS, [_method_row(each) for each in facts.methods], "Methods; lengths in mm")]
+    if len(facts.module_spreads):
+        tables.append(ReportTable(MODULE_HEADINGS, list(_module_rows(facts)), f"Modules; {error_name(facts)}, mm"))
+    said = f"Errors are {against}; the table of taxels stands at the end. Time is that spent poking, without long pauses."
+    known = any((spreads[:, 0, TAXELS] > 0).any() for spreads in facts.series.spreads.values())
+    pictures = (_picture(draw_course(facts), "svg", words),) if known else ()
+    return ReportSection("Errors", (said if known else "No taxel is known yet.",), pictures, tables)
+
+
+METHOD_HEADINGS = (
+    "Method", "Taxels", "Predicted", "of it the whole skin", "among taxels", "True error, mean", "sd", "95 %", "worst",
+    "Neighbours / layout", "Solved in",
+)  # fmt: skip
+MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95 %", "Worst")
+
+
+def _method_row(each: MethodFacts) -> tuple[str, ...]:
+    states = ", ".join(f"{count} {name}" for name, count in each.states.items())
+    predicted = (None,) * 3 if each.predicted is None else (each.predicted.every, each.predicted.whole, each.predicted.among)
+    error = (None,) * 4 if each.error is None else (each.error.mean, each.error.sd, each.error.p95, each.error.max)
+    lengths = (_bare(length) for length in (*predicted, *error))
+    return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f} ms"
+
+
+def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
+    layout = facts.part.scene.skin.layout
+    modules = () if layout is None else layout.modules
+    for module, spread in zip(modules, facts.module_spreads, strict=True):
+        lengths = (_bare(float(spread[column])) for column in (MEAN, P95, MAX))
+        known = 0 if math.isnan(spread[TAXELS]) else int(spread[TAXELS])
+        yield str(module.id), f"{known} of {len(module.channels)}", *lengths
+
+
+def _taxels(facts: SessionFacts) -> ReportSection:
+    rows = [_taxel_row(facts, *each) for each in zip(facts.estimates, facts.gains, strict=True)]
+    note = (
+        "Places are in the link's frame. The sd is along the direction that is known worst; the gain is the answer over the "
+        "force along the normal, with its sd over the pokes in which the taxel answered most."
+    )
+    return ReportSection("Taxels", (note,), tables=(ReportTable(TAXEL_HEADINGS, rows, "", small=True),))
+
+
+TAXEL_HEADINGS = (
+    "Module", "Channel", "State", "Error, mm", "Predicted, mm", "sd, mm", "Contacts", "x, mm", "y, mm", "z, mm", "Gain, raw/N",
+    "its sd", "Pokes",
+)  # fmt: skip
+
+
+def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tuple[str, ...]:
+    place = (None,) * 3 if estimate.position is None else estimate.position.tolist()
+    layout, channel = facts.part.scene.skin.layout, estimate.channel
+    index = -1 if layout is None else int(layout.module_of[channel])
+    module = DASH if layout is None or index < 0 else str(layout.modules[index].id)
+    state, why = estimate.state.value, "" if estimate.position is not None else state_sentence(estimate.reason)
+    true = facts.errors.get(channel) if facts.truth is not None else None
+    lengths = (_bare(length) for length in (true, estimate.rms, estimate.sd))
+    return (
+        module, str(channel), f"{state}: {why}" if why else state, *lengths, str(estimate.contacts),
+        *(_bare(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
+    )  # fmt: skip
+
+
+# ---- the rig, the pokes, the file, the devices ----
+
+
+def _rig(facts: SessionFacts) -> ReportSection:
+    used = facts.snapshot.corrections
+    said = [] if facts.frame is None else [frame_sentence(facts.frame)]
+    said += [correction_sentence(each) for each in used.values()]
+    said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
+    said += [] if facts.verdict.unchecked is None else [unchecked_sentence(facts.verdict.unchecked)]
+    rows = [
+        (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
+        for mark in facts.snapshot.landmarks
+    ]
+    headings = ("Landmark", "x, mm", "y, mm", "z, mm", "Pokes", "They pass it at, mm")
+    tables = (ReportTable(headings, rows, "Landmarks, as the rig reports their pokes"),) if rows else ()
+    said += [] if rows else ["The scene names no landmarks."]
+    return ReportSection("Rig and landmarks", said, tables=tables)
+
+
+def _misses(facts: SessionFacts, name: str) -> str:
+    return ", ".join(f"{miss * 1e3:.1f}" for miss in facts.misses[name]) or DASH
+
+
+def _pokes(facts: SessionFacts) -> ReportSection:
+    records, named = facts.snapshot.pokes, facts.snapshot.at_landmarks
+    out = [str(record.outcome.poke) for record in records if record.excluded]
+    counts = (
+        f"{plural(len(records), 'poke')}: {len(facts.snapshot.contacts)} count, {len(named)} at landmarks, "
+        f"{sum(map(len, facts.rejected.values()))} rejected, {len(out)} taken out by the operator."
+    )
+    said = [counts, *([f"Taken out: poke {', '.join(out)}."] if out else [])]
+    said += [f"Channel {channel} is not used: {why}." for channel, why in facts.snapshot.dead.items()]
+    rows = [
+        (reason.value, str(len(found)), ", ".join(str(each.poke) for each in found)) for reason, found in facts.rejected.items()
+    ]
+    tables = (ReportTable(("Reason", "Pokes", "Their numbers"), rows, "Rejected pokes"),) if rows else ()
+    return ReportSection("Pokes", said, tables=tables)
+
+
+def _lint(facts: SessionFacts) -> ReportSection:
+    head = f"The iCub position file of the {facts.method.value} method, checked as it would be written:"
+    mend = () if facts.mend is None else left_sentences(facts.mend)
+    return ReportSection("The exported file", (head, *(facts.lint or ("Nothing to remark.",)), *mend))
+
+
+def _devices(facts: SessionFacts) -> ReportSection:
+    totals = {link.link: link for link in facts.totals.links}
+    rows: list[tuple[str, ...]] = []
+    for link in facts.links:
+        of, carries = totals.get(link.name), ", ".join(stream.value for stream in link.carries)
+        lost = "" if of is None else ", ".join(f"{count} {loss.value}" for loss, count in of.losses.items() if count)
+        told = ("", "0") if of is None else (of.format, str(of.readings))
+        rows.append((link.name, link.address, carries, *told, lost or "none"))
+    said = f"{plural(facts.totals.unpaired, 'skin frame')} found no wrench."
+    headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost")
+    return ReportSection("Devices", (said,), tables=(ReportTable(headings, rows),))
+
+
+def _settings(facts: SessionFacts) -> ReportSection:
+    scene = facts.part.scene
+    arm = "none" if scene.arm is None else ", ".join(scene.arm.poses) or "streamed"
+    surface, layout = facts.part.surface, scene.skin.layout
+    what = [
+        ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all places", scene.link),
+        ("Channels of a skin frame", str(scene.skin.channels)),
+        ("Modules", "no layout" if layout is None else str(len(layout.modules))), ("Arm poses", arm),
+        ("Mesh", "none" if scene.surface is None else scene.surface.path.name),
+        ("Triangles", "none" if surface is None else str(len(surface.triangles))),
+        ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),
+    ]  # fmt: skip
+    tables = [ReportTable(("", ""), what, "Scene")]
+    for caption, settings, units in (
+        ("Thresholds of a poke", scene.contacts, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
+        ("What the guide wants", GuideSettings(), GUIDE_UNITS),
+    ):  # fmt: skip
+        tables.append(ReportTable(("Setting", "Value", "Unit"), list(_setting_rows(settings, units)), caption))
+    return ReportSection("Settings", ("SI units, as in the scene file.",), tables=tables)
+
+
+def _setting_rows(settings: Any, units: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    for item in fields(settings):
+        yield item.name, f"{getattr(settings, item.name):g}", units.get(item.name, "")
+
+
+def _versions(facts: SessionFacts) -> ReportSection:
+    return ReportSection("Versions", tables=(ReportTable(("", ""), list(facts.versions.items())),))
+
+
+def _picture(data: bytes, kind: str, words: str) -> ReportPicture:
+    mime = {"png": "image/png", "svg": "image/svg+xml"}[kind]
+    return ReportPicture(f"data:{mime};base64,{b64encode(data).decode('ascii')}", words)
+
+
+def _mm(metres: float) -> str:
+    return f"{metres * 1e3:.2f} mm"
+
+
+def _bare(metres: float | None) -> str:
+    """Return a length as a number of millimetres; a dash where it is not known."""
+    return _number(None if metres is None else metres * 1e3)
+
+
+def _number(value: float | None) -> str:
+    return DASH if value is None or not math.isfinite(value) else f"{value:.2f}"

@@ -1,0 +1,121 @@
+"""Closing check: whether anything moved between the first pokes of a session and those that are made once more at its end.
+
+A poke's axis passes its place P at r, two numbers across its push; E are these two directions. With x the rig's unknowns in
+standard deviations of their prior and J the change of r with them (`skincal.rig.correction`), q how far the place lies off P,
+and n the sensor's noise and the hand,
+
+    r = J x + E q + n            of the pokes before,
+    r = J x + E q + E s + n      of those at the end, if the part moved by s against what the sensor and the arm report.
+
+x, q and n have known spreads, so r has a known covariance C; s follows by generalized least squares, and s' S^-1 s with
+S = (X' C^-1 X)^-1 is a chi-squared of three degrees of freedom where nothing moved. A rig that is wrong all along is no
+movement: x is the same in all pokes.
+
+Landmarks do not move on the part: a movement there is the sensor's or the arm's. Taxels do: there it may be the skin's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from math import erfc, exp, pi, sqrt
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.scene import NoiseSettings
+from skincal.rig.correction import RigPrior, RigState, rig_rows
+from skincal.rig.correction_fit import LandmarkPoke, readings_of
+from skincal.rig.expected_gain import EXACT
+
+PLACES = 3
+"""Places that are poked once more: one may be missed, and two still say it."""
+FEWEST = 2
+"""Places below which nothing is said: a single poke may have been anywhere."""
+CHANCE = 0.01
+"""Chance, below which a movement is no accident."""
+INSIDE = 11.345
+"""Chi-squared of three degrees of freedom that all but `CHANCE` stay below."""
+
+
+class ClosingPlaces(Enum):
+    """What was poked once more; the value is the word for it."""
+
+    LANDMARKS = "landmarks"
+    TAXELS = "taxels"
+
+
+_OFF = {ClosingPlaces.LANDMARKS: 0.002, ClosingPlaces.TAXELS: 0.020}
+"""m, sd of how far a place lies off what is believed, each direction: a drawing, and a taxel before anything is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """What the closing check found."""
+
+    at: ClosingPlaces
+    names: tuple[str, ...]
+    """Of the landmarks that were poked once more; of taxels their channels."""
+    shift: float
+    """m, how far the part moved against what the sensor and the arm report, by these pokes."""
+    limit: float
+    """m, how far it seems to, in that direction, where nothing moved: 99 times of 100 less."""
+    chance: float
+    """Of so large a shift where nothing moved, 0 to 1."""
+
+    @property
+    def moved(self) -> bool:
+        """Whether something moved."""
+        return self.chance < CHANCE
+
+
+def closing_check(
+    before: Sequence[LandmarkPoke], after: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
+) -> Closing | None:
+    """Compare pokes that were made once more with those before; None where they are at too few places.
+
+    Parameters
+    ----------
+    before, after : at landmarks or taxels, in the right frame, as the rig reports them; those before may be elsewhere, too
+    """
+    names = sorted({poke.name for poke in after} & {poke.name for poke in before})
+    after = [poke for poke in after if poke.name in names]
+    if len(names) < FEWEST:
+        return None
+    pokes = [*before, *after]
+    across, miss, covariance = _passings(pokes, at, noise)
+    moves = np.concatenate([np.zeros((2 * len(before), 3)), across[len(before) :].reshape(-1, 3)])
+    # Solved together: the covariance is factored once.
+    solved = np.linalg.solve(covariance, np.column_stack([moves, miss]))
+    precision: FloatArray = moves.T @ solved[:, :3]
+    shift = np.asarray(np.linalg.solve(precision, moves.T @ solved[:, 3]), dtype=np.float64)
+    square, size = float(shift @ precision @ shift), float(np.sqrt(shift @ shift))
+    limit = size * sqrt(INSIDE / square) if square > 0 else 0.0
+    return Closing(at, tuple(names), size, limit, _beyond(square))
+
+
+def _passings(
+    pokes: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return E (m, 2, 3), and of how m pokes pass their places (2 m,), metres, the covariance (2 m, 2 m)."""
+    prior, poses = RigPrior(), sorted({poke.pose for poke in pokes})
+    order = {name: index for index, name in enumerate(poses)}
+    places, readings, scales = np.array([poke.place for poke in pokes]), readings_of(pokes, order), prior.scales(len(poses))
+    # Whitened by a spread of one metre the rows are in metres, and their change with the place has orthonormal rows.
+    spread = np.broadcast_to(np.eye(3), (len(pokes), 3, 3))
+    rows = rig_rows(readings, RigState.at_prior(len(poses)), places, spread, EXACT, scales)
+    of_rig = rows.of_rig.reshape(2 * len(pokes), -1)
+    force = np.linalg.norm(readings.wrenches[:, :3], axis=1)
+    lever = np.linalg.norm(places - readings.reported[:, :3, 3], axis=1)
+    aim = prior.landmark if at is ClosingPlaces.LANDMARKS else noise.contact
+    own = aim**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
+    same = np.array([[one.name == other.name for other in pokes] for one in pokes], dtype=np.float64)
+    flat = rows.of_place.reshape(-1, 3)
+    off = _OFF[at] ** 2 * np.kron(same, np.ones((2, 2))) * (flat @ flat.T)
+    return rows.of_place, rows.misses.ravel(), of_rig @ of_rig.T + np.diag(np.repeat(own, 2)) + off
+
+
+def _beyond(square: float) -> float:
+    """Return the chance that a chi-squared of three degrees of freedom is larger."""
+    return erfc(sqrt(square / 2.0)) + sqrt(2.0 * square / pi) * exp(-square / 2.0)

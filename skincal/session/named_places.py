@@ -1,0 +1,102 @@
+"""Places of taxels by what an operator calls them: a session with a method, its plan or its truth, or a file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+
+from skincal.files.reference import TRUTH_NAME, PlaceSet, check_part, plan_reference, read_place_sets, read_places
+from skincal.methods import leading_method
+from skincal.model.errors import InputError
+from skincal.model.skin import Layout
+from skincal.session.part import lay_part
+from skincal.session.pipeline import Pipeline
+from skincal.session.replay import load
+from skincal.taxels.result import Method
+
+PLAN, TRUTH = "plan", "truth"
+WORDS = (*(method.value for method in Method), PLAN, TRUTH)
+"""What may stand after the colon."""
+
+
+def find_places(named: str) -> PlaceSet:
+    """Return the places that a name stands for.
+
+    Parameters
+    ----------
+    named : the folder of a session or a file (`read_places`), and after a colon a method; of a session also `plan`, the layout
+        laid on its part, or `truth`, the places of a simulated rig. Without that the method that leads
+
+    Raises
+    ------
+    InputError
+        There is no such session or file, or it does not have what is named.
+    """
+    head, _, last = named.rpartition(":")
+    path, which = (Path(head), last) if head and last in WORDS and not Path(named).exists() else (Path(named), "")
+    if path.is_dir():
+        return session_places(path, which)
+    if which in (PLAN, TRUTH):
+        raise InputError(f"{named}: only the folder of a session has a {which}; name a folder, or a file without {which!r}.")
+    return read_places(path, Method(which) if which else None)
+
+
+def session_places(folder: Path, which: str = "") -> PlaceSet:
+    """Return places of a recorded session; `which` is one of `WORDS`, empty for the method that leads.
+
+    Raises InputError: it is no session, or does not have what is named.
+    """
+    name = folder.resolve().name
+    if which == TRUTH:
+        truth = read_places(folder / TRUTH_NAME)
+        return PlaceSet(f"{name}, truth", truth.link, truth.places)
+    pipeline = load(folder)
+    if which == PLAN:
+        return _plan_of(pipeline, name)
+    sets = _sets_of(pipeline, folder)
+    chosen = next((each for each in sets if not which or each.method is Method(which)), None)
+    if chosen is None:
+        raise InputError(f"{folder}: has no places by the {which} method; expected {', '.join(each.name for each in sets)}.")
+    return chosen
+
+
+def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceSet, ...]:
+    """Return all places of the taxels of a part that a file, or the folder of a session by each of its methods, knows.
+
+    The method that leads comes first.
+
+    Raises InputError: as for `find_places`; also where they are of another link than `link`, or know none of `channels`.
+    """
+    sets = _sets_of(load(path), path) if path.is_dir() else read_place_sets(path)
+    for found in sets:
+        check_part(found, path, link, channels)
+    return sets
+
+
+def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[PlaceSet, ...]:
+    """Return the places that each method of a session knows; InputError where none knows any."""
+    estimates, scene, name = pipeline.snapshot().estimates, pipeline.scene, folder.resolve().name
+    leads, modules = leading_method(estimates), _modules_of(scene.skin.layout)
+    if leads is None:
+        raise InputError(f"{folder}: no taxel is known in this session yet; poke some more, or name its plan or its truth.")
+    known = {
+        method: {estimate.channel: estimate.position for estimate in found if estimate.position is not None}
+        for method, found in estimates.items()
+    }
+    order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
+    return tuple(PlaceSet(f"{name}, {each.value} method", scene.link, known[each], modules, each) for each in order)
+
+
+def _plan_of(pipeline: Pipeline, name: str) -> PlaceSet:
+    scene = pipeline.scene
+    part = lay_part(scene, pipeline.session.surface, ())
+    plan = None if part.laid is None else plan_reference(scene.name, part.laid.places)
+    if plan is None:
+        raise InputError(f"{name}: its scene does not say where the layout lies on the part, so there is no plan.")
+    return PlaceSet(f"{name}, plan", scene.link, plan.places, _modules_of(scene.skin.layout))
+
+
+def _modules_of(layout: Layout | None) -> dict[int, int]:
+    if layout is None:
+        return {}
+    return {int(channel): module.id for module in layout.modules for channel in module.channels}

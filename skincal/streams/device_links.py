@@ -1,0 +1,458 @@
+"""Links to devices that are spoken to: transports, and the talk over them; what is said comes from `skincal.streams.decoders`.
+
+Imported when a device's address is opened, and each device's own modules when it is that device's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import select
+import socket
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Protocol
+
+from skincal.model.readings import Stream
+from skincal.streams.decoders.dialogue import Dialogue, DialogueError
+from skincal.streams.device_address import DeviceAddress, parse_device
+from skincal.streams.failures import FailureKind, Link, LinkFailure
+
+READY_S = 0.8
+"""s. A device that has not agreed to send so long after it was asked speaks another language, or not at all."""
+ANSWER_S = 1.0
+"""s. For a page or the answer of a name server: machines of one room."""
+ANSWER_MAX = 1 << 20
+"""Bytes of a name server's answer: some 10,000 ports."""
+DATAGRAM_MAX = 1472
+"""Bytes of a datagram that passes Ethernet in one piece; no device here sends longer ones."""
+DATAGRAMS_TOGETHER = 64
+"""Datagrams of one read: more than come while a busy program waits 60 ms, at 1 kHz."""
+RECEIVE_BUFFER = 1 << 20
+"""Bytes that the system keeps for a program that is held up: some seconds at 1 kHz, each datagram with the system's own 700."""
+
+
+class _OpenTcp(Protocol):
+    def __call__(self, address: str, host: str, port: int, /) -> Link: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Ports:
+    """How the program opens what it also opens plainly."""
+
+    tcp: _OpenTcp
+    """From the address as the operator wrote it, for sentences, a host and a port."""
+    serial: Callable[[str, int], Link]
+    """From the port's name and its baud rate."""
+
+
+class TalkingLink:
+    """A transport and what is said over it.
+
+    The constructor waits until the device agrees to send, at most `READY_S`, and raises LinkFailure where it does not.
+    """
+
+    def __init__(self, address: str, transport: Link, dialogue: Dialogue) -> None:
+        self._address, self._transport, self._dialogue = address, transport, dialogue
+        self._early = b""
+        self._heard_s = time.monotonic()
+        try:
+            self._begin()
+        except BaseException:
+            transport.close()
+            raise
+
+    def _begin(self) -> None:
+        opening = self._dialogue.opening()
+        if opening:
+            self._transport.write(opening)
+        end_s = time.monotonic() + READY_S
+        while not self._dialogue.ready:
+            if time.monotonic() > end_s:
+                raise LinkFailure(FailureKind.ABSENT, f"{self._address}: does not answer as it should; check what runs there.")
+            self._early += self._hear(end_s - time.monotonic())
+
+    def _hear(self, timeout_s: float) -> bytes:
+        data = self._transport.read(max(timeout_s, 0.0))
+        if data:
+            try:
+                answer = self._dialogue.hear(data)
+            except DialogueError as error:
+                sentence = f"{self._address}: {error}. It is read no further."
+                raise LinkFailure(FailureKind.NONSENSE, sentence) from error
+            if answer:
+                self._transport.write(answer)
+        return data
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        if self._early:
+            early, self._early = self._early, b""
+            return early
+        data = self._hear(min(timeout_s, self._dialogue.silence_s))
+        now_s = time.monotonic()
+        if data:
+            self._heard_s = now_s
+        elif now_s - self._heard_s >= self._dialogue.silence_s:
+            self._heard_s = now_s
+            words = self._dialogue.on_silence()
+            if words:
+                self._transport.write(words)
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See `Link`."""
+        self._transport.write(data)
+
+    def close(self) -> None:
+        """See `Link`; says the farewell before."""
+        if self._dialogue.farewell:
+            with contextlib.suppress(LinkFailure):
+                self._transport.write(self._dialogue.farewell)
+        self._transport.close()
+
+
+def open_device(address: str, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    """Open a device's address, which `parse_device` understands. Raises LinkFailure."""
+    device = parse_device(address)
+    assert device is not None
+    return _OPENERS[device.scheme](device, carries, ports)
+
+
+def _ask(where: str, server: tuple[str, int], request: bytes, ports: Ports, end: bytes) -> bytes:
+    """Return a server's answer to one request, up to `end` or its closing, within `ANSWER_S` and `ANSWER_MAX`."""
+    link = ports.tcp(where, *server)
+    answer = b""
+    until_s = time.monotonic() + ANSWER_S
+    try:
+        link.write(request)
+        while end not in answer and len(answer) < ANSWER_MAX and (left_s := until_s - time.monotonic()) > 0:
+            answer += link.read(left_s)
+    except LinkFailure:
+        # Closed: that is how most servers end an answer.
+        return answer
+    finally:
+        link.close()
+    return answer
+
+
+def _open_lines(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    del carries
+    return ports.tcp(device.text, device.host, device.port)
+
+
+# ------------------------------------------------------------------ ATI RDT
+
+
+class DatagramLink:
+    """UDP with one host; each datagram is a packet of the given kind."""
+
+    def __init__(self, address: str, host: str, port: int, kind: int) -> None:
+        self._address, self._kind = address, kind
+        try:
+            family, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+            # Connected: what others send does not arrive.
+            self._socket.connect(place)
+            self._socket.setblocking(False)
+        except OSError as error:
+            raise LinkFailure(FailureKind.ABSENT, f"{address}: cannot be reached: {error.strerror or error}.") from error
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        from skincal.streams.decoders.framing import pack
+
+        datagrams: list[bytes] = []
+        try:
+            if not select.select([self._socket], [], [], timeout_s)[0]:
+                return b""
+            while len(datagrams) < DATAGRAMS_TOGETHER:
+                datagrams.append(self._socket.recv(DATAGRAM_MAX))
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            if not datagrams:
+                raise LinkFailure(FailureKind.REFUSED, _nobody(self._address)) from error
+        return b"".join(pack(self._kind, datagram) for datagram in datagrams)
+
+    def write(self, data: bytes) -> None:
+        """See `Link`."""
+        # What a full buffer or a host that is away does to a datagram is what the network may do, too: asked again later.
+        with contextlib.suppress(OSError):
+            self._socket.send(data)
+
+    def close(self) -> None:
+        """See `Link`."""
+        self._socket.close()
+
+
+def _nobody(address: str) -> str:
+    return f"{address}: nothing listens there; switch the sensor on, or check the number."
+
+
+class _Preface:
+    """A transport that hands on some bytes of the host's own first."""
+
+    def __init__(self, first: bytes, transport: Link) -> None:
+        self._first, self._transport = first, transport
+        self.write, self.close = transport.write, transport.close
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        first, self._first = self._first, b""
+        return first or self._transport.read(timeout_s)
+
+
+def _open_netft(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders import rdt
+    from skincal.streams.decoders.framing import pack
+
+    del carries
+    page = _netft_page(device, ports)
+    try:
+        rdt.read_page(page)
+    except ValueError as error:
+        raise LinkFailure(FailureKind.OTHER, f"{device.text}: {error}; {_GIVE_COUNTS}.") from error
+    transport = DatagramLink(device.text, device.host, device.port, rdt.RECORDS)
+    return TalkingLink(device.text, _Preface(pack(rdt.PAGE, page), transport), rdt.RdtDialogue())
+
+
+_GIVE_COUNTS = "give the counts for each N and N m of its data sheet, such as ?cpf=1000000&cpt=1000000"
+HEX_COUNTS = 10_000.0, 100_000.0
+"""Counts for each N and N m of every OnRobot HEX."""
+
+
+def _netft_page(device: DeviceAddress, ports: Ports) -> bytes:
+    """Return what the address or the sensor's own page says of its counts."""
+    from skincal.streams.decoders import rdt
+
+    options = device.options
+    product = {"hex": "OnRobot HEX", "axia": "Axia", "netft": "Net F/T"}.get(options.get("device", "netft"))
+    if product is None:
+        raise LinkFailure(FailureKind.ADDRESS, f"{device.text}: device is {options['device']}; expected netft, axia or hex.")
+    force, torque = HEX_COUNTS if product == "OnRobot HEX" else (0.0, 0.0)
+    try:
+        force, torque = float(options.get("cpf", force)), float(options.get("cpt", torque))
+        number = int(options.get("page", 80))
+    except ValueError as error:
+        raise LinkFailure(FailureKind.ADDRESS, f"{device.text}: {error}; {_GIVE_COUNTS}.") from error
+    if force and torque:
+        return rdt.given_page(force, torque, product)
+    where = f"{device.text} (its page, http://{device.host}:{number}/netftapi2.xml)"
+    request = f"GET /netftapi2.xml HTTP/1.0\r\nHost: {device.host}\r\n\r\n".encode()
+    try:
+        answer = _ask(where, (device.host, number), request, ports, b"</netft")
+    except LinkFailure as failure:
+        raise LinkFailure(failure.kind, f"{failure} Or {_GIVE_COUNTS}.") from failure
+    return answer.partition(b"\r\n\r\n")[2][: rdt.PAGE_MAX]
+
+
+# ------------------------------------------------------------------ YARP
+
+
+NAMES_SHOWN = 3
+"""Ports named as examples where one is not known."""
+
+
+def yarp_server() -> tuple[str, int]:
+    """Return host and port of the name server that this machine's YARP uses, by its files; this machine where it has none."""
+    folder = _yarp_folder()
+    namespace = (_first_words(folder / "yarp_namespace.conf") or ["/root"])[0]
+    name = "yarp.conf" if namespace == "/root" else re.sub("[^A-Za-z0-9]", "_", namespace) + ".conf"
+    words = _first_words(folder / name)
+    if len(words) > 1 and words[1].isdigit() and len(words[1]) < 6:
+        return words[0], int(words[1])
+    return "127.0.0.1", 10000
+
+
+def _yarp_folder() -> Path:
+    given, config = os.environ.get("YARP_CONFIG_HOME"), os.environ.get("XDG_CONFIG_HOME")
+    if given:
+        return Path(given)
+    if config:
+        return Path(config) / "yarp"
+    if sys.platform == "win32":
+        return Path(os.environ.get("APPDATA", "")) / "yarp" / "config"
+    return Path.home() / ("Library/Preferences/yarp" if sys.platform == "darwin" else ".config/yarp")
+
+
+def _first_words(path: Path) -> list[str]:
+    """Return the words of a file's first line that says something; none where there is no such file."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    words = [line.split() for line in lines if line.strip() and line.strip()[0] not in "#["]
+    return words[0] if words else []
+
+
+def ask_names(where: str, server: tuple[str, int], port: str, ports: Ports) -> dict[str, tuple[str, int]]:
+    """Return where a name server says that a port is, or all that it knows for an empty one. Raises LinkFailure."""
+    from skincal.streams.decoders.yarp_port import NAME_END, name_query, read_names
+
+    host, number = server
+    answer = _ask(f"{where} (name server {host}:{number})", server, name_query(port), ports, NAME_END)
+    if NAME_END not in answer:
+        sentence = f"{where}: what answers at {host}:{number} is no YARP name server; check the server's host and port."
+        raise LinkFailure(FailureKind.OTHER, sentence)
+    return read_names(answer)
+
+
+def _open_yarp(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.yarp_port import YarpDialogue
+
+    del carries
+    server = (device.host, device.port) if device.host else yarp_server()
+    found = ask_names(device.text, server, device.path, ports).get(device.path)
+    if found is None:
+        known = ask_names(device.text, server, "", ports)
+        some = ", ".join(islice((name for name in known if len(name) < 80), NAMES_SHOWN)) or "none"
+        raise LinkFailure(
+            FailureKind.ABSENT,
+            f"{device.text}: the name server {server[0]}:{server[1]} knows no port {device.path}; it knows {len(known)} ports, "
+            f"such as {some}. Start the robot's part, or check the name (skincal devices lists them).",
+        )
+    try:
+        transport = ports.tcp(f"{device.text} (at {found[0]}:{found[1]} by the name server)", *found)
+    except LinkFailure as failure:
+        raise LinkFailure(
+            failure.kind, f"{failure} The address is the robot's own view of itself: this machine may not reach it."
+        ) from failure
+    return TalkingLink(device.text, transport, YarpDialogue())
+
+
+# ------------------------------------------------------------------ serial ports with a talk, and robots
+
+
+def _open_bota(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.bota import BotaDialogue
+
+    del carries
+    return TalkingLink(device.text, ports.serial(device.path, device.baud), BotaDialogue())
+
+
+def _open_robotiq(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    if device.host:
+        return _open_lines(device, carries, ports)
+    from skincal.streams.decoders.robotiq import RobotiqDialogue
+
+    return TalkingLink(device.text, ports.serial(device.path, device.baud), RobotiqDialogue())
+
+
+def _open_papillarray(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.papillarray import PapillArrayDialogue
+
+    del carries
+    return TalkingLink(device.text, ports.serial(device.path, device.baud), PapillArrayDialogue())
+
+
+def _open_rtde(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.rtde import RtdeDialogue
+
+    return TalkingLink(device.text, ports.tcp(device.text, device.host, device.port), RtdeDialogue(carries))
+
+
+# ------------------------------------------------------------------ websockets
+
+
+class WebsocketLink:
+    """A websocket client; each text message is a packet.
+
+    The library knows the protocol and no port: bytes in, messages and bytes to send out.
+    """
+
+    def __init__(self, address: str, transport: Link, host: str, port: int, message_max: int) -> None:
+        from websockets.client import ClientProtocol
+        from websockets.uri import parse_uri
+
+        self._address, self._transport = address, transport
+        self._protocol = ClientProtocol(parse_uri(f"ws://{f'[{host}]' if ':' in host else host}:{port}/"), max_size=message_max)
+        self._message = b""
+        try:
+            self._protocol.send_request(self._protocol.connect())
+            self._send()
+            self._open()
+        except BaseException:
+            transport.close()
+            raise
+
+    def _open(self) -> None:
+        from websockets.protocol import State
+
+        end_s = time.monotonic() + READY_S
+        self._early = b""
+        while self._protocol.state is State.CONNECTING:
+            left_s = end_s - time.monotonic()
+            if left_s < 0 or self._protocol.handshake_exc is not None:
+                raise LinkFailure(FailureKind.OTHER, f"{self._address}: what answers there is no websocket server.")
+            self._early += self._take(self._transport.read(left_s))
+
+    def _take(self, data: bytes) -> bytes:
+        from websockets.frames import Frame, Opcode
+
+        from skincal.streams.decoders.framing import pack
+
+        if not data:
+            return b""
+        self._protocol.receive_data(data)
+        out = b""
+        for event in self._protocol.events_received():
+            if not isinstance(event, Frame) or event.opcode not in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
+                continue
+            self._message += event.data
+            if event.fin:
+                out += pack(1, self._message)
+                self._message = b""
+        self._send()
+        return out
+
+    def _send(self) -> None:
+        for data in self._protocol.data_to_send():
+            if data:
+                self._transport.write(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        if self._early:
+            early, self._early = self._early, b""
+            return early
+        if self._protocol.parser_exc is not None:
+            why = f"{self._address}: it breaks the websocket protocol ({self._protocol.parser_exc}). It is read no further."
+            raise LinkFailure(FailureKind.NONSENSE, why)
+        return self._take(self._transport.read(timeout_s))
+
+    def write(self, data: bytes) -> None:
+        """See `Link`."""
+        self._protocol.send_text(data)
+        self._send()
+
+    def close(self) -> None:
+        """See `Link`."""
+        self._transport.close()
+
+
+def _open_xela(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.xela import MESSAGE_MAX
+
+    del carries
+    transport = ports.tcp(device.text, device.host, device.port)
+    return WebsocketLink(device.text, transport, device.host, device.port, MESSAGE_MAX)
+
+
+_OPENERS: dict[str, Callable[[DeviceAddress, tuple[Stream, ...], Ports], Link]] = {
+    "netft": _open_netft,
+    "yarp": _open_yarp,
+    "bota": _open_bota,
+    "robotiq": _open_robotiq,
+    "rtde": _open_rtde,
+    "xela": _open_xela,
+    "papillarray": _open_papillarray,
+    "lines": _open_lines,
+}
+"""By the scheme of the address."""

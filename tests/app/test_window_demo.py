@@ -1,0 +1,164 @@
+"""The first window: what a newcomer is told, that the rig is simulated, the end; and nothing is lost without a question."""
+
+from __future__ import annotations
+
+import pytest
+from PySide6.QtCore import QSettings, Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QMessageBox
+
+from app.dialogs.history_dialog import HistoryDialog
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.panels.first_minute import FirstMinute
+from app.session.controller import BRISK
+from app.session.opening import OpenRequest, server_command
+from app.state.running import Running
+from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
+from skincal.model.scene import resource
+from skincal.session.replay import replay
+from tests.app.whole_window import OPEN_MS, Bench
+
+Key = Qt.Key
+END_MS = 170_000
+"""What is promised, three minutes, less what the window takes to open."""
+
+
+def demo(scene: str = "flat-patch") -> OpenRequest:
+    path = resource(f"scenes/{scene}/scene.toml")
+    return OpenRequest(scene=path, server=(*server_command(path), "--careful", "--errors", "none"), demo=True)
+
+
+def card_of(bench) -> FirstMinute:
+    (card,) = bench.window.findChildren(FirstMinute)
+    return card
+
+
+def test_a_newcomer_is_told_four_things_once(bench, qtbot, tmp_path):
+    bench.open(demo())
+    card = card_of(bench)
+    assert card.isVisible()
+    assert len(FIRST_MINUTE) == 4
+    bench.key(Key.Key_Escape)
+    assert not card.isVisible()
+    assert QSettings("skincal", "test").value("window/told", type=bool)
+    bench.window.leave()
+    other = Bench(qtbot, tmp_path / "again")
+    other.open(demo())
+    assert other.window.findChildren(FirstMinute) == []
+
+
+def test_it_says_that_it_is_simulated_and_how_quick_and_shift_p_changes_that(bench):
+    bench.open(demo())
+    line, action = bench.window.session_view.workspace.now.simulated, bench.window.commands.actions["pace"]
+    assert line.text() == simulated_words(BRISK, Running.STREAMING)
+    for pace in (4, 1, 2):
+        bench.key(Key.Key_P, Qt.KeyboardModifier.ShiftModifier)
+        assert bench.controller.pace == pace
+        assert line.text() == simulated_words(pace, Running.STREAMING)
+        assert action.text() == pace_words(pace)
+    assert line.isVisible()
+
+
+def test_a_recorded_session_of_a_real_rig_is_not_simulated(bench, recorded):
+    (recorded / "truth.json").unlink(missing_ok=True)
+    bench.open(OpenRequest(session=recorded))
+    assert bench.window.session_view.workspace.now.simulated.text() == ""
+    assert not bench.window.commands.actions["pace"].isEnabled()
+
+
+def answer(bench, button: str) -> None:
+    """Press a button of the question, by its name; Enter where none is named."""
+    bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+    box = QApplication.activeWindow()
+    if not button:
+        QTest.keyClick(box, Key.Key_Return)
+        return
+    next(each for each in box.buttons() if each.text().replace("&", "") == button).click()
+
+
+def poked(bench) -> int:
+    bench.open(demo())
+    bench.until(lambda: len(bench.accepted()) >= 1)
+    bench.key(Key.Key_Space)
+    bench.until_all_is_taken_in()
+    return len(bench.snapshot.pokes)
+
+
+def test_enter_keeps_what_would_go_with_the_window(bench):
+    pokes = poked(bench)
+    temporary = bench.recording.storage.folder
+    bench.window.close()
+    assert bench.window.isVisible(), "it waits for the answer"
+    answer(bench, "")
+    bench.until(lambda: not bench.window.isVisible(), OPEN_MS)
+    (kept,) = bench.documents.iterdir()
+    assert len(replay(kept).snapshot().pokes) == pokes
+    assert not temporary.exists()
+
+
+def test_before_another_session_is_opened_it_is_asked_too_and_nothing_happens_until_then(bench, recorded):
+    pokes = poked(bench)
+    bench.window.open(OpenRequest(session=recorded))
+    answer(bench, "Cancel")
+    assert len(bench.snapshot.pokes) == pokes
+    bench.window.open(OpenRequest(session=recorded))
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        answer(bench, "Do not keep")
+    assert not bench.documents.exists()
+    assert bench.controller.would_lose == 0
+    bench.window.close()
+    assert not bench.window.isVisible(), "a recording in its own folder is not asked about"
+
+
+def test_a_simulated_session_that_was_kept_goes_on_with_its_rig(bench):
+    bench.open(demo())
+    bench.until(lambda: len(bench.accepted()) >= 2)
+    bench.controller.keep()
+    bench.until(lambda: not bench.controller.can_keep, OPEN_MS)
+    (kept,) = bench.documents.iterdir()
+    truth = (kept / "truth.json").read_bytes()
+    bench.open(OpenRequest(session=kept))
+    assert bench.controller.running is Running.OFFLINE
+    assert bench.window.session_view.workspace.now.simulated.text() == simulated_words(1, Running.OFFLINE)
+    before = len(bench.accepted())
+    assert before >= 2
+    bench.key(Key.Key_Space)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, OPEN_MS)
+    bench.until(lambda: len(bench.accepted()) > before)
+    assert (kept / "truth.json").read_bytes() == truth
+    bench.window.leave()
+    assert len(replay(kept).snapshot().pokes) >= before + 1
+
+
+def test_the_history_stands_beside_the_window_and_takes_back_down_to_a_line(bench):
+    bench.open(demo())
+    bench.until(lambda: len(bench.accepted()) >= 2)
+    bench.key(Key.Key_Space)
+    bench.until_all_is_taken_in()
+    count = len(bench.accepted())
+    bench.key(Key.Key_H)
+    bench.until(lambda: isinstance(QApplication.activeWindow(), HistoryDialog), 5000)
+    dialog = QApplication.activeWindow()
+    QTest.keyClick(dialog.list, Key.Key_Down)
+    QTest.keyClick(dialog.list, Key.Key_Return)
+    assert len(bench.accepted()) == count - 2
+    for left in (1, 0):
+        bench.key(Key.Key_Y, Qt.KeyboardModifier.ControlModifier)
+        assert len(bench.accepted()) == count - left
+    assert not bench.window.commands.actions["redo"].isEnabled()
+
+
+def test_a_key_that_is_held_down_takes_back_one_poke(bench):
+    assert not any(action.autoRepeat() for action in bench.window.commands.actions.values())
+
+
+@pytest.mark.timeout(300)
+def test_the_demo_comes_to_its_verdict_by_itself_within_three_minutes(bench):
+    path = resource("scenes/icub-forearm/scene.toml")
+    bench.open(OpenRequest(scene=path, server=server_command(path), demo=True))
+    bench.until(lambda: isinstance(QApplication.activeModalWidget(), VerdictDialog), END_MS)
+    dialog = QApplication.activeModalWidget()
+    assert dialog.sentence.text().startswith("All 84 taxels are done")
+    dialog.reject()
+    bench.qtbot.wait(200)
+    assert QApplication.activeModalWidget() is None, "once"

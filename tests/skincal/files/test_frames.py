@@ -1,0 +1,156 @@
+"""Frames of taxels for robot descriptions, read back by parsers of their own."""
+
+import io
+from dataclasses import replace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skincal.files.export import write_calibration
+from skincal.files.formats import FORMATS, ExportFormat
+from skincal.files.frames import mjcf_text, npz_bytes, quaternions_of, sdf_text, urdf_text
+from skincal.taxels.result import Method
+from tests.skincal.files.files_support import Part, estimate, make_calibration, make_part
+
+OF_ONE = (ExportFormat.URDF, ExportFormat.SDF, ExportFormat.MJCF, ExportFormat.NPZ)
+LEFT_OUT = (5, 13)
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory) -> Part:
+    return make_part(tmp_path_factory.mktemp("part"))
+
+
+@pytest.fixture(scope="module")
+def calibration(part):
+    return make_calibration(part, unseen=LEFT_OUT[:1], blind=LEFT_OUT[1:])
+
+
+def numbers(text: str | None) -> list[float]:
+    assert text is not None
+    return [float(word) for word in text.split()]
+
+
+def urdf_poses(text: str) -> dict[str, tuple[list[float], Rotation]]:
+    """Positions and turns by child link; roll, pitch and yaw about fixed axes."""
+    poses = {}
+    for joint in ET.fromstring(text).iter("joint"):
+        origin = joint.find("origin")
+        assert joint.get("type") == "fixed"
+        assert joint.find("parent").get("link") == "r_forearm_dh_frame"
+        poses[joint.find("child").get("link")] = (
+            numbers(origin.get("xyz")), Rotation.from_euler("xyz", numbers(origin.get("rpy")))
+        )  # fmt: skip
+    return poses
+
+
+def sdf_poses(text: str) -> dict[str, tuple[list[float], Rotation]]:
+    poses = {}
+    for frame in ET.fromstring(text).iter("frame"):
+        assert frame.get("attached_to") == "r_forearm_dh_frame"
+        values = numbers(frame.find("pose").text)
+        poses[frame.get("name")] = values[:3], Rotation.from_euler("xyz", values[3:])
+    return poses
+
+
+def mjcf_poses(text: str) -> dict[str, tuple[list[float], Rotation]]:
+    root = ET.fromstring(text)
+    assert [touch.get("site") for touch in root.iter("touch")] == [site.get("name") for site in root.iter("site")]
+    return {
+        site.get("name"): (
+            numbers(site.get("pos")), Rotation.from_quat(numbers(site.get("quat")), scalar_first=True)
+        )
+        for site in root.iter("site")
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("text_of", "poses_of"), [(urdf_text, urdf_poses), (sdf_text, sdf_poses), (mjcf_text, mjcf_poses)])
+def test_each_taxel_has_a_frame_at_its_place_with_z_outward(part, calibration, text_of, poses_of):
+    poses = poses_of(text_of(calibration, Method.SURFACE))
+    placed = [channel for channel in calibration.channels.tolist() if channel not in LEFT_OUT]
+    assert list(poses) == [f"taxel_{channel}" for channel in placed]
+    for channel in placed:
+        position, turn = poses[f"taxel_{channel}"]
+        assert np.allclose(position, part.places[channel], atol=1e-9)
+        assert np.allclose(turn.apply([0.0, 0.0, 1.0]), part.normals[channel], atol=1e-8)
+
+
+def test_frames_are_the_same_in_every_format_for_normals_all_around(calibration):
+    rng = np.random.default_rng(3)
+    normals = np.vstack([rng.standard_normal((40, 3)), np.eye(3), -np.eye(3)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    channels = calibration.channels.tolist()[: len(normals)]
+    # The last one has no normal: its frame stands as the link's.
+    known = [*normals[: len(channels) - 1], None]
+    found = tuple(estimate(channel, Method.FREE, rng.standard_normal(3), n) for channel, n in zip(channels, known, strict=True))
+    turned = replace(calibration, channels=channels, estimates={Method.FREE: found})
+    first, second, third = (
+        poses_of(text_of(turned, Method.FREE))
+        for text_of, poses_of in ((urdf_text, urdf_poses), (sdf_text, sdf_poses), (mjcf_text, mjcf_poses))
+    )
+    for name, normal in zip(first, known, strict=True):
+        for other in (second, third):
+            assert (first[name][1].inv() * other[name][1]).magnitude() < 1e-7
+        expected = [0.0, 0.0, 1.0] if normal is None else normal
+        assert np.allclose(first[name][1].apply([0.0, 0.0, 1.0]), expected, atol=1e-8)
+    assert first[f"taxel_{channels[-1]}"][1].magnitude() == 0.0
+
+
+def test_a_touch_site_ends_half_way_to_its_neighbour(part, calibration):
+    layout = part.scene.skin.layout
+    assert layout is not None
+    sizes = {float(site.get("size")) for site in ET.fromstring(mjcf_text(calibration, Method.FREE)).iter("site")}
+    assert list(sizes) == [pytest.approx(layout.spacing / 2, rel=1e-6)]
+
+
+def test_an_archive_holds_poses_and_covariances_without_pickles(part, calibration):
+    found = np.load(io.BytesIO(npz_bytes(calibration, Method.SURFACE)), allow_pickle=False)
+    placed = [channel for channel in calibration.channels.tolist() if channel not in LEFT_OUT]
+    assert found["channel"].tolist() == placed
+    assert np.array_equal(found["position"], part.places[placed])
+    assert np.array_equal(found["normal"], part.normals[placed])
+    by_channel = {each.channel: each for each in calibration.of(Method.SURFACE)}
+    assert all(np.array_equal(found["covariance"][i], by_channel[channel].covariance) for i, channel in enumerate(placed))
+    assert np.array_equal(found["quaternion_wxyz"], quaternions_of(part.normals[placed]))
+    assert [str(found[name]) for name in ("frame", "method", "units")] == ["r_forearm_dh_frame", "surface", "m"]
+
+
+@pytest.mark.parametrize("format_", OF_ONE)
+def test_an_unknown_normal_and_no_taxel_at_all_are_written_too(calibration, format_, tmp_path):
+    bare = estimate(0, Method.FREE, np.array([0.0, 0.1, 0.04]), None)
+    some = replace(calibration, channels=[0], estimates={Method.FREE: (bare,)})
+    write_calibration(some, format_.value, tmp_path / "one", Method.FREE)
+    none = replace(calibration, channels=[], estimates={Method.FREE: ()})
+    said = write_calibration(none, format_.value, tmp_path / "none", Method.FREE)
+    assert len(said) == 1
+    if format_ is ExportFormat.NPZ:
+        assert np.isnan(np.load(tmp_path / "one")["normal"]).all()
+        assert np.load(tmp_path / "none")["covariance"].shape == (0, 3, 3)
+    else:
+        assert "taxel_0" in (tmp_path / "one").read_text()
+        assert ET.parse(tmp_path / "none") is not None
+
+
+@pytest.mark.parametrize("format_", OF_ONE)
+def test_the_lint_speaks_alike_of_every_format(part, format_, tmp_path):
+    off = make_calibration(part, unseen=(5,), shift=0.1)
+    said = write_calibration(off, format_.value, tmp_path / "file", Method.SURFACE)
+    assert said == write_calibration(off, "ply", tmp_path / "ply", Method.SURFACE)
+    assert len(said) > 1
+
+
+@pytest.mark.parametrize("text_of", [urdf_text, sdf_text, mjcf_text])
+def test_names_from_strangers_stay_names(calibration, text_of):
+    hostile = 'a"b<c>&--\x01\ud800 d'
+    scene = replace(calibration.scene, link=hostile, name=hostile)
+    root = ET.fromstring(text_of(replace(calibration, scene=scene), Method.FREE))
+    values = {value for element in root.iter() for value in element.attrib.values()}
+    assert 'a"b<c>&--__ d' in values
+
+
+def test_every_format_has_an_ending_and_a_line_of_its_own():
+    assert list(FORMATS) == list(ExportFormat)
+    assert len({words.ending for words in FORMATS.values()}) == len(FORMATS)
+    assert all(words.about.endswith(".") and "\n" not in words.about for words in FORMATS.values())

@@ -1,0 +1,180 @@
+"""A session's report: its numbers are the core's, its sections are all there, and names from strangers stay names."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64decode
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skincal.cli import main
+from skincal.files.reference import error_summary, read_reference
+from skincal.guide.verdict_words import figures, sentence
+from skincal.model.scene import Landmark, resource
+from skincal.reporting.drawings import side_frames
+from skincal.reporting.page import report_page, write_report
+from skincal.reporting.session_facts import SessionFacts, gather_facts
+from skincal.session.error_history import MEAN, TAXELS
+from skincal.session.replay import load
+from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Method
+from tests.approved import approved
+
+SAMPLE = resource("sessions/sample")
+SECTIONS = (
+    "Verdict and evidence", "The part", "Map", "Errors", "Rig and landmarks", "Pokes", "The exported file", "Devices",
+    "Settings", "Taxels", "Versions",
+)  # fmt: skip
+HOSTILE = "<script>alert(1)</script><img src=http://evil.example/x onerror=alert(2)>\"' & {{ 7 * 7 }} $x$ \u202e"
+
+
+class Page(HTMLParser):
+    """The elements of a page, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: Counter[str] = Counter()
+        self.attributes: list[tuple[str, str]] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags[tag] += 1
+        self.attributes += [(name, value or "") for name, value in attrs]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def facts() -> SessionFacts:
+    return gather_facts(SAMPLE)
+
+
+@pytest.fixture(scope="module")
+def page(facts) -> Page:
+    return Page(report_page(facts))
+
+
+def test_the_numbers_are_those_of_the_core(facts, page):
+    snapshot, truth = load(SAMPLE).snapshot(), read_reference(SAMPLE / "truth.json")
+    for each in facts.methods:
+        assert each.error == error_summary(snapshot.estimates[each.method], truth)
+        assert f"{each.error.mean * 1e3:.2f}" in page.text
+    assert facts.method is Method.MODULES
+    lead = facts.methods[-1].error
+    assert np.mean(list(facts.errors.values())) == pytest.approx(lead.mean, rel=1e-12)
+    assert (facts.module_spreads[:, TAXELS] @ facts.module_spreads[:, MEAN]) / 84 == pytest.approx(lead.mean, rel=1e-12)
+    # The course ends where the session stands.
+    assert facts.series.spreads[Method.MODULES][-1, 0, MEAN] == pytest.approx(lead.mean, rel=1e-12)
+    assert facts.series.missing == 0
+    assert all(words in page.text for _, words in figures(facts.verdict))
+    assert sentence(facts.verdict) in page.text
+    assert all(each.solve_s > 0 for each in facts.methods)
+
+
+def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
+    assert [title for title in SECTIONS if title not in page.text] == []
+    assert page.tags["h2"] == len(SECTIONS)
+    assert page.tags["img"] == 3
+    for estimate in facts.estimates:
+        assert f"{estimate.position[0] * 1e3:.2f}" in page.text
+    for link in facts.links:
+        assert link.name in page.text
+    assert "force_min" in page.text
+    assert facts.versions["numpy"] in page.text
+    assert "SIMULATED" in page.text
+
+
+def test_the_page_needs_no_other_file_and_prints(facts):
+    text = report_page(facts)
+    sources = re.findall(r'<img src="([^"]*)"', text)
+    kinds = [source.partition(";")[0] for source in sources]
+    assert kinds == ["data:image/png", "data:image/svg+xml", "data:image/svg+xml"]
+    pictures = [b64decode(source.partition(",")[2]) for source in sources]
+    assert pictures[0].startswith(b"\x89PNG")
+    assert all(b"<script" not in picture for picture in pictures)
+    rest = re.sub(r'src="data:[^"]*"', "", text)
+    assert not re.search(r"https?:|//|url\(|@import|<link|<script|<iframe", rest)
+    assert "@page" in rest
+    assert "default-src 'none'" in rest
+
+
+def test_names_from_strangers_stay_names(facts, page):
+    scene = replace(facts.part.scene, name=HOSTILE, link=HOSTILE, path=Path(HOSTILE.replace("/", "_")))
+    landmark = Landmark(HOSTILE, np.zeros(3), None)
+    hostile = replace(
+        facts,
+        name=HOSTILE,
+        part=replace(facts.part, scene=scene),
+        snapshot=replace(facts.snapshot, dead={204: HOSTILE}, landmarks=(landmark,)),
+        misses={HOSTILE: (0.001,)},
+        links=(LinkSpec(HOSTILE, HOSTILE, (), HOSTILE),),
+        findings=(HOSTILE,),
+        lint=(HOSTILE,),
+        versions={"skincal": HOSTILE},
+    )
+    text = report_page(hostile)
+    found = Page(text)
+    # No element and no attribute that an honest page has not.
+    assert found.tags.keys() == page.tags.keys()
+    assert {name for name, _ in found.attributes} == {name for name, _ in page.attributes}
+    assert all(value.startswith("data:image/") for name, value in found.attributes if name == "src")
+    assert found.tags["img"] == 3
+    # A mark that turns the order of letters is taken out.
+    assert found.text.count(HOSTILE.replace("\u202e", "\ufffd")) >= 10
+    assert "\u202e" not in text
+    assert "49" not in re.findall(r"alert\(2\)&gt;.{0,40}", text)[0]
+
+
+def test_without_truth_the_error_is_the_predicted_one(facts):
+    told = report_page(replace(facts, truth=None, methods=tuple(replace(each, error=None) for each in facts.methods)))
+    assert "SIMULATED" not in told
+    assert "Error against" not in told
+    assert approved("report.no_truth") in told
+
+
+def test_the_front_is_where_the_skin_looks_and_each_view_is_upright(facts):
+    frames = side_frames(facts)
+    normals = np.array([estimate.normal for estimate in facts.estimates])
+    for frame in frames:
+        assert np.allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(frame) == pytest.approx(1.0)
+        assert np.allclose(frame[1], frames[0][1])
+    seen = [int((normals @ frame[2] > 0).sum()) for frame in frames]
+    assert seen[0] == max(seen)
+    assert seen[2] == min(seen)
+    # Who stands at the right of the front sees what lay at its right edge in the middle.
+    assert np.allclose(frames[1][2], frames[0][0])
+
+
+@pytest.mark.parametrize("pokes", [1, 40])
+def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, pokes):
+    session = tmp_path / "patch"
+    assert main(["simulate", "--scene", "flat-patch", "--pokes", str(pokes), "--out", str(session)]) == 0
+    (session / "truth.json").unlink()
+    out = tmp_path / "report.html"
+    verdict = write_report(session, out)
+    text = out.read_text(encoding="utf-8")
+    found = Page(text)
+    assert verdict in found.text
+    assert [title for title in SECTIONS if title not in found.text] == []
+    assert not re.search(r"\b(nan|inf)\b", found.text.lower())
+    assert approved("report.no_landmarks") in found.text
+
+
+def test_the_command_writes_the_report_and_says_in_a_sentence_what_is_wrong(tmp_path, capsys):
+    out = tmp_path / "report.html"
+    assert main(["report", str(SAMPLE), "--out", str(out), "--method", "surface"]) == 0
+    said = capsys.readouterr().out
+    assert f"wrote {out}" in said
+    assert said.splitlines()[0] in Page(out.read_text(encoding="utf-8")).text
+    assert "surface method" in out.read_text(encoding="utf-8")
+    assert main(["report", str(tmp_path), "--out", str(out)]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["report", str(SAMPLE), "--out", str(tmp_path)]) == 2

@@ -1,0 +1,45 @@
+import sys
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtGui import QColor, QImage, QPainter
+
+from app.session.opening import server_command
+from app.theme import HUES
+from tools.freeze import shows_taxels
+
+
+def picture():
+    image = QImage(1280, 800, QImage.Format.Format_RGB32)
+    image.fill(QColor("#b0b0b0"))
+    return image
+
+
+@pytest.mark.parametrize("hue", HUES)
+def test_a_ball_in_a_module_s_hue_is_a_taxel_and_its_outline_is_none(hue):
+    image = picture()
+    painter = QPainter(image)
+    painter.setPen(QColor(hue))
+    painter.drawEllipse(200, 200, 90, 90)
+    assert not shows_taxels(image)
+    painter.setBrush(QColor(hue))
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.drawEllipse(400, 300, 14, 14)
+    painter.end()
+    assert shows_taxels(image)
+
+
+def test_a_ball_on_the_map_beside_the_3d_view_is_none():
+    image = picture()
+    painter = QPainter(image)
+    painter.setBrush(QColor(HUES[0]))
+    painter.drawEllipse(1000, 100, 30, 30)
+    painter.end()
+    assert not shows_taxels(image)
+
+
+def test_a_frozen_program_is_its_own_child(monkeypatch):
+    assert server_command(None)[1:4] == ("-P", "-m", "skincal.cli")
+    monkeypatch.setattr(sys, "frozen", True, raising=False)
+    command = server_command(None)
+    assert command[:3] == (sys.executable, "simulate", "--serve")

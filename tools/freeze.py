@@ -1,0 +1,228 @@
+"""Build a folder that runs skincal without Python, for the system it is built on: `python -m tools.freeze [--prove-only]`.
+
+PyInstaller collects the program into `dist/skincal`. Then the folder is proved, with nothing of the checkout in reach: `solve`
+on the shipped session, and the window on a display of its own, whose simulated rig and its operator run in the program's child
+process: it has to draw taxels, and the session that it leaves behind has to hold pokes. Last, the folder is packed, and sizes
+and times are said.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+
+from tools import checkout, install
+from tools.checkout import StopError, say
+
+if TYPE_CHECKING:
+    from PySide6.QtGui import QImage
+
+BUILD, DIST = checkout.CHECKOUT / "build", checkout.CHECKOUT / "dist"
+FOLDER = DIST / "skincal"
+PROGRAM = FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
+
+WHOLE = ("app", "skincal")
+"""Packages of which every module is taken along: many are imported where they are needed, by name."""
+DATA = {"resources": "skincal/resources", "skincal/solver/solver.wasm": "skincal/solver"}
+UNUSED = (
+    "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
+    "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
+    "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
+)  # fmt: skip
+"""What packages offer to import and the program never does."""
+VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
+"""Of VTK what computes and draws, as names of its modules begin; its readers, accelerators and web parts are left out."""
+UNUSED_VTK = (
+    "FiltersParallel", "FiltersVerdict", "FiltersPython", "RenderingVR", "RenderingVtkJS", "RenderingWebXR",
+    "RenderingParallel", "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid",
+    "RenderingMatplotlib", "CommonPython",
+)  # fmt: skip
+"""Of these rooms what the program never asks for."""
+
+WINDOW_S = 90.0
+"""s. The window has this long to show its first taxels; the simulated operator begins with the landmarks."""
+BALL_PX = 7
+"""px. A square of this side has room in a taxel's ball, and not in a line."""
+STARTS = 5
+"""Starts of which the median is said."""
+
+
+def main() -> int:
+    """Build, prove and pack the folder."""
+    parser = argparse.ArgumentParser("tools.freeze", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--prove-only", action="store_true", help="take the folder that was built before")
+    try:
+        if not parser.parse_args().prove_only:
+            _build()
+        _prove()
+        _pack()
+    except StopError as stop:
+        say(str(stop))
+        return 1
+    return 0
+
+
+def _build() -> None:
+    """Collect the program into the folder."""
+    import wasmtime
+
+    try:
+        from PyInstaller.__main__ import run
+    except ImportError as error:
+        raise StopError("PyInstaller is not installed; expected what the tests need: run `python3 check.py` once.") from error
+
+    packages = Path(wasmtime.__file__).parent.parent
+    # It loads its library by the path: no other file of it leads there.
+    libraries = [path for path in (packages / "wasmtime").rglob("*wasmtime.*") if path.suffix in (".so", ".dll", ".dylib")]
+    options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
+    options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
+    options += [f"--collect-submodules={name}" for name in WHOLE]
+    options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA.items()]
+    options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
+    options += [f"--exclude-module={name}" for name in UNUSED]
+    options += [f"--exclude-module={name}" for name in ("vtk", "vtkmodules.all", *_unused_vtk())]
+    run([*options, str(checkout.CHECKOUT / "app" / "__main__.py")])
+
+
+def _unused_vtk() -> list[str]:
+    """Return VTK's modules of the environment that are left out."""
+    import vtkmodules
+
+    names = {path.name.partition(".")[0] for path in Path(vtkmodules.__file__).parent.glob("vtk*")}
+    kept = tuple(f"vtk{room}" for room in VTK_ROOMS)
+    dropped = tuple(f"vtk{name}" for name in UNUSED_VTK)
+    return [f"vtkmodules.{name}" for name in sorted(names) if not name.startswith(kept) or name.startswith(dropped)]
+
+
+def _prove() -> None:
+    """Run the folder as a machine without Python would.
+
+    Raises
+    ------
+    StopError
+        It does not do what the checkout does.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        sample = next(FOLDER.glob("*/skincal/resources/sessions/sample"))
+        shutil.copytree(sample, folder / "sample")
+        frozen, source = [str(PROGRAM)], [str(checkout.interpreter()), "-m", "app"]
+        _same_estimates((frozen, source), folder)
+        say(f"solve on the sample: {_median_s(frozen, folder):.2f} s frozen, {_median_s(source, folder):.2f} s in the checkout")
+        times = {}
+        with _screen() as grab:
+            for label, program in (("frozen", frozen), ("in the checkout", source)):
+                times[label] = _time_window(program, folder / label.replace(" ", "-"), grab)
+        say("first taxels in the window: " + ", ".join(f"{value:.1f} s {label}" for label, value in times.items()))
+
+
+def _run(command: Sequence[str], folder: Path) -> str:
+    """Return what a command printed that must succeed, run in a folder, with nothing of the checkout on any path."""
+    done = subprocess.run(command, cwd=folder, env=_environment(folder, command), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise StopError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr[-2000:]}")
+    return done.stdout
+
+
+def _environment(folder: Path, command: Sequence[str]) -> dict[str, str]:
+    """Return the environment of a user who has only the frozen folder; the checkout's own needs its path."""
+    environment = {key: value for key, value in install.environment().items() if not key.startswith("PYTHON")}
+    environment["HOME"] = environment["XDG_CONFIG_HOME"] = str(folder)
+    if command[0] != str(PROGRAM):
+        environment["PYTHONPATH"], environment["PYTHONSAFEPATH"] = str(checkout.CHECKOUT), "1"
+    return environment
+
+
+def _median_s(program: Sequence[str], folder: Path) -> float:
+    """Return the median wall time of `solve` on the sample, seconds."""
+    times: list[float] = []
+    for _ in range(STARTS):
+        begin = time.monotonic()
+        _run([*program, "solve", "sample", "--json"], folder)
+        times.append(time.monotonic() - begin)
+    return statistics.median(times)
+
+
+def _same_estimates(programs: Sequence[Sequence[str]], folder: Path) -> None:
+    """Hold the estimates of the frozen program against those of the checkout."""
+    found: list[str] = []
+    for number, program in enumerate(programs):
+        out = folder / f"{number}.csv"
+        _run([*program, "export", "sample", "--format", "csv", "--out", str(out)], folder)
+        found.append(out.read_text(encoding="utf-8"))
+    if found[0] != found[1]:
+        raise StopError("The frozen program's estimates of the sample differ from the checkout's.")
+
+
+@contextlib.contextmanager
+def _screen() -> Iterator[Callable[[], QImage]]:
+    """Yield what grabs the screen: on Linux one that nobody sees."""
+    from PySide6.QtGui import QGuiApplication
+
+    with contextlib.ExitStack() as stack:
+        if sys.platform == "linux":
+            from pyvirtualdisplay.display import Display
+
+            stack.enter_context(Display(visible=False, size=(1280, 800), color_depth=24))
+            os.environ["QT_QPA_PLATFORM"] = "xcb"
+        application = QGuiApplication(["freeze"])
+        yield lambda: application.primaryScreen().grabWindow(0).toImage()
+        application.shutdown()
+
+
+def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage]) -> float:
+    """Open the window on the simulated rig; return the seconds until taxels are seen. Its session has to hold pokes."""
+    folder.mkdir()
+    command = [*program, "--new", str(folder / "session")]
+    begin = time.monotonic()
+    with subprocess.Popen(command, cwd=folder, env=_environment(folder, command)) as window:
+        try:
+            while not shows_taxels(grab()):
+                if time.monotonic() - begin > WINDOW_S or window.poll() is not None:
+                    raise StopError(f"{program[0]}: no taxel is seen in its window after {time.monotonic() - begin:.0f} s.")
+                time.sleep(0.1)
+            seconds = time.monotonic() - begin
+        finally:
+            window.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                window.wait(10.0)
+            window.kill()
+    solved = json.loads(_run([*program, "solve", str(folder / "session"), "--json"], folder))
+    if not solved["pokes"]:
+        raise StopError(f"{program[0]}: the session of its window holds no poke.")
+    return seconds
+
+
+def shows_taxels(picture: QImage) -> bool:
+    """Return whether balls in a module's hue are seen in the 3D view: what else has a hue there is a line or a dot."""
+    picture = picture.convertToFormat(picture.Format.Format_RGB32)
+    shape = (picture.height(), picture.bytesPerLine() // 4, 4)
+    pixels = np.frombuffer(picture.constBits(), dtype=np.uint8).reshape(shape)[: shape[0] * 3 // 4, : shape[1] * 6 // 10, :3]
+    most, least = pixels.max(axis=2).astype(int), pixels.min(axis=2).astype(int)
+    hued = (most > 80) & (3 * (most - least) > most)
+    return bool(minimum_filter(hued, BALL_PX).any())
+
+
+def _pack() -> None:
+    """Pack the folder, and say how large it is."""
+    size = sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file())
+    packed = Path(shutil.make_archive(str(FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FOLDER.name))
+    say(f"{FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
