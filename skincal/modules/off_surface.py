@@ -26,7 +26,8 @@ THICKEST = 1.0
 SEEN = 2.0
 """Standard deviations of a height above which it is no chance."""
 TOLD = 0.0015
-"""m, standard deviation of a height, by the noise of its pokes alone, from which on it says nothing: meshes are not wrong by much more."""
+"""m, standard deviation of a height, by the noise of its pokes alone, from which on it says nothing:
+meshes are not wrong by much more."""
 NO_HEIGHT = 1e-6
 """Share of h'T h below which pushes say nothing of the height: it is rounding."""
 
