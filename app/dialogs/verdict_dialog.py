@@ -49,7 +49,7 @@ class VerdictDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.sentence = QLabel(verdict_sentence(verdict))
+        self.sentence = QLabel(sentence(verdict))
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")

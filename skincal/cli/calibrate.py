@@ -325,7 +325,7 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
     found: dict[Method, str] = {}
     for method in methods:
         guidance = guide.of_skin(snapshot, method, session.evidence)
-        found[method] = verdict_sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
+        found[method] = sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
     return found
 
 

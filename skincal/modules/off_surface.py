@@ -26,7 +26,8 @@ THICKEST = 1.0
 SEEN = 2.0
 """Standard deviations of a height above which it is no chance."""
 TOLD = 0.0015
-"""m, standard deviation of a height from which on it says nothing: meshes are not wrong by much more."""
+"""m, standard deviation of a height, by the noise of its pokes alone, from which on it says nothing:
+meshes are not wrong by much more."""
 NO_HEIGHT = 1e-6
 """Share of h'T h below which pushes say nothing of the height: it is rounding."""
 
@@ -63,9 +64,10 @@ def off_surface_variances(
     heights = np.add.reduceat(np.sum(alone * misses, axis=1), held.starts) / known
     lifted = replace(held, pulls=(alone[:, None] @ whiten), held=known[:, None, None])
     heights = np.minimum(heights, np.maximum(heights - THICKEST * skin, 0.0))
-    variances = factors / known + lifted.covariances(0.0)[:, 0, 0]
+    white = factors / known
+    variances = white + lifted.covariances(0.0)[:, 0, 0]
     if errors is not None:
         moves, of_poses = lifted.moves(*errors)
         variances += np.sum(moves[:, 0] ** 2, axis=1) + of_poses[:, 0, 0]
-    seen = tells & (variances < TOLD**2) & (heights**2 > SEEN**2 * variances)
+    seen = tells & (white < TOLD**2) & (heights**2 > SEEN**2 * variances)
     return np.where(seen, heights**2 - variances, 0.0)

@@ -67,7 +67,7 @@ def test_a_good_rig_is_as_predicted_and_left_alone():
         for each in own.values():
             assert each.inside >= 0.9
             assert each.predicted == pytest.approx(each.true_rms, rel=0.25)
-            assert each.true_along <= each.true_rms
+            assert each.true_along <= each.true_rms * (1.0 + 1e-12)
             assert each.skin_agrees
             assert not each.used
             assert not each.missing
