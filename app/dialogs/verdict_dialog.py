@@ -20,7 +20,7 @@ from app.panels.widgets import embolden, plain_buttons, quiet
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
-from skincal.guide.verdict_words import figures, left_words, verdict_sentence
+from skincal.guide.verdict_words import figures, left_words
 
 HEADINGS = ("Taxel", "Why it is not done")
 
@@ -49,7 +49,7 @@ class VerdictDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.sentence = QLabel(sentence(verdict))
+        self.sentence = QLabel(verdict_sentence(verdict))
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")

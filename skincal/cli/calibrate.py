@@ -317,7 +317,6 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
 
     `answer` is what landmark pokes say.
     """
-    from skincal.guide.verdict_words import verdict_sentence
     from skincal.session.guiding import SessionGuide
     from skincal.session.part import lay_part
 
@@ -325,7 +324,7 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
     found: dict[Method, str] = {}
     for method in methods:
         guidance = guide.of_skin(snapshot, method, session.evidence)
-        found[method] = sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
+        found[method] = verdict_sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
     return found
 
 

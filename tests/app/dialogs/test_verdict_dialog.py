@@ -87,7 +87,7 @@ def verdict(
     ],
 )
 def test_one_sentence_says_what_the_session_has_come_to(what, said):
-    assert sentence(what) == said
+    assert verdict_sentence(what) == said
 
 
 def test_the_figures_are_those_of_the_verdict():
