@@ -20,7 +20,7 @@ from app.panels.widgets import embolden, plain_buttons, quiet
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
-from skincal.guide.verdict_words import figures, left_words
+from skincal.guide.verdict_words import figures, left_words, verdict_sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
 

@@ -317,6 +317,7 @@ def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | N
 
     `answer` is what landmark pokes say.
     """
+    from skincal.guide.verdict_words import verdict_sentence
     from skincal.session.guiding import SessionGuide
     from skincal.session.part import lay_part
 
