@@ -37,6 +37,7 @@ from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
 from app.text.message import Message, connect_words, keep_question, look_words
+from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
@@ -150,6 +151,7 @@ class Window(QMainWindow):
         self._settings = settings
         self._documents = documents
         self._player = player
+        self.text_size = TextSize(settings, self)
         self.session_view: SessionView | None = None
         self._told: FirstMinute | None = None
         self._question: QMessageBox | None = None
@@ -195,6 +197,9 @@ class Window(QMainWindow):
             "turn": self._of_session(lambda view: view.show_turning()),
             **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
             "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
+            "larger": self.text_size.larger,
+            "smaller": self.text_size.smaller,
+            "usual": self.text_size.choose,
             "none": self._escape,
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
@@ -253,6 +258,8 @@ class Window(QMainWindow):
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
+        self.text_size.changed.connect(self._follow_text)
+        self._follow_text()
         self._sound_found.connect(self._follow_sound)
         self._player.found = self._sound_found.emit
 
@@ -325,6 +332,9 @@ class Window(QMainWindow):
         self.messages.show_newest()
         if self.session_view is not None:
             self.session_view.recolour()
+
+    def _follow_text(self) -> None:
+        self.commands.follow_text(self.text_size.percent, STEPS)
 
     def _choose_theme(self, choice: Choice) -> None:
         self._settings.setValue("theme", choice.value)
