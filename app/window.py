@@ -28,6 +28,7 @@ from PySide6.QtWidgets import (
 
 from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
+from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
@@ -263,6 +264,9 @@ class Window(QMainWindow):
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)
         self._follow_text()
+        dropped = DropTarget(self)
+        dropped.request_made.connect(self.open)
+        dropped.refused.connect(lambda sentence: self.tell(Message(sentence, error=True)))
         self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
         self._sound_found.connect(self._follow_sound)
         self._player.found = self._sound_found.emit
