@@ -98,6 +98,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "Help": (
         ("what", "What is this?", "F1", "Then click what you want explained"),
         ("keys", "Keys", "F2", "Every key in one list"),
+        ("about", "About skincal", "Shift+F2", "Version and licence"),
     ),
 }
 """For each menu: name, text, keys and hint of each entry."""
