@@ -217,19 +217,22 @@ class Commands(QObject):
             self.actions[name].setEnabled(enabled)
 
 
+_MORE_KEYS = (
+    ("1 to 7", "Tabs"),
+    ("F7, F8, F9", "Colours of the desktop, light, dark"),
+    ("Arrows", "On the map: next taxel. In a list: next row"),
+    ("Ctrl+C", "In a table: copies the selected rows, or all"),
+    ("+, -, 0", "On the map: nearer, farther, all of it"),
+    ("Tab", "The next part of the window"),
+)
+
+
 def key_words() -> str:
-    """Return every key with what it does, as a table in HTML."""
-    rows = "".join(
-        f"<tr><td><b>{' or '.join(c.keys)}</b>&nbsp;&nbsp;&nbsp;</td><td>{c.text.rstrip(chr(0x2026))}</td></tr>"
-        for c in COMMANDS
-        if c.keys
-    )
-    more = (
-        "<tr><td><b>1 to 7</b></td><td>Tabs</td></tr>"
-        "<tr><td><b>F7, F8, F9</b></td><td>Colours of the desktop, light, dark</td></tr>"
-        "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
-        "<tr><td><b>Ctrl+C</b></td><td>In a table: copies the rows that are selected, or all of them</td></tr>"
-        "<tr><td><b>+, -, 0</b></td><td>On the map: nearer, farther, all of it</td></tr>"
-        "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
-    )
-    return f"<table>{rows}{more}</table>"
+    """Return every key with what it does, as a table in HTML with two halves beside each other, as a screen is wide."""
+    known = [(" or ".join(c.keys), c.text.rstrip("\N{HORIZONTAL ELLIPSIS}")) for c in COMMANDS if c.keys]
+    # Or Qt would break a line within "Ctrl++".
+    cell = "<td style='white-space: pre'>"
+    rows = [f"<tr>{cell}<b>{keys}</b></td>{cell}{words}</td></tr>" for keys, words in (*known, *_MORE_KEYS)]
+    half = (len(rows) + 1) // 2
+    halves = (f"<table cellpadding=1 cellspacing=3>{''.join(some)}</table>" for some in (rows[:half], rows[half:]))
+    return f"<table><tr>{''.join(f'<td>{each}</td>' for each in halves)}</tr></table>"

@@ -295,7 +295,7 @@ class NowPanel(QFrame):
         row.addLayout(words, 1)
         right = QVBoxLayout()
         right.addWidget(self.simulated)
-        right.addWidget(self.gauge, 1)
+        right.addWidget(self.gauge, 1, Qt.AlignmentFlag.AlignRight)
         row.addLayout(right)
         # The same height with the dial and without: nothing beside it moves when the guide is switched off.
         row.addStrut(DIAL_PX + 2)

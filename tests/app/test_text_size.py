@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QApplication, QDialog, QLabel
+from PySide6.QtWidgets import QApplication, QDialog, QLabel, QMessageBox
 
 from app.panels.widgets import ElidedLabel
 from app.session.opening import OpenRequest
@@ -96,3 +96,12 @@ def test_at_1280_by_720_and_125_per_cent_nothing_is_cut_off(bench, recorded):
     for label in window.findChildren(ElidedLabel):
         if label.isVisible():
             assert label.height() >= label.fontMetrics().height(), label.text()
+
+
+def test_every_key_is_on_a_screen_of_1280_by_720_at_125_per_cent(bench):
+    bench.key(Key.Key_Plus, CONTROL)
+    bench.key(Key.Key_F2)
+    box = dialog_of(bench, QMessageBox)
+    assert box.width() <= 1280
+    assert box.height() <= 680, "with the frame of the desktop"
+    box.reject()
