@@ -286,7 +286,7 @@ class Window(QMainWindow):
             self.stack.setCurrentWidget(session_view.workspace)
             session_view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._told = FirstMinute(session_view.workspace.view)
+                self._told = FirstMinute(session_view.workspace.view, session_view.workspace.view.cover)
                 self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
 
     def _take_session(self, snapshot: Snapshot) -> None:

@@ -102,24 +102,6 @@ def test_the_devices_of_a_recorded_session_are_shown_and_asked_about_once(bench,
     assert bench.controller.running is Running.STREAMING, "agreed to before"
 
 
-def test_a_simulated_session_goes_on_with_its_rig_and_asks_nothing(bench, tmp_path):
-    bench.open_served("flat-patch", folder=tmp_path / "mine")
-    before = bench.controller.links
-    bench.until(lambda: len(bench.accepted()) >= 1)
-    bench.open(OpenRequest(session=tmp_path / "mine"))
-    assert bench.controller.simulated
-    pokes = len(bench.snapshot.pokes)
-    bench.controller.toggle()
-    assert asked(bench.window) is None
-    bench.until(lambda: bench.controller.running is Running.STREAMING)
-    assert {link.address for link in bench.controller.links}.isdisjoint(link.address for link in before)
-    bench.until(lambda: len(bench.snapshot.pokes) > pokes)
-    bench.controller.pause()
-    bench.controller.toggle()
-    assert bench.controller.running is Running.STREAMING
-    assert asked(bench.window) is None
-
-
 def test_a_session_that_says_it_is_simulated_never_connects_what_its_file_names(bench, tmp_path, monkeypatch):
     """Also where it is told to go on once more before its own rig is served, and after that has failed."""
     connected = []
