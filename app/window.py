@@ -416,6 +416,8 @@ class Window(QMainWindow):
         box.setText(text)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        # The space bar and the pedal bring a question about, and may be pressed once more before it is read.
+        box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()
 
     def _known_addresses(self) -> list[str]:
