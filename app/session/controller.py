@@ -8,8 +8,8 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +34,10 @@ from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
-    from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
     from skincal.model.actions import Action
+    from skincal.rig.correction_fit import RigAnswer
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
@@ -555,25 +555,29 @@ class Controller(QObject):
         format_: str,
         path: Path,
         method: Method,
-        check: LandmarkCheck | None,
+        rig: RigAnswer | None,
         done: Callable[[tuple[str, ...]], None],
         failed: Callable[[str], None],
+        verdicts: Mapping[Method, str] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
-        check : what landmark pokes say of a correction of the rig
+        rig : what landmark pokes say; None where nobody has looked
         done : gets the sentences of the file's lint
         failed : gets why there is none
+        verdicts : by method what was checked; worked out where they are not given
         """
         if self._recording is None:
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
+        from skincal.session.checked import checked_calibration
+
         # Made here, not in the thread: the session goes on while the file is written.
-        calibration = replace(self._recording.pipeline.session.calibration(), landmark_check=check)
+        calibration = checked_calibration(self._recording.pipeline.session, rig, verdicts)
 
         def write() -> tuple[str, ...]:
             from skincal.files.export import write_calibration
