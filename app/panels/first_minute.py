@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout, QWidget
 
 from app.panels.widgets import embolden, quiet
 from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END
+from app.text_size import scaled
 from app.theme import GAP
 
 WIDTH_PX = 340
@@ -71,7 +72,7 @@ class FirstMinute(QFrame):
         return super().eventFilter(watched, event)
 
     def _place(self) -> None:
-        width = min(WIDTH_PX, self._over.width() - 2 * GAP)
+        width = min(scaled(WIDTH_PX), self._over.width() - 2 * GAP)
         self.setGeometry(GAP, GAP, width, self.heightForWidth(width))
         self.raise_()
         if not self.isHidden():

@@ -546,6 +546,11 @@ class Controller(QObject):
         return self._recording is not None and self._recording.storage.can_keep
 
     @property
+    def folder(self) -> Path | None:
+        """Where what is open lies for good; None where it does not yet."""
+        return None if self._recording is None else self._recording.storage.lasting
+
+    @property
     def would_lose(self) -> int:
         """How many pokes would go with the window."""
         return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
