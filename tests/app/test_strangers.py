@@ -8,9 +8,10 @@ from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLabel, QMessageBox
 
+from app import run
 from app.panels.widgets import ElidedLabel
 from app.session.controller import Controller
-from app.session.opening import OpenRequest
+from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
@@ -137,6 +138,18 @@ def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
     window._ask_first(("COM4",))
     assert seen == [True]
     window.close()
+
+
+def test_addresses_of_the_command_line_are_named_by_the_operator(bench, folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "start_log", lambda: "")
+    named = Addresses(*(f"file:{tmp_path}/{stream}.none" for stream in ("wrench", "skin")))
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
+        run.begin(bench.window, OpenRequest(session=folder, addresses=named))
+    bench.open(OpenRequest(session=folder))
+    assert {link.address for link in bench.controller.links} == {named.wrench, named.skin}
+    bench.controller.toggle()
+    assert asked(bench.window) is None
+    assert bench.controller.running is Running.STREAMING
 
 
 def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tmp_path):
