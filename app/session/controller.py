@@ -199,9 +199,9 @@ class Controller(QObject):
         self.demo, self.pace = request.demo, BRISK if request.demo else 1
         self._timer.start()
         if request.session is not None:
-            folder, self._links = request.session, link_specs(request.addresses)
-            self._confirmed = bool(self._links)
-            links = None if request.look_on else self._links
+            folder, links = request.session, None if request.look_on else link_specs(request.addresses)
+            self._links = links or ()
+            self._confirmed = bool(links)
             self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
@@ -273,6 +273,8 @@ class Controller(QObject):
         self._endings.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
+        if self._server is not None:
+            self._server.release()
         self._server = DeviceProcess(self)
         self._server.said_truth.connect(self._take_truth)
         self._server.served.connect(self._take_links)
@@ -295,7 +297,7 @@ class Controller(QObject):
             self._start_recording()
             return
         # The rig of a recorded session, served again.
-        self._recording.links = links
+        self._recording.links, self._confirmed = links, True
         self._connect(self._recording)
 
     def set_pace(self, pace: int) -> None:
@@ -374,8 +376,10 @@ class Controller(QObject):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
             return
-        part, pipeline, self._again = found
-        self.simulated = bool(self._again)
+        part, pipeline, again = found
+        self.simulated = bool(again)
+        # Where nothing can be recorded, no rig is served.
+        self._again = again if pipeline.journal is not None else ()
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
@@ -474,15 +478,15 @@ class Controller(QObject):
         """Take the devices, in a new segment of the recording; those of a recorded session once they are `confirmed`."""
         if self._recording is None or self.running is Running.STREAMING:
             return
-        if self._again and self._server is None:
-            # Its links follow.
-            self._start_server(self._again)
-            return
         self._confirmed |= confirmed
-        if not (self._confirmed or self._again):
+        # What is only looked at has nothing to connect, and says so.
+        if self._confirmed or self._recording.pipeline.journal is None:
+            self._connect(self._recording)
+        elif not self._again:
             self.confirmation_due.emit(tuple(link.address for link in self._links))
-            return
-        self._connect(self._recording)
+        elif self._server is None or not self._server.running:
+            # Its own links follow; until then those that the file names are a stranger's.
+            self._start_server(self._again)
 
     def _connect(self, recording: Recording) -> None:
         try:
@@ -540,6 +544,11 @@ class Controller(QObject):
     def can_keep(self) -> bool:
         """Whether the recording would go with the window."""
         return self._recording is not None and self._recording.storage.can_keep
+
+    @property
+    def folder(self) -> Path | None:
+        """Where what is open lies for good; None where it does not yet."""
+        return None if self._recording is None else self._recording.storage.lasting
 
     @property
     def would_lose(self) -> int:
@@ -660,7 +669,7 @@ class Controller(QObject):
             part, pipeline = look_at(folder) if links is None else resume_pipeline(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
-        again = () if links or links is None else rig_again(folder, pipeline.session.last_poke + 1)
+        again = () if links else rig_again(folder, pipeline.session.last_poke + 1)
         return part, pipeline, again
 
     def _say_failure(self, sentence: str) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.files.formats import ExportFormat, formats_help
+from skincal.files.formats import FORMATS, ExportFormat, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -319,9 +319,11 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
     calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     methods = tuple(calibration.estimates)
-    names = [("json", "calibration.json", methods[0]), ("csv", "calibration.csv", methods[0])]
-    for method in methods:
-        names += [("icub", f"positions-{method.value}.txt", method), ("ply", f"taxels-{method.value}.ply", method)]
+    names: list[tuple[str, str, Method]] = []
+    for format_, words in FORMATS.items():
+        stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
+        own = [(format_.value, f"{stem}-{method.value}{words.ending}", method) for method in methods]
+        names += [(format_.value, f"calibration{words.ending}", methods[0])] if words.every_method else own
     # Several formats of the same calibration have the same faults, which are said once.
     findings: dict[str, None] = {}
     for format_, name, method in names:
