@@ -98,6 +98,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "Help": (
         ("what", "What is this?", "F1", "Then click what you want explained"),
         ("keys", "Keys", "F2", "Every key in one list"),
+        ("about", "About skincal", "Shift+F2", "Version and licence"),
     ),
 }
 """For each menu: name, text, keys and hint of each entry."""
@@ -227,6 +228,7 @@ def key_words() -> str:
         "<tr><td><b>1 to 7</b></td><td>Tabs</td></tr>"
         "<tr><td><b>F7, F8, F9</b></td><td>Colours of the desktop, light, dark</td></tr>"
         "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
+        "<tr><td><b>Ctrl+C</b></td><td>In a table: copies the rows that are selected, or all of them</td></tr>"
         "<tr><td><b>+, -, 0</b></td><td>On the map: nearer, farther, all of it</td></tr>"
         "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
     )

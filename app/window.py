@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot, qVersion
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
@@ -28,6 +28,8 @@ from PySide6.QtWidgets import (
 
 from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
+from app.panels.documents_menu import DocumentsMenu
+from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
@@ -37,6 +39,7 @@ from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
+from app.text.help_text import about_words
 from app.text.message import Message, connect_words, keep_question, look_words
 from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
@@ -164,6 +167,7 @@ class Window(QMainWindow):
         self.where = ElidedLabel()
         self.commands = Commands(self.menuBar(), self._slots(), self)
         self.recent = RecentMenu(settings, self)
+        self.documents = DocumentsMenu(self)
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
@@ -206,6 +210,7 @@ class Window(QMainWindow):
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
             "keys": self._show_keys,
+            "about": self._show_about,
             "pedals": self.ask_pedals,
             "landmark": self._of_session(lambda view: view.ask_landmark(self)),
         }
@@ -222,6 +227,7 @@ class Window(QMainWindow):
     def _arrange(self) -> None:
         self.commands.add_themes(self._theme.choice, self._choose_theme)
         self.commands.menus["Session"].insertMenu(self.commands.actions["keep"], self.recent)
+        self.commands.menus["Help"].addMenu(self.documents)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
         # Until the player has looked, beside the window.
@@ -263,6 +269,10 @@ class Window(QMainWindow):
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)
         self._follow_text()
+        dropped = DropTarget(self)
+        dropped.request_made.connect(self.open)
+        for failed in (dropped.refused, self.documents.failed):
+            failed.connect(lambda sentence: self.tell(Message(sentence, error=True)))
         self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
         self._sound_found.connect(self._follow_sound)
         self._player.found = self._sound_found.emit
@@ -388,6 +398,9 @@ class Window(QMainWindow):
         box.button(QMessageBox.StandardButton.Close).setFocus()
         box.open()
 
+    def _show_about(self) -> None:
+        self._offer("About skincal", about_words(qVersion()))
+
     def ask_new(self) -> None:
         """Ask for a new session and open it."""
         from app.dialogs.new_session import NewSessionDialog
@@ -424,14 +437,16 @@ class Window(QMainWindow):
         self._remember(addresses)
         self.controller.go_on(confirmed=True)
 
-    def _offer(self, title: str, text: str, yes: str, do: Callable[[], object]) -> None:
-        """Ask, beside everything else, and do something where the answer is yes."""
-        box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", QMessageBox.StandardButton.Cancel, self)
+    def _offer(self, title: str, text: str, yes: str = "", do: Callable[[], object] = lambda: None) -> None:
+        """Ask, beside everything else, and do something where the answer is yes; without a `yes` only say it."""
+        no = QMessageBox.StandardButton.Cancel if yes else QMessageBox.StandardButton.Close
+        box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", no, self)
         # Before the text, which would be laid out, and what it names opened, at once.
         box.setTextFormat(Qt.TextFormat.PlainText)
         box.setText(text)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        if yes:
+            box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
         # The space bar and the pedal bring a question about, and may be pressed once more before it is read.
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()

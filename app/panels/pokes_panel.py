@@ -22,12 +22,13 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
 
+from app.panels.copying import make_copyable
 from app.panels.widgets import quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
 from app.theme import GAP
-from app.units import DASH, ChannelNames, degrees, in_millimetres, number
+from app.units import DASH, ChannelNames, cell, number
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.sentences import missed_words
@@ -35,18 +36,18 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
 
 _Index = QModelIndex | QPersistentModelIndex
-HEADINGS = ("#", "Outcome", "Taxel", "N", "Tilt", "Pitch")
+HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Pitch\nmm")
 _HINTS = (
     "Number of the poke in the session",
     "Accepted, or why not",
     "Taxel that answered most, and how many more did",
-    "Force, newtons",
-    "Angle between the push and the inward normal, degrees",
-    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it shows a second contact or a torque",
+    "Force of the poke",
+    "Angle between the push and the inward normal",
+    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}: beyond the noise it shows a second contact or a torque",
 )
 
 
-_WIDEST = ("00000", "", "00-00 +0", "00.0", "00\N{DEGREE SIGN}0", "Pitch0")
+_WIDEST = ("00000", "", "00-00 +0", "Force", "Tilt0", "Pitch0")
 """What a column has room for; the empty one takes what is left."""
 
 
@@ -171,8 +172,8 @@ class PokeTable(QAbstractTableModel):
         if column == 3:
             return number(force_of(contact), 1)
         if column == 4:
-            return degrees(tilt_of(contact, self._estimates))
-        return number(in_millimetres(pitch_of(contact)), 1)
+            return cell(tilt_of(contact, self._estimates), "rad", 0)
+        return cell(pitch_of(contact), "m")
 
 
 def _outcome_text(record: PokeRecord, doubt: str) -> str:
@@ -216,6 +217,7 @@ class PokesPanel(QWidget):
     def _prepare(self) -> None:
         table = self.table
         table.setAccessibleName("pokes")
+        make_copyable(table)
         # Tab leads on to the next part of the window, as everywhere.
         table.setTabKeyNavigation(False)
         table.setShowGrid(False)

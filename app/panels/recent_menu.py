@@ -45,7 +45,7 @@ class RecentMenu(QMenu):
 
     def fill(self) -> None:
         """List what is still there, and forget what is not."""
-        there = [path for path in kept_texts(self._settings, SETTING) if Path(path).is_dir()]
+        there = [path for path in kept_texts(self._settings, SETTING) if _is_there(path)]
         self._settings.setValue(SETTING, there)
         self.clear()
         for number, path in enumerate(there, 1):
@@ -59,3 +59,10 @@ class RecentMenu(QMenu):
 
     def _say_none(self) -> None:
         self.addAction("None yet").setEnabled(False)
+
+
+def _is_there(path: str) -> bool:
+    try:
+        return Path(path).is_dir()
+    except OSError:  # a folder above it may not be looked into any more
+        return False

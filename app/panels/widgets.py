@@ -25,6 +25,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.panels.copying import make_copyable
 from app.text_size import set_font, text_scale
 from app.theme import DARK, LIGHT, Colours
 
@@ -167,7 +168,7 @@ class Painted(QWidget, metaclass=AbstractWidget):
 
 
 def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTreeWidget:
-    """Return an empty list with columns; `hints` explain their headings."""
+    """Return an empty list with columns, whose rows are copied by Ctrl+C; `hints` explain their headings."""
     tree = QTreeWidget()
     tree.setAccessibleName(name)
     tree.setHeaderLabels(list(headings))
@@ -178,6 +179,7 @@ def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTre
     tree.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
     for column, hint in enumerate(hints):
         tree.headerItem().setToolTip(column, hint)
+    make_copyable(tree)
     return tree
 
 
