@@ -23,6 +23,6 @@ def write_devices(folder: Path, pokes: int, seed: int = 5) -> list[str]:
 
 
 def recorder(options: list[str], out: Path, **more) -> subprocess.Popen[str]:
-    """Start a recording; what it says comes line by line on stderr."""
+    """Start a recording; pokes and links come line by line on stderr, the result at the end on stdout."""
     command = [sys.executable, "-P", "-m", "skincal.cli", "record", *options, "--out", str(out)]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, **more)
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **more)
