@@ -151,6 +151,7 @@ def record(
             # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
             for reader in readers.values():
                 reader.stop()
+            items.finish()
             while not items.empty():
                 _take(pipeline, items.get())
             pipeline.close()

@@ -1,26 +1,34 @@
 """The window and a stranger's session: every text is plain, devices are asked about, and another's recording is looked at."""
 
+import ast
 import json
 import os
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from PySide6.QtCore import QSettings, Qt
+from PySide6.QtGui import QTextDocument
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLabel, QMessageBox
 
+import app
 from app import run
-from app.panels.widgets import ElidedLabel
+from app.panels.pokes_panel import PokeTable
+from app.panels.widgets import ElidedLabel, plain_tip
 from app.session.controller import Controller
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
+from app.units import ChannelNames
 from app.window import Theme, Window
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import RIG_KEY, TRUTH_NAME
 from skincal.journal.writer import create_session
 from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
+from skincal.session.replay import load
 from skincal.streams.links import LinkSpec
 from tests.app.whole_window import Bench, Listener
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
@@ -43,6 +51,49 @@ def test_no_label_and_no_tooltip_takes_a_text_for_html(qtbot):
     assert "<img" not in elided.toolTip()
     elided.setText("as it is")
     assert elided.toolTip() == "as it is"
+
+
+def test_a_tip_keeps_its_lines_and_shows_what_looks_like_html():
+    document = QTextDocument()
+    document.setHtml(plain_tip(f"two\nlines of {TRAP} & more"))
+    assert document.toPlainText().replace("\u2028", "\n") == f"two\nlines of {TRAP} & more"
+    assert plain_tip("two\nlines & more") == "two\nlines & more"
+
+
+def tips(tree):
+    """What a file gives for tooltips: the text of each call that sets or shows one."""
+    for call in ast.walk(tree):
+        if isinstance(call, ast.Call) and isinstance(call.func, ast.Attribute):
+            if call.func.attr in ("setToolTip", "setTabToolTip", "setToolTipText"):
+                yield call.args[-1]
+            elif call.func.attr == "showText":
+                yield call.args[1]
+
+
+def is_plain(text):
+    match text:
+        case ast.Constant() | ast.Call(func=ast.Name("plain_tip")):
+            return True
+        case ast.IfExp():
+            return is_plain(text.body) and is_plain(text.orelse)
+    return False
+
+
+def test_every_tooltip_is_a_text_of_ours_or_made_plain():
+    found = [(path, tip) for path in Path(app.__file__).parent.rglob("*.py") for tip in tips(ast.parse(path.read_bytes()))]
+    assert len(found) > 10
+    assert [f"{path.name}:{tip.lineno}" for path, tip in found if not is_plain(tip)] == []
+
+
+def test_the_tip_of_a_poke_shows_the_pose_of_a_stranger_as_it_is(folder):
+    pipeline = load(folder)
+    snapshot = pipeline.snapshot()
+    (first, *_) = snapshot.pokes
+    table = PokeTable(ChannelNames(pipeline.scene.skin.layout))
+    table.show(replace(snapshot, pokes=(replace(first, outcome=replace(first.outcome, pose=TRAP)),)), {})
+    tip = table.data(table.index(0, 0), Qt.ItemDataRole.ToolTipRole)
+    assert "/nothing/there" in tip
+    assert "<img" not in tip
 
 
 def strangers_links(tmp_path):

@@ -20,6 +20,7 @@ from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved
 from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
 
 posix = pytest.mark.skipif(os.name == "nt", reason="links need rights there, and open files cannot be taken away")
@@ -99,7 +100,7 @@ def test_a_folder_that_vanishes_is_noticed_within_a_second(tmp_path, gone):
         pipeline.feed(item)
         if pipeline.journal_failure:
             break
-    assert "deleted, moved or unmounted" in pipeline.journal_failure
+    assert approved("session.folder_gone") in pipeline.journal_failure
     assert "export" not in pipeline.journal_failure
     assert (item.host_ns - items[half].host_ns) * 1e-9 < 1.0
     assert pipeline.session.calibration().contacts
