@@ -5,7 +5,7 @@ Keys are given explicitly, so that one hand, a pedal or a test can do everything
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -81,6 +81,9 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("speech", "Say why a poke is rejected", "Shift+M", "With the voice of the system"),
         ("turn", "Turn to the target", "T", "Turn the 3D view between pokes where it hides the target"),
         ("camera", "Whole part", "Home", "Bring the whole part into the 3D view"),
+        ("larger", "Larger text", "Ctrl++ Ctrl+=", "Up to 200 % in the whole window"),
+        ("smaller", "Smaller text", "Ctrl+-", "Down to 75 % in the whole window"),
+        ("usual", "Text as usual", "Ctrl+0", "As large as the desktop's"),
         ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
         ("full", "Full screen", "F11", ""),
     ),
@@ -173,6 +176,12 @@ class Commands(QObject):
             for action in menu.actions()
             for key in action.shortcuts()
         }
+
+    def follow_text(self, percent: int, steps: Sequence[int]) -> None:
+        """Name the size of the text, and enable what still changes it."""
+        self.actions["larger"].setEnabled(percent < steps[-1])
+        self.actions["smaller"].setEnabled(percent > steps[0])
+        self.actions["usual"].setText(f"Text as usual (now {percent} %)")
 
     def follow_pace(self, words: str, *, served: bool) -> None:
         """Name the pace of a simulated operator, where there is one."""

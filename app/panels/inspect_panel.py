@@ -37,6 +37,7 @@ from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, State
 
 PLOT_PX = 152
+TITLE_PT = 11
 DOT_PX = 4.0
 RADIUS_PX = PLOT_PX / 2 - DOT_PX - 3
 DOUBT_LEAST = 0.45
@@ -235,7 +236,7 @@ class InspectPanel(QScrollArea):
         self._selected: int | None = None
         self._dead = False
         self.title = QLabel("No taxel selected")
-        embolden(self.title, self.font().pointSizeF() + 2.0)
+        embolden(self.title, TITLE_PT)
         self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")

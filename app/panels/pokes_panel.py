@@ -11,6 +11,7 @@ from typing import Any
 
 from PySide6.QtCore import (
     QAbstractTableModel,
+    QEvent,
     QItemSelection,
     QItemSelectionModel,
     QModelIndex,
@@ -43,6 +44,10 @@ _HINTS = (
     "Angle between the push and the inward normal, degrees",
     "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it shows a second contact or a torque",
 )
+
+
+_WIDEST = ("00000", "", "00-00 +0", "00.0", "00\N{DEGREE SIGN}0", "Pitch0")
+"""What a column has room for; the empty one takes what is left."""
 
 
 class PokeTable(QAbstractTableModel):
@@ -217,17 +222,27 @@ class PokesPanel(QWidget):
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         table.verticalHeader().hide()
-        table.verticalHeader().setDefaultSectionSize(table.fontMetrics().height() + 8)
         table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         header = table.horizontalHeader()
         header.setHighlightSections(False)
         header.setMinimumSectionSize(24)
-        for column, text in enumerate(("00000", "", "00-00 +0", "00.0", "00\N{DEGREE SIGN}0", "Pitch0")):
-            fixed = QHeaderView.ResizeMode.Stretch if not text else QHeaderView.ResizeMode.Fixed
-            header.setSectionResizeMode(column, fixed)
-            if text:
-                header.resizeSection(column, table.fontMetrics().horizontalAdvance(text) + 12)
+        for column, text in enumerate(_WIDEST):
+            header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed if text else QHeaderView.ResizeMode.Stretch)
+        self._fit_cells()
         table.selectionModel().selectionChanged.connect(self._selection_changed)
+
+    def _fit_cells(self) -> None:
+        metrics = self.fontMetrics()
+        self.table.verticalHeader().setDefaultSectionSize(metrics.height() + 8)
+        for column, text in enumerate(_WIDEST):
+            if text:
+                self.table.horizontalHeader().resizeSection(column, metrics.horizontalAdvance(text) + 12)
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Fit rows and columns to letters of another size."""
+        super().changeEvent(event)
+        if event.type() is QEvent.Type.FontChange:
+            self._fit_cells()
 
     def show_state(self, state: ViewState) -> None:
         """Show the pokes of a tick; nothing happens where they are the same."""

@@ -25,6 +25,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.text_size import set_font, text_scale
 from app.theme import DARK, LIGHT, Colours
 
 Made = TypeVar("Made")
@@ -47,9 +48,9 @@ def mix(first: str, second: str, share: float) -> QColor:
 
 
 def digits_font(points: float) -> QFont:
-    """Return a bold font whose digits have one width, so that live numbers do not jump."""
+    """Return a bold font whose digits have one width, so that live numbers do not jump, of so many points at 100 %."""
     font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
-    font.setPointSizeF(points)
+    font.setPointSizeF(points * text_scale())
     font.setBold(True)
     return font
 
@@ -131,11 +132,13 @@ def quiet(text: str = "", *, wrap: bool = False) -> QLabel:
 
 
 def embolden(label: QWidget, points: float = 0.0) -> None:
-    """Make a label's type bold, and so large where that is said."""
-    font = label.font()
+    """Make a label's type bold, and so many points large at 100 % where that is said."""
+    font = QFont()
     font.setBold(True)
-    font.setPointSizeF(points or font.pointSizeF())
-    label.setFont(font)
+    if points:
+        set_font(label, font, points)
+    else:
+        label.setFont(font)
 
 
 class AbstractWidget(ABCMeta, type(QWidget)):
