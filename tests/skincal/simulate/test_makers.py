@@ -124,16 +124,13 @@ class Orchestra:
 
     def play(self, brought):
         """Play to the end, and a little longer."""
-        while not (brought.opened >= self.links.keys() and all(map(is_asked, self.outlets.values()))):
-            self._poll()
-            brought.wait(0.01)
         while not self.line.finished:
             self._step(brought)
         for _ in range(30):
             self._step(brought)
 
     def _step(self, brought):
-        self._poll()
+        self._talk(brought)
         for at_ns, link, data in self.line.step():
             brought.now_ns, wanted = at_ns, brought.sizes[link] + len(data)
             self.outlets[link].write(data)
@@ -142,9 +139,14 @@ class Orchestra:
                 assert time.monotonic() < end, f"{link}: bytes were lost"
                 brought.wait(0.1)
 
-    def _poll(self):
-        for outlet in self.outlets.values():
-            outlet.poll()
+    def _talk(self, brought):
+        """Let the devices answer until all are asked for readings."""
+        while True:
+            for outlet in self.outlets.values():
+                outlet.poll()
+            if brought.opened >= self.links.keys() and all(map(is_asked, self.outlets.values())):
+                return
+            brought.wait(0.01)
 
     def close(self):
         for outlet in self.outlets.values():
