@@ -321,6 +321,14 @@ def test_events_and_notes_that_nobody_wrote_end_in_a_sentence(recorded, document
         load(recorded)
 
 
+def test_a_first_line_without_a_key_ends_in_a_sentence(recorded):
+    path = recorded / "segment-0001.jsonl"
+    body = b"0,,7]\n"
+    path.write_bytes(b'["%08x",' % zlib.crc32(body) + body)
+    with pytest.raises(InputError):
+        load(recorded)
+
+
 def test_a_right_contact_is_taken(recorded):
     with_documents(recorded, json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT]}).encode())
     assert len(load(recorded).session.contacts) == 1
@@ -352,7 +360,9 @@ def test_the_checksum_of_an_index_is_looked_at(recorded):
     assert zlib.crc32(data[begin:-12]) == int.from_bytes(data[-12:-8], "little")
     data[begin + 20] ^= 1
     path.write_bytes(data)
-    assert any("index was damaged" in sentence for sentence in resume(recorded).findings)
+    pipeline = resume(recorded)
+    pipeline.close()
+    assert any("index was damaged" in sentence for sentence in pipeline.findings)
 
 
 def test_what_watches_the_folder_looks_no_more_than_twice_a_second():

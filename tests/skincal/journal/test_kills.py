@@ -1,4 +1,4 @@
-"""A session whose recorder is killed several times loses nothing, whoever else tries to open it; `tests/long` does it longer."""
+"""A session whose recorder is killed several times loses nothing, whoever else opens it; `tests/long` does it longer."""
 
 import signal
 
