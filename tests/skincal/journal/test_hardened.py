@@ -321,6 +321,14 @@ def test_events_and_notes_that_nobody_wrote_end_in_a_sentence(recorded, document
         load(recorded)
 
 
+def test_a_first_line_without_a_key_ends_in_a_sentence(recorded):
+    path = recorded / "segment-0001.jsonl"
+    body = b"0,,7]\n"
+    path.write_bytes(b'["%08x",' % zlib.crc32(body) + body)
+    with pytest.raises(InputError):
+        load(recorded)
+
+
 def test_a_right_contact_is_taken(recorded):
     with_documents(recorded, json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT]}).encode())
     assert len(load(recorded).session.contacts) == 1
