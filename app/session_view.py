@@ -50,7 +50,6 @@ from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
 from app.units import ChannelNames
-from skincal.files.calibration import landmark_check
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
@@ -611,14 +610,17 @@ class SessionView(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            review = None if self.state is None else self.state.review
-            check = None if review is None else landmark_check(review.rig)
-            early = self._early_words()
+            state, early = self.state, self._early_words()
+            rig = None if state is None or state.review is None else state.review.rig
+            verdicts = None
+            if state is not None and self._tick is not None:
+                # By the guide that the operator follows, which knows what was skipped.
+                verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
 
             def done(sentences: tuple[str, ...]) -> None:
                 dialog.show_findings((*early, *sentences))
 
-            self._controller.export(format_, path, method, check, done, dialog.show_failure)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
 
         dialog.write_requested.connect(write)
         dialog.open()

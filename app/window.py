@@ -307,7 +307,7 @@ class Window(QMainWindow):
             self.stack.setCurrentWidget(session_view.workspace)
             session_view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._told = FirstMinute(session_view.workspace.view)
+                self._told = FirstMinute(session_view.workspace.view, session_view.workspace.view.cover)
                 self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
 
     def _take_session(self, snapshot: Snapshot) -> None:
@@ -447,6 +447,8 @@ class Window(QMainWindow):
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         if yes:
             box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        # The space bar and the pedal bring a question about, and may be pressed once more before it is read.
+        box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()
 
     def _known_addresses(self) -> list[str]:

@@ -24,7 +24,18 @@ from PySide6.QtWidgets import (
     QVBoxLayout,
 )
 
-from app.panels.widgets import TaxelList, embolden, fit_rows, on_panel, put_rows, quiet, short_box, table, theme_colours
+from app.panels.widgets import (
+    TaxelList,
+    embolden,
+    fit_rows,
+    on_panel,
+    plain_tip,
+    put_rows,
+    quiet,
+    short_box,
+    table,
+    theme_colours,
+)
 from app.scene3d.scene_state import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.state.view_state import ViewState
@@ -257,7 +268,7 @@ class ComparePanel(QScrollArea):
         self.health.setVisible(bool(sentences))
         self.save.setVisible(found is not None and bool(found.mend.changes))
         if found is not None:
-            self.save.setToolTip(save_hint(found.mend))
+            self.save.setToolTip(plain_tip(save_hint(found.mend)))
 
     def _save_wanted(self) -> None:
         if self._found is not None:

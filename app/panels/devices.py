@@ -7,7 +7,7 @@ from html import escape
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLayout
 
-from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, quiet, theme_colours
+from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, plain_tip, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
@@ -72,7 +72,7 @@ class LinkCard(QFrame):
     def set(self, words: LinkWords, health: LinkHealth) -> None:
         """Show how the link does."""
         self.sign.setText(_sign(words.look))
-        self.sign.setToolTip(words.look.value)
+        self.sign.setToolTip(plain_tip(words.look.value))
         self.name.setText(words.name)
         self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)

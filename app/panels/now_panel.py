@@ -11,7 +11,7 @@ from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QP
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
 
 from app.panels.top_view import AROUND, TopView, top_view
-from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix
+from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix, plain_tip
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
@@ -76,9 +76,10 @@ class Dial(Painted):
             self._key, self._view = key, view
             self.update()
         if coaching is None:
-            self.setToolTip(f"Tilt {degrees(target.tilt)} is asked for")
+            self.setToolTip(plain_tip(f"Tilt {degrees(target.tilt)} is asked for"))
         else:
-            self.setToolTip(f"Aim {millimetres(coaching.away)}, tilt {degrees(coaching.tilt)} of {degrees(target.tilt)}")
+            tilt = f"{degrees(coaching.tilt)} of {degrees(target.tilt)}"
+            self.setToolTip(plain_tip(f"Aim {millimetres(coaching.away)}, tilt {tilt}"))
 
     def _looks(self, view: TopView, landed: int | None) -> tuple[object, ...]:
         """Return what decides the picture, as finely as it is seen."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QSettings, Qt, Signal
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import AbstractWidget, quiet, short_box, theme_colours
+from app.panels.widgets import AbstractWidget, plain_tip, quiet, short_box, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -152,7 +152,7 @@ class ErrorsPanel(PlotPanel):
             button.setText(axis.value)
             button.setCheckable(True)
             button.setProperty("choice", True)
-            button.setToolTip(f"Draw the error against {axis.value}")
+            button.setToolTip(plain_tip(f"Draw the error against {axis.value}"))
             self._group.addButton(button)
         self.axis_buttons[Axis.POKES].setChecked(True)
         self.axis_buttons[Axis.MODULES].setVisible(bool(self._modules))

@@ -23,7 +23,7 @@ from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
 
 from app.panels.copying import make_copyable
-from app.panels.widgets import quiet, theme_colours
+from app.panels.widgets import plain_tip, quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
@@ -122,7 +122,7 @@ class PokeTable(QAbstractTableModel):
         if role == Qt.ItemDataRole.ForegroundRole:
             return self._colour(record, index.column())
         if role == Qt.ItemDataRole.ToolTipRole:
-            return self._hint(record)
+            return plain_tip(self._hint(record))
         return None
 
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:

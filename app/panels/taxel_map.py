@@ -31,7 +31,7 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QSizePolicy, QToolTip
 
-from app.panels.widgets import Painted, mix, theme_colours
+from app.panels.widgets import Painted, mix, plain_tip, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark, answer_levels, marks
@@ -464,7 +464,7 @@ class TaxelMap(Painted):
         """Say which taxel is under the pointer."""
         if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent):
             channel = self.channel_at(QPointF(event.pos()))
-            QToolTip.showText(event.globalPos(), "" if channel is None else self.tell(channel), self)
+            QToolTip.showText(event.globalPos(), "" if channel is None else plain_tip(self.tell(channel)), self)
             return True
         return super().event(event)
 

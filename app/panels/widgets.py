@@ -58,7 +58,7 @@ def digits_font(points: float) -> QFont:
 
 def plain_tip(text: str) -> str:
     """Return a tooltip that shows any text as it is: Qt would open what a text that looks like HTML names."""
-    return f"<qt>{escape(text)}</qt>" if "<" in text else text
+    return f'<p style="white-space: pre-wrap">{escape(text)}</p>' if "<" in text else text
 
 
 class ElidedLabel(QWidget):
@@ -178,7 +178,7 @@ def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTre
     tree.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
     tree.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
     for column, hint in enumerate(hints):
-        tree.headerItem().setToolTip(column, hint)
+        tree.headerItem().setToolTip(column, plain_tip(hint))
     make_copyable(tree)
     return tree
 

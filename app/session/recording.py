@@ -173,6 +173,7 @@ class Recording:
             The kept copy cannot be brought up to date.
         """
         stop_all(self.let_go())
+        self._queue.finish()
         try:
             self.drain()
         finally:

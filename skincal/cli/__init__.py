@@ -15,7 +15,8 @@ from functools import cache
 import typer
 
 from skincal import __version__
-from skincal.model.errors import InputError
+from skincal.cli.terminal import say
+from skincal.model.errors import InputError, shortened
 
 app = typer.Typer(
     name="skincal",
@@ -32,7 +33,7 @@ app = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"skincal {__version__}")
+        say(f"skincal {__version__}")
         raise typer.Exit
 
 
@@ -73,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             args=None if arguments is None else list(arguments), prog_name="skincal", standalone_mode=False
         )
     except InputError as error:
-        typer.echo(f"skincal: {error}", err=True)
+        say(f"skincal: {error}", err=True)
         return 2
     except typer.Abort:
         return 2
@@ -90,6 +91,7 @@ _PLAIN_WORDS = (
     ("Input should be a valid", "expected a"),
     (", unable to parse string as a number", ""),
     (", unable to parse string as an integer", ""),
+    ("Unable to parse input string as an integer, exceeded maximum size", "expected a whole number of fewer digits"),
     ("Input should be", "expected"),
 )
 """What pydantic, by which typer reads options, says to programmers, and what it is to an operator."""
@@ -98,7 +100,7 @@ _PLAIN_WORDS = (
 def _usage_sentence(message: str, command: str) -> str:
     for theirs, plain in _PLAIN_WORDS:
         message = message.replace(theirs, plain)
-    return f"skincal: {message.rstrip('.')}; `{command} --help` shows what is possible."
+    return "skincal: " + shortened(f"{message.rstrip('.')}; `{command} --help` shows what is possible.")
 
 
 def _other_failure(error: Exception) -> int:
@@ -110,7 +112,7 @@ def _other_failure(error: Exception) -> int:
         if not message or "\n" in message:  # no command was named: the whole help
             show()
         else:
-            typer.echo(_usage_sentence(message, getattr(context, "command_path", "skincal")), err=True)
+            say(_usage_sentence(message, getattr(context, "command_path", "skincal")), err=True)
         return 2
     # Who reads the output has seen enough, such as `head`.
     if isinstance(error, BrokenPipeError):
@@ -118,8 +120,8 @@ def _other_failure(error: Exception) -> int:
     # A name that is too long, a folder without rights: the system's word is the reason.
     if isinstance(error, OSError) and error.filename is not None:
         sentence = InputError(f"{error.filename}: cannot be used ({error.strerror}); check the path and its rights.")
-        typer.echo(f"skincal: {sentence}", err=True)
+        say(f"skincal: {sentence}", err=True)
         return 2
     traceback.print_exception(error, file=sys.stderr)
-    typer.echo(f"skincal: {error!r} is a fault of skincal, not of your input; please report it with the lines above.", err=True)
+    say(f"skincal: {error!r} is a fault of skincal, not of your input; please report it with the lines above.", err=True)
     return 1

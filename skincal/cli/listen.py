@@ -12,6 +12,7 @@ import typer
 
 from skincal.cli.calibrate import Json
 from skincal.cli.record import stopping
+from skincal.cli.terminal import say
 from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkState, Loss, SkinBatch, Stream, WrenchBatch
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def watch(
                 _take(watched, items, due_s)
                 due_s += SAY_S
                 figures = watched.figures()
-                typer.echo(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
+                say(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
     finally:
         reader.stop()
 
@@ -143,7 +144,7 @@ def _take(watched: Watched, items: queue.SimpleQueue[Chunk | LinkEvent], due_s: 
         except queue.Empty:
             return
         if isinstance(item, LinkEvent):
-            typer.echo(item.state.value + (f": {item.text}" if item.text else ""), err=True)
+            say(item.state.value + (f": {item.text}" if item.text else ""), err=True)
         watched.take(item)
 
 
@@ -155,14 +156,12 @@ def devices(as_json: Json = False) -> None:
     names, trouble = _yarp_ports()
     found += [{"address": f"yarp:{name}", "what": f"YARP port at {host}:{number}"} for name, (host, number) in names]
     if as_json:
-        typer.echo(json.dumps({"devices": found, "yarp": trouble}))
+        say(json.dumps({"devices": found, "yarp": trouble}))
         return
     for each in found:
-        typer.echo(f"{each['address']}  {each['what']}")
-    typer.echo(trouble if trouble else f"{len(names)} YARP ports", err=True)
-    typer.echo(
-        "Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST."
-    )
+        say(f"{each['address']}  {each['what']}")
+    say(trouble if trouble else f"{len(names)} YARP ports", err=True)
+    say("Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST.")
 
 
 def _ports() -> list[tuple[str, str]]:

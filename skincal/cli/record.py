@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.calibrate import Json
+from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
 
@@ -94,7 +95,7 @@ def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Genera
     try:
         surface, findings = load_scene_surface(scene)
         for finding in findings:
-            typer.echo(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
+            say(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
         journal = create_session(folder, scene, links)
         yield Pipeline(scene, links, surface, journal)
     except KeptError:
@@ -150,11 +151,12 @@ def record(
             # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
             for reader in readers.values():
                 reader.stop()
+            items.finish()
             while not items.empty():
                 _take(pipeline, items.get())
             pipeline.close()
         if stop.is_set():
-            typer.echo("stopped", err=True)
+            say("stopped", err=True)
         finish(pipeline, out, as_json)
 
 
@@ -199,7 +201,7 @@ def _take(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
     try:
         pipeline.act(from_json(json.loads(item.text)), item.host_ns)
     except (InputError, ValueError, AttributeError) as error:
-        typer.echo(f"order {item.text.decode(errors='replace').strip()}: not done. {error}", err=True)
+        say(f"order {item.text.decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
 def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
@@ -236,7 +238,7 @@ def _loop(
     silence = Silence(readers, time.monotonic_ns())
     while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
         for sentence in silence.sentences(time.monotonic_ns()):
-            typer.echo(sentence, err=True)
+            say(sentence, err=True)
         try:
             item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
         except queue.Empty:
@@ -246,7 +248,7 @@ def _loop(
                 return
             continue
         if isinstance(item, LinkEvent):
-            typer.echo(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
+            say(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
             states[item.link] = item.state
         if not isinstance(item, OrderLine):
             silence.hear(item)
@@ -311,12 +313,12 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
     while reported < len(records) and records[reported].outcome.final:
         outcome = records[reported].outcome
         if isinstance(outcome, Contact):
-            typer.echo(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
+            say(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
             numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
-            typer.echo(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
+            say(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
         if outcome.poke in snapshot.missed_landmarks:
-            typer.echo(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
+            say(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
         reported += 1
     return reported
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import typer
 
+from skincal.cli.terminal import say
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
 from skincal.geometry import FloatArray
@@ -28,10 +28,10 @@ def print_result(result: Mapping[str, Any], as_json: bool) -> None:
     """Print a command's result on stdout: JSON, or the entries of `"text"`."""
     if as_json:
         wanted = {key: value for key, value in result.items() if key != "text"}
-        typer.echo(json.dumps(wanted, allow_nan=False, default=os.fspath))
+        say(json.dumps(wanted, allow_nan=False, default=os.fspath))
     else:
         for line in result["text"]:
-            typer.echo(line)
+            say(line)
 
 
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:

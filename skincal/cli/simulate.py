@@ -14,6 +14,7 @@ import typer
 
 from skincal.cli.calibrate import Json
 from skincal.cli.record import SceneOption, find_scene, finish, stopping
+from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 
@@ -165,7 +166,7 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
 
 
 def _show_progress(pokes: int) -> None:
-    typer.echo(f"\rpoke {pokes} ", err=True, nl=False)
+    typer.echo(f"\rpoke {pokes} ", err=True, nl=False)  # noqa: TID251 - stays on its line
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -174,7 +175,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
         for link in server.links
     ]
-    typer.echo(json.dumps({"links": links, **known}))
+    say(json.dumps({"links": links, **known}))
     # A pipe holds lines back, and who started this waits for this one.
     sys.stdout.flush()
 
@@ -197,5 +198,5 @@ def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
             if order is not None and listener is not None:
                 listener.accept(order)
         except InputError as error:
-            typer.echo(f"skincal: {error}", err=True)
+            say(f"skincal: {error}", err=True)
     stop.set()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.calibrate import Json
+from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.studies import STUDIES
 
@@ -55,16 +56,16 @@ def _command(name: str) -> Callable[..., None]:
         text = json.dumps(result, allow_nan=False)
         written = [] if folder is None else _write(study, name, result, folder)
         if as_json:
-            typer.echo(text)
+            say(text)
         else:
             for line in (*study.summary(result), *(f"wrote {path}" for path in written)):
-                typer.echo(line)
+                say(line)
 
     return command
 
 
 def _say(sentence: str) -> None:
-    typer.echo(sentence, err=True)
+    say(sentence, err=True)
 
 
 def _load(name: str) -> Study:

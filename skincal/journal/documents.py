@@ -564,7 +564,7 @@ def read_lines(segment: Path) -> Lines | None:
     data = read_regular(path, LINES_MOST) if path.exists() else b""
     kept: list[bytes] = []
     totals: list[bytes] = []
-    body, last_key, checksum, size = b"0]\n", b"", 0, 0
+    body, last_key, checksum, size = b"0]\n", _NO_KEY, 0, 0
     # One by one up to the first that is damaged: a list of all could take more than the file by far.
     for line in BytesIO(data):
         found = zlib.crc32(line[_HEAD:], checksum)

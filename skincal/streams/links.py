@@ -472,11 +472,13 @@ class Inbox:
 
     def put(self, item: Any) -> None:
         """Take the next item, if it has room; what is no `Chunk` always has."""
-        if not isinstance(item, Chunk):
-            self._queue.put(item)
-            return
         with self._lock:
-            if self._has_room(item):
+            if not isinstance(item, Chunk):
+                if isinstance(item, LinkEvent):
+                    # Before it: what was dropped came while the link was open.
+                    self._tell_dropped(item.link, item.host_ns)
+                self._queue.put(item)
+            elif self._has_room(item):
                 self._waiting[item.link] += len(item.data) + ITEM_BYTES
                 self._queue.put(item)
             else:
@@ -509,11 +511,17 @@ class Inbox:
     def empty(self) -> bool:
         """Return whether nothing waits; what a link that fell silent had dropped is said now."""
         if self._until_ns and self._queue.empty():
-            with self._lock:
-                now_ns = time.monotonic_ns()
-                for link in [link for link, until_ns in self._until_ns.items() if now_ns >= until_ns]:
-                    self._tell_dropped(link, now_ns)
+            self._tell_due(time.monotonic_ns())
         return self._queue.empty()
+
+    def finish(self) -> None:
+        """Say what was dropped and is not said yet; nothing comes any more."""
+        self._tell_due(None)
+
+    def _tell_due(self, until_ns: int | None) -> None:
+        with self._lock:
+            for link in [link for link, due_ns in self._until_ns.items() if until_ns is None or until_ns >= due_ns]:
+                self._tell_dropped(link, time.monotonic_ns())
 
 
 class Reader:

@@ -1,11 +1,16 @@
 """Every decoder and reader with what nobody would write: success, or the program's own error. Seeded; see docs/security.md."""
 
+import contextlib
 import os
 import random
 import re
+import shlex
 import shutil
+import sys
+import time
 import warnings
 import zlib
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +21,7 @@ from skincal.files.reference import read_reference
 from skincal.journal.documents import lines_path
 from skincal.journal.writer import create_session
 from skincal.mesh.load import read_mesh
-from skincal.model.errors import SENTENCE_MOST, InputError
+from skincal.model.errors import SENTENCE_MOST, InputError, plain_text
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene
 from skincal.model.skin import read_layout
@@ -26,8 +31,14 @@ from skincal.streams.decoders.detect import NAMES, LinkDecoder
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 INPUTS = int(os.environ.get("SKINCAL_FUZZ", "300"))
-"""Inputs of each reader; a session's costs twenty times as much, and has a twentieth."""
-pytestmark = pytest.mark.timeout(0 if INPUTS > 1000 else 120)
+"""Inputs of each reader."""
+SESSIONS = INPUTS if "SKINCAL_FUZZ" in os.environ else 20
+"""Inputs of what reads sessions: each costs twenty times as much."""
+MOST_S = 5.0
+"""s of processor time that an input may cost."""
+MOST_BYTES = 500 << 20
+"""Memory that an input may ask for, beyond what the process has when its reader is called first."""
+pytestmark = pytest.mark.timeout(max(120, INPUTS // 10))
 PIECES = (b"", b"0", b"-1", b"1e308", b"nan", b"inf", b"9" * 30, b"\x00", b"\xff\xfe", b"\n", b'"', b"[[", b"]]", b"=", b"{}")
 
 SCENE = b"""name = "n"
@@ -113,21 +124,66 @@ def twisted(rng: random.Random, data: bytes) -> bytes:
     return bytes(out)
 
 
+@contextlib.contextmanager
+def bounded_memory():
+    """Refuse the process more than `MOST_BYTES` beyond what it has: more ends as a `MemoryError`. Linux alone holds that."""
+    if not sys.platform.startswith("linux"):
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
 def try_all(name, seed, work, inputs):
-    """Do `work` with each input; anything but success or the program's error fails, with the seed that shows it."""
-    for count in range(inputs):
-        rng = random.Random(f"{name} {seed} {count}")
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                work(rng)
-        except InputError as error:
-            said = str(error)
-        except Exception as error:
-            raise AssertionError(f"{name}: input {count} of seed {seed}: {error!r}") from error
-        else:
-            said = ""
-        assert len(said) <= SENTENCE_MOST
+    """Do `work` with each input: it succeeds or raises the program's error, within the limits; what fails names its input."""
+    with bounded_memory(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for count in range(inputs):
+            begun_s = time.process_time()
+            try:
+                said = outcome_of(work, random.Random(f"{name} {seed} {count}"))
+                assert len(said) <= SENTENCE_MOST
+                assert time.process_time() - begun_s < MOST_S
+            except BaseException as error:  # also the one by which a test that takes too long is ended
+                error.add_note(f"{name}: input {count} of seed {seed}")
+                raise
+
+
+def outcome_of(work, rng):
+    """What the program said of the input; empty where it took it."""
+    try:
+        work(rng)
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="no other system refuses memory")
+def test_an_input_that_takes_too_much_memory_is_told():
+    with pytest.raises(MemoryError) as raised:
+        try_all("memory", 1, lambda _: bytearray(2 * MOST_BYTES), 1)
+    assert raised.value.__notes__ == ["memory: input 0 of seed 1"]
+    try_all("memory", 1, lambda _: bytearray(MOST_BYTES // 2), 3)
+
+
+def test_an_input_that_takes_too_long_is_told(monkeypatch):
+    monkeypatch.setitem(globals(), "MOST_S", 0.05)
+
+    def work(_):
+        begun_s = time.process_time()
+        while time.process_time() - begun_s < 0.06:
+            pass
+
+    with pytest.raises(AssertionError) as raised:
+        try_all("time", 1, work, 1)
+    assert raised.value.__notes__ == ["time: input 0 of seed 1"]
 
 
 def file_reader(read, *suffixed):
@@ -175,6 +231,7 @@ def recorded(tmp_path_factory):
     items = as_chunks(some_pokes(scene, 1).samples)
     for item in items:
         pipeline.feed(item)
+    pipeline.snapshot()  # starts the solver, which reserves address space of 4 GB, and touches little of it
     pipeline.close()
     return folder / "s", b"".join(item.data for item in items if hasattr(item, "data"))
 
@@ -218,54 +275,131 @@ def test_sessions(kind, recorded, tmp_path):
             lines_path(path).write_bytes(sealed(lines) if kind == "sealed lines" else b"".join(lines))
         (load if rng.random() < 0.7 else replay)(folder).snapshot()
 
-    try_all(kind, 1, work, max(INPUTS // 20, 5))
+    try_all(kind, 1, work, SESSIONS)
 
 
-WORDS = [
-    *[
-        "solve",
-        "export",
-        "record",
-        "simulate",
-        "import",
-        "csv",
-        "yarp",
-        "study",
-        "landmarks",
-        "--out",
-        "--scene",
-        "--wrench",
-        "--skin",
-        "--format",
-        "--json",
-        "--pose",
-    ],
-    *[
-        "flat-patch",
-        "icub-forearm",
-        "/dev/null",
-        "none",
-        "-1",
-        "1e9",
-        "--pokes",
-        "spy:///dev/null",
+NAMES_OF_NOTHING = [
+    *("", "none", "x" * 300, "x/" * 2000, "\udcff", "a\nb", "\x1b[2J", "\u202egpj", "a\x00b", "/dev/null", "/dev/zero", "-"),
+    "~nobody",
+]
+NO_NUMBERS = ["", "many", "-1", "nan", "1e999", "0x10", "9" * 5000, "\N{DEVANAGARI DIGIT FOUR}.", "1,5", "\x1b[2J"]
+NO_ADDRESSES = [
+    *(
+        "",
+        "spy:///dev/null?file=f",
+        "alt://x",
+        "hwgrep://x",
+        "rfc2217://x:1",
+        "loop://",
         "socket://[::1",
-        "file:none",
-        "--at",
-        "1=a",
-        "--",
-        "--seed",
-    ],
-    *("", "x" * 300, "\udcff", "a\nb"),
+        "socket://x:99999999",
+    ),
+    *("socket://:1", "netft://", "netft://x:y", "netft://x?no=1", "yarp:", "bota:", "xela://x:-1", "lines://x"),
+]
+PATCH = "--scene flat-patch --out made"
+ENDLESS = f"--wrench file:none --skin file:none {PATCH}"
+"""A recording that would end by a number or a name alone that is wrong."""
+LINES = f"""
+fly
+solve
+record
+import
+import tape
+study life
+\x1b[2J
+--fly
+--\x1b[2J
+{"x" * 5000}
+simulate --scene flat-patch
+simulate {PATCH} --serve
+simulate {PATCH} --tcp
+simulate {PATCH} --as netft
+simulate {PATCH} --operator told
+simulate {PATCH} --errors all
+simulate {PATCH} --poses 1
+simulate {PATCH} --pokes 3 --pace 9
+simulate --scene flat-patch --serve --as netft,netft,netft
+simulate --scene flat-patch --serve --as \x1b[2J
+simulate --scene flat-patch --pokes 1 --out s
+simulate --scene flat-patch --out f
+record {ENDLESS} --pose 1
+record {ENDLESS} --pose \x1b[2J
+record {ENDLESS} --orders=no
+record --wrench file:none --skin file:none --scene icub-forearm --out made
+record --wrench file:none --skin file:none --scene flat-patch --out s
+solve f
+solve s s
+solve s \x1b[2J
+solve s {"x" * 5000}
+solve s/scene
+solve s --part chest
+solve s --out f
+solve s --reference f
+solve s --layout f
+solve s --json=3
+export s --format icub
+export s --format icub --out s
+export s --format csv --out made --part chest
+export s --format \x1b[2J --out made
+export s --format json --out s/segment-0001.mcap
+export s --format json --out /dev/null
+export s --format json --out made --method guess
+report s --out s
+report s --out s/segment-0001.jsonl
+compare s
+compare s:guess s
+compare s f
+compare s:truth s
+landmarks s --at 1
+landmarks s --at =a
+landmarks s --at {"9" * 30}=a
+landmarks s --at 1=\x1b[2J
+landmarks s --add a 1 2
+landmarks s --add "" 1 2 3
+landmarks s --add a nan 2 3
+landmarks s --csv f
+landmarks s --order ;;;
+landmarks s --undo --find
+study runtime --quick --out f
+study paper --out f/x
+watch
+watch file:none --carries all
+watch file:none --carries {"x" * 5000}
+devices all
+import csv --wrench f --skin f {PATCH}
+import csv --wrench s --skin s {PATCH}
+import yarp --wrench f --skin f {PATCH}
+import yarp --wrench s --skin s {PATCH}
+"""
+COMMAND_LINES = [
+    *(shlex.split(line) for line in LINES.splitlines()),
+    *(["solve", name] for name in NAMES_OF_NOTHING),
+    *(["export", "s", "--format", "json", "--layout", name, "--out", "made"] for name in NAMES_OF_NOTHING),
+    *(["compare", name, "s"] for name in NAMES_OF_NOTHING),
+    *(["simulate", "--scene", name, "--out", "made"] for name in NAMES_OF_NOTHING),
+    *(["simulate", *PATCH.split(), "--pokes", number] for number in NO_NUMBERS),
+    *(["simulate", *PATCH.split(), "--pace", number] for number in NO_NUMBERS),
+    *(["record", *ENDLESS.split(), "--pokes", number] for number in NO_NUMBERS),
+    *(["record", *ENDLESS.split(), "--seconds", number] for number in ("", "many", "-1", "nan", "1,5")),
+    *(["record", "--wrench", address, "--skin", "file:none", *PATCH.split()] for address in NO_ADDRESSES),
+    *(["watch", address] for address in NO_ADDRESSES),
 ]
 
 
-def test_bad_command_lines(tmp_path, monkeypatch, capsys):
-    """130 of them, none of which could record anything."""
+def test_bad_command_lines(recorded, tmp_path, monkeypatch, capsys):
+    """Wrong values, hostile names, what is not there, contradictions: exit code 2, one sentence, nothing made or changed."""
     monkeypatch.chdir(tmp_path)
-    for count in range(130):
-        rng = random.Random(f"words {count}")
-        words = [rng.choice(WORDS) for _ in range(rng.randint(1, 7))]
-        words += ["--no-such-option"]
-        assert main(words) in (0, 2), words
-        assert "Traceback" not in capsys.readouterr().err, words
+    (tmp_path / "f").write_bytes(b"")
+    session = shutil.copytree(recorded[0], tmp_path / "s")
+    before = {path: path.read_bytes() for path in session.rglob("*") if path.is_file()}
+    assert len(COMMAND_LINES) >= 130
+    for words in COMMAND_LINES:
+        begun_s = time.process_time()
+        assert main(words) == 2, words
+        said = capsys.readouterr().err
+        assert time.process_time() - begun_s < MOST_S, words
+        assert "Traceback" not in said, words
+        assert len(said) <= SENTENCE_MOST + len("skincal: \n"), words
+        assert plain_text(said.rstrip("\n")) == said.rstrip("\n"), words
+        assert {path.name for path in tmp_path.iterdir()} == {"f", "s"}, words
+    assert {path: path.read_bytes() for path in session.rglob("*") if path.is_file()} == before

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from skincal.cli import listen, main
+from skincal.model.errors import plain_text
 from skincal.model.readings import Stream
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
+from skincal.streams import links
+from skincal.streams.failures import FailureKind, LinkFailure
 
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
 
@@ -70,6 +73,37 @@ def test_watch_shows_a_skin(capsys):
 def test_watch_refuses_what_is_no_address(capsys):
     assert main(["watch", "spy://x"]) == 2
     assert "begins with spy:" in capsys.readouterr().err
+
+
+ORDER = "\x1b[2Jgone\u202e\rnot there"
+"""Clears a screen, turns the letters that follow, and writes over the line."""
+
+
+@pytest.fixture
+def hostile(monkeypatch):
+    """A device whose driver gives an order to the terminal as its reason."""
+
+    def refuse(_):
+        raise LinkFailure(FailureKind.ADDRESS, ORDER)
+
+    monkeypatch.setattr(links, "open_link", refuse)
+    monkeypatch.setattr(listen, "_ports", lambda: [(f"/dev/tty{ORDER}", f"by {ORDER}")])
+    monkeypatch.setattr(listen, "_yarp_ports", lambda: ([(f"/{ORDER}", ("host", 1))], ORDER))
+
+
+@pytest.mark.parametrize("words", [
+    ["watch", "/dev/ttyNone1", "--seconds", "1"],
+    ["devices"],
+    ["record", "--wrench", "/dev/ttyNone1", "--skin", "/dev/ttyNone2", "--scene", "flat-patch", "--out", "s"],
+    ["record", "--wrench", "/dev/ttyNone1", "--skin", f"/dev/{ORDER}", "--scene", "flat-patch", "--out", "s", "--json"],
+])  # fmt: skip
+@pytest.mark.usefixtures("hostile")
+def test_no_word_of_a_device_is_an_order_to_the_terminal(words, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(words)
+    said = capsys.readouterr()
+    assert "?[2Jgone??not there" in said.err + said.out
+    assert all(plain_text(line) == line for line in (said.out + said.err).split("\n"))
 
 
 @needs_pty

@@ -20,6 +20,7 @@ from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.approved import approved
 from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
 
 posix = pytest.mark.skipif(os.name == "nt", reason="links need rights there, and open files cannot be taken away")
@@ -99,7 +100,7 @@ def test_a_folder_that_vanishes_is_noticed_within_a_second(tmp_path, gone):
         pipeline.feed(item)
         if pipeline.journal_failure:
             break
-    assert "deleted, moved or unmounted" in pipeline.journal_failure
+    assert approved("session.folder_gone") in pipeline.journal_failure
     assert "export" not in pipeline.journal_failure
     assert (item.host_ns - items[half].host_ns) * 1e-9 < 1.0
     assert pipeline.session.calibration().contacts
@@ -320,6 +321,14 @@ def test_events_and_notes_that_nobody_wrote_end_in_a_sentence(recorded, document
         load(recorded)
 
 
+def test_a_first_line_without_a_key_ends_in_a_sentence(recorded):
+    path = recorded / "segment-0001.jsonl"
+    body = b"0,,7]\n"
+    path.write_bytes(b'["%08x",' % zlib.crc32(body) + body)
+    with pytest.raises(InputError):
+        load(recorded)
+
+
 def test_a_right_contact_is_taken(recorded):
     with_documents(recorded, json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT]}).encode())
     assert len(load(recorded).session.contacts) == 1
@@ -351,7 +360,9 @@ def test_the_checksum_of_an_index_is_looked_at(recorded):
     assert zlib.crc32(data[begin:-12]) == int.from_bytes(data[-12:-8], "little")
     data[begin + 20] ^= 1
     path.write_bytes(data)
-    assert any("index was damaged" in sentence for sentence in resume(recorded).findings)
+    resumed = resume(recorded)
+    resumed.close()
+    assert any("index was damaged" in sentence for sentence in resumed.findings)
 
 
 def test_what_watches_the_folder_looks_no_more_than_twice_a_second():

@@ -82,6 +82,32 @@ def test_what_was_dropped_is_said_when_the_link_falls_silent():
     assert inbox.empty()
 
 
+def flooded():
+    inbox = Inbox()
+    for _ in range(20):
+        inbox.put(Chunk("wrench", time.monotonic_ns(), BLOCK))
+    return inbox
+
+
+def rest_of(inbox):
+    items = []
+    while not inbox.empty():
+        items.append(inbox.get())
+    return [item for item in items if isinstance(item, LinkEvent)]
+
+
+def test_what_was_dropped_is_said_before_the_link_is_lost_or_nothing_comes_any_more():
+    """In half a second a network brings a gigabyte."""
+    inbox = flooded()
+    inbox.put(LinkEvent("wrench", time.monotonic_ns(), LinkState.LOST, "gone"))
+    dropped, lost = rest_of(inbox)
+    assert (dropped.dropped, lost.state) == (5 * len(BLOCK), LinkState.LOST)
+    inbox = flooded()
+    inbox.finish()
+    (dropped,) = rest_of(inbox)
+    assert dropped.dropped == 5 * len(BLOCK)
+
+
 def test_dropped_bytes_are_a_loss_of_the_link_and_come_back_from_the_journal(tmp_path):
     links = (LinkSpec("wrench", "file:none", (Stream.WRENCH,), "skt"),)
     event = LinkEvent("wrench", 5, LinkState.OPEN, "dropped", 1234)

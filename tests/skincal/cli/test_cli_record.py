@@ -1,0 +1,119 @@
+"""`record` seen from outside: a folder that vanishes, a disk that is full, a device that sends garbage as fast as a network."""
+
+import contextlib
+import json
+import os
+import random
+import shutil
+import socket
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from skincal.journal.reader import SessionLog
+from skincal.model.readings import Chunk, Loss
+from tests.approved import approved
+from tests.skincal.record_support import recorder, write_devices
+
+
+@pytest.mark.skipif(os.name == "nt", reason="open files cannot be taken away there")
+@pytest.mark.parametrize("gone", ["deleted", "moved"])
+def test_a_folder_that_vanishes_ends_the_recording_with_2(tmp_path, gone):
+    with recorder(write_devices(tmp_path, 30), tmp_path / "s") as process:
+        try:
+            for line in process.stderr:
+                if "accepted" in line:
+                    break
+            if gone == "deleted":
+                shutil.rmtree(tmp_path / "s")
+            else:
+                (tmp_path / "s").rename(tmp_path / "t")
+            said = process.stderr.read().splitlines()
+            assert process.wait(10) == 2
+        finally:
+            process.kill()
+    assert approved("session.folder_gone") in said[-1]
+    assert "export" not in said[-1]
+    assert sum("accepted" in line for line in said) <= 2, "a poke takes a second"
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_disk_that_is_full_at_the_start_is_said_and_not_in_the_way_of_the_next_try(tmp_path):
+    resource = pytest.importorskip("resource")
+    options = write_devices(tmp_path, 1)
+
+    def no_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (50, 50))
+
+    with recorder(options, tmp_path / "s", preexec_fn=no_room) as process:
+        said = process.communicate(timeout=30)[1]
+    assert process.returncode == 2
+    assert "File too large" in said
+    assert len(said.splitlines()) == 1
+    assert "export" not in said
+    assert not (tmp_path / "s").exists()
+    with recorder([*options, "--seconds", "0.5"], tmp_path / "s") as process:
+        process.communicate(timeout=30)
+    assert process.returncode == 0
+
+
+FLOOD_S = 3.0
+
+
+IN_BUFFERS = 64 << 20
+"""Bytes that the system may hold of a connection that is read no more."""
+
+
+def is_of(item, link):
+    return isinstance(item, Chunk) and item.link == link
+
+
+@contextlib.contextmanager
+def flooding():
+    """A server that sends garbage as fast as the loopback takes it, for a few seconds; its port, and what it sent."""
+    garbage, sent = random.Random(1).randbytes(1 << 20), [0]
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def flood():
+        with contextlib.suppress(OSError):
+            connection, _ = server.accept()
+            end_s = time.monotonic() + FLOOD_S
+            with connection:
+                while time.monotonic() < end_s:
+                    sent[0] += connection.send(garbage)
+
+    thread = threading.Thread(target=flood)
+    thread.start()
+    try:
+        yield server.getsockname()[1], sent
+    finally:
+        server.close()
+        thread.join(10.0)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a process tells its memory in a known unit")
+def test_garbage_at_the_speed_of_a_network_is_dropped_by_link_and_costs_the_others_nothing(tmp_path):
+    options = write_devices(tmp_path, 10)
+    with flooding() as (port, sent):
+        options[1] = f"socket://127.0.0.1:{port}"
+        with recorder([*options, "--seconds", str(FLOOD_S), "--json"], tmp_path / "s") as process:
+            said = process.stdout.read()
+            told = process.stderr.read()
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+    result = json.loads(said)["links"]
+    assert process.returncode == 2, "the wrench gave no reading"
+    assert sent[0] > 100 << 20
+    recorded = sum(len(item.data) for item in SessionLog(tmp_path / "s").items() if is_of(item, "wrench"))
+    arrived = recorded + result["wrench"]["lost"][Loss.DROPPED.value]
+    assert sent[0] - IN_BUFFERS <= arrived <= sent[0]
+    assert recorded < 40 << 20
+    assert told.count("bytes were dropped") <= 2 * FLOOD_S + 2
+    assert Loss.DROPPED.value not in result["skin"]["lost"]
+    frames = [item.host_ns for item in SessionLog(tmp_path / "s").items() if is_of(item, "skin")]
+    assert np.median(np.diff(frames)) < 0.1e9, "what comes every 60 ms is read at its time"
+    assert np.max(np.diff(frames)) < 1e9
+    assert used.ru_maxrss < 200_000, "kilobytes"
