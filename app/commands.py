@@ -5,7 +5,7 @@ Keys are given explicitly, so that one hand, a pedal or a test can do everything
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -81,6 +81,9 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("speech", "Say why a poke is rejected", "Shift+M", "With the voice of the system"),
         ("turn", "Turn to the target", "T", "Turn the 3D view between pokes where it hides the target"),
         ("camera", "Whole part", "Home", "Bring the whole part into the 3D view"),
+        ("larger", "Larger text", "Ctrl++ Ctrl+=", "Up to 200 % in the whole window"),
+        ("smaller", "Smaller text", "Ctrl+-", "Down to 75 % in the whole window"),
+        ("usual", "Text as usual", "Ctrl+0", "As large as the desktop's"),
         ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
         ("full", "Full screen", "F11", ""),
     ),
@@ -95,6 +98,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "Help": (
         ("what", "What is this?", "F1", "Then click what you want explained"),
         ("keys", "Keys", "F2", "Every key in one list"),
+        ("about", "About skincal", "Shift+F2", "Version and licence"),
     ),
 }
 """For each menu: name, text, keys and hint of each entry."""
@@ -174,6 +178,12 @@ class Commands(QObject):
             for key in action.shortcuts()
         }
 
+    def follow_text(self, percent: int, steps: Sequence[int]) -> None:
+        """Name the size of the text, and enable what still changes it."""
+        self.actions["larger"].setEnabled(percent < steps[-1])
+        self.actions["smaller"].setEnabled(percent > steps[0])
+        self.actions["usual"].setText(f"Text as usual (now {percent} %)")
+
     def follow_pace(self, words: str, *, served: bool) -> None:
         """Name the pace of a simulated operator, where there is one."""
         self.actions["pace"].setEnabled(served)
@@ -218,6 +228,7 @@ def key_words() -> str:
         "<tr><td><b>1 to 7</b></td><td>Tabs</td></tr>"
         "<tr><td><b>F7, F8, F9</b></td><td>Colours of the desktop, light, dark</td></tr>"
         "<tr><td><b>Arrows</b></td><td>On the map: the next taxel. In a list: the next row</td></tr>"
+        "<tr><td><b>Ctrl+C</b></td><td>In a table: copies the rows that are selected, or all of them</td></tr>"
         "<tr><td><b>+, -, 0</b></td><td>On the map: nearer, farther, all of it</td></tr>"
         "<tr><td><b>Tab</b></td><td>The next part of the window</td></tr>"
     )

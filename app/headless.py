@@ -9,6 +9,7 @@ from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
+from skincal.session.checked import checked_calibration
 from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
 
@@ -29,10 +30,12 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     out = folder or _unused(Path(FOLDER))
     _say(f"{why}\nThe same session runs without it: {POKES} pokes on the simulated {scene_path.parent.name}, in {out}")
     pipeline = _simulate(scene_path, out)
-    calibration = pipeline.session.calibration()
+    # Nobody poked a landmark.
+    calibration = checked_calibration(pipeline.session, rig=None)
     method = leading_method(calibration.estimates) or Method.FREE
     positions = out / "positions.txt"
     _say(f"{method.value} predicts the smallest error, and is written and drawn")
+    _say(f"{calibration.verdicts[method]}.")
     for finding in write_calibration(calibration, "icub", positions, method):
         _say(finding)
     truth = read_reference(out / "truth.json")

@@ -178,7 +178,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
 def begin(window: Window, request: OpenRequest) -> None:
     """Start the log and open what was asked for, once the window is on the screen; a log is no reason to open nothing."""
     failure = start_log()
-    window.controller.open(request)
+    window.open(request)
     if failure:
         window.tell(Message(failure, error=True))
     # While the scene is read beside it the window has nothing else to do; later it would stand still for this.

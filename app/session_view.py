@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, Qt, QTimer, Signal
+from PySide6.QtCore import QByteArray, QEvent, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
@@ -47,9 +47,9 @@ from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
+from app.text_size import scaled
 from app.theme import GAP
 from app.units import ChannelNames
-from skincal.files.calibration import landmark_check
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
@@ -76,6 +76,8 @@ SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Methods in the order in which they are offered; which is shown first says `first_method`."""
 RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
+RIGHT_LEAST_PX = 400
+"""About what the titles of all tabs need at 100 %; with less they scroll."""
 
 TabPanel: TypeAlias = ReadingsPanel | PokesPanel | InspectPanel | ComparePanel | DevicesPanel | ErrorsPanel | RigPanel
 
@@ -144,13 +146,12 @@ class Workspace(QWidget):
         for title, panel in self.panels.items():
             self.tabs.addTab(panel, title)
         self.tabs.setDocumentMode(True)
-        self.tabs.setUsesScrollButtons(False)
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)
         self.view.setMinimumWidth(420)
         # A plot needs the height more than the map, whose marks are seen whole down to this at 720 pixels.
         self.right.setSizes([21_000, 29_000])
-        self.right.setMinimumWidth(360)
+        self._fit_right()
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
         for splitter in (self.right, self.across):
@@ -162,6 +163,15 @@ class Workspace(QWidget):
         column.addWidget(self.across, 1)
         column.addWidget(self.now)
         self.tabs.currentChanged.connect(self._show_tab)
+
+    def _fit_right(self) -> None:
+        self.right.setMinimumWidth(scaled(RIGHT_LEAST_PX))
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Leave room beside the 3D view for letters of another size."""
+        super().changeEvent(event)
+        if event.type() is QEvent.Type.FontChange:
+            self._fit_right()
 
     def _fill_map_card(self, column: QVBoxLayout) -> None:
         for method in self.methods:
@@ -600,14 +610,17 @@ class SessionView(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            review = None if self.state is None else self.state.review
-            check = None if review is None else landmark_check(review.rig)
-            early = self._early_words()
+            state, early = self.state, self._early_words()
+            rig = None if state is None or state.review is None else state.review.rig
+            verdicts = None
+            if state is not None and self._tick is not None:
+                # By the guide that the operator follows, which knows what was skipped.
+                verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
 
             def done(sentences: tuple[str, ...]) -> None:
                 dialog.show_findings((*early, *sentences))
 
-            self._controller.export(format_, path, method, check, done, dialog.show_failure)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
 
         dialog.write_requested.connect(write)
         dialog.open()

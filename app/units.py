@@ -69,6 +69,11 @@ def quantity(value: float | None, unit: str, decimals: int | None = None) -> str
     return text + shown.text if unit == "rad" else f"{text} {shown.text}"
 
 
+def cell(value: float | None, unit: str, decimals: int = 1) -> str:
+    """Return the number of `quantity` alone, for a column whose heading has the unit."""
+    return number(None if value is None else value * UNITS[unit].factor, decimals)
+
+
 def millimetres(value: float | None, decimals: int = 1) -> str:
     """Return a length in metres as millimetres with the unit."""
     return quantity(value, "m", decimals)

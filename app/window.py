@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot, qVersion
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
@@ -28,15 +28,20 @@ from PySide6.QtWidgets import (
 
 from app.commands import LAYERS, Commands, key_words
 from app.dialogs.pedals import Pedals
+from app.panels.documents_menu import DocumentsMenu
+from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
+from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import PACES, Controller
 from app.session.opening import OpenRequest, dated_folder
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
+from app.text.help_text import about_words
 from app.text.message import Message, connect_words, keep_question, look_words
+from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
@@ -150,6 +155,7 @@ class Window(QMainWindow):
         self._settings = settings
         self._documents = documents
         self._player = player
+        self.text_size = TextSize(settings, self)
         self.session_view: SessionView | None = None
         self._told: FirstMinute | None = None
         self._question: QMessageBox | None = None
@@ -160,6 +166,8 @@ class Window(QMainWindow):
         self.opening = QLabel()
         self.where = ElidedLabel()
         self.commands = Commands(self.menuBar(), self._slots(), self)
+        self.recent = RecentMenu(settings, self)
+        self.documents = DocumentsMenu(self)
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
@@ -195,10 +203,14 @@ class Window(QMainWindow):
             "turn": self._of_session(lambda view: view.show_turning()),
             **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
             "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
+            "larger": self.text_size.larger,
+            "smaller": self.text_size.smaller,
+            "usual": self.text_size.choose,
             "none": self._escape,
             "full": self._toggle_full,
             "what": QWhatsThis.enterWhatsThisMode,
             "keys": self._show_keys,
+            "about": self._show_about,
             "pedals": self.ask_pedals,
             "landmark": self._of_session(lambda view: view.ask_landmark(self)),
         }
@@ -214,6 +226,8 @@ class Window(QMainWindow):
 
     def _arrange(self) -> None:
         self.commands.add_themes(self._theme.choice, self._choose_theme)
+        self.commands.menus["Session"].insertMenu(self.commands.actions["keep"], self.recent)
+        self.commands.menus["Help"].addMenu(self.documents)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
         # Until the player has looked, beside the window.
@@ -253,6 +267,13 @@ class Window(QMainWindow):
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
+        self.text_size.changed.connect(self._follow_text)
+        self._follow_text()
+        dropped = DropTarget(self)
+        dropped.request_made.connect(self.open)
+        for failed in (dropped.refused, self.documents.failed):
+            failed.connect(lambda sentence: self.tell(Message(sentence, error=True)))
+        self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
         self._sound_found.connect(self._follow_sound)
         self._player.found = self._sound_found.emit
 
@@ -286,7 +307,7 @@ class Window(QMainWindow):
             self.stack.setCurrentWidget(session_view.workspace)
             session_view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._told = FirstMinute(session_view.workspace.view)
+                self._told = FirstMinute(session_view.workspace.view, session_view.workspace.view.cover)
                 self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
 
     def _take_session(self, snapshot: Snapshot) -> None:
@@ -312,6 +333,8 @@ class Window(QMainWindow):
 
     def _say_where(self, words: str) -> None:
         self.where.setText(words)
+        if self.controller.folder is not None:
+            self.recent.remember(self.controller.folder)
         if self.session_view is not None:
             self.session_view.refresh_allowed()
 
@@ -325,6 +348,9 @@ class Window(QMainWindow):
         self.messages.show_newest()
         if self.session_view is not None:
             self.session_view.recolour()
+
+    def _follow_text(self) -> None:
+        self.commands.follow_text(self.text_size.percent, STEPS)
 
     def _choose_theme(self, choice: Choice) -> None:
         self._settings.setValue("theme", choice.value)
@@ -372,6 +398,9 @@ class Window(QMainWindow):
         box.button(QMessageBox.StandardButton.Close).setFocus()
         box.open()
 
+    def _show_about(self) -> None:
+        self._offer("About skincal", about_words(qVersion()))
+
     def ask_new(self) -> None:
         """Ask for a new session and open it."""
         from app.dialogs.new_session import NewSessionDialog
@@ -408,20 +437,22 @@ class Window(QMainWindow):
         self._remember(addresses)
         self.controller.go_on(confirmed=True)
 
-    def _offer(self, title: str, text: str, yes: str, do: Callable[[], object]) -> None:
-        """Ask, beside everything else, and do something where the answer is yes."""
-        box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", QMessageBox.StandardButton.Cancel, self)
+    def _offer(self, title: str, text: str, yes: str = "", do: Callable[[], object] = lambda: None) -> None:
+        """Ask, beside everything else, and do something where the answer is yes; without a `yes` only say it."""
+        no = QMessageBox.StandardButton.Cancel if yes else QMessageBox.StandardButton.Close
+        box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", no, self)
         # Before the text, which would be laid out, and what it names opened, at once.
         box.setTextFormat(Qt.TextFormat.PlainText)
         box.setText(text)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        if yes:
+            box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
+        # The space bar and the pedal bring a question about, and may be pressed once more before it is read.
+        box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()
 
     def _known_addresses(self) -> list[str]:
-        kept = self._settings.value("addresses", [])
-        # A list of one is a text to Qt, and an empty one nothing.
-        return [kept] if isinstance(kept, str) else kept if isinstance(kept, list) else []
+        return kept_texts(self._settings, "addresses")
 
     def _remember(self, addresses: Iterable[str]) -> None:
         self._settings.setValue("addresses", sorted({*self._known_addresses(), *addresses})[-ADDRESSES_KEPT:])

@@ -55,6 +55,10 @@ _STATES = {
     Cause.MODULE_ONE_POKE: "One poke on its module does not tell how that is turned. Poke another of its taxels.",
     Cause.MODULE_LOOSE: ("The {count} pokes on its module {tell} how that lies: poke taxels farther apart, with other tilts."),
     Cause.BY_MODULE: "Not poked itself; known by its module.",
+    Cause.SHARED_ERRORS: (
+        "With the errors that its pokes share, slow ones and the rig's, it {depth} (limit {sd_max}): poke with other tilts, "
+        "and more landmarks."
+    ),
     Cause.MEAN_OF_POSES: "Mean of {count} poses{left_out}.",
     Cause.BLIND_IN_POSES: "Blind in each of its {count} poses. In the one with most pokes: {inner}",
     Cause.GIVEN: "{text}",

@@ -45,6 +45,7 @@ USED_BY_WIDGETS: Mapping[str, str] = {
     "Shift+Tab": "goes to the part of the window before",
     **dict.fromkeys(("Up", "Down", "Left", "Right", "PgUp", "PgDown", "Home", "End"), "moves in the map and in lists"),
     "Del": "deletes text",
+    "Ctrl+C": "copies rows of a table",
 }
 """Keys without an entry in a menu that mean something, and what."""
 MODIFIERS: Mapping[Qt.Key, str] = {

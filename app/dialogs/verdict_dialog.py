@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.panels.copying import make_copyable
 from app.panels.widgets import embolden, plain_buttons, quiet
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
@@ -63,6 +64,7 @@ class VerdictDialog(QDialog):
         self.report = self.buttons.addButton("Report\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.ActionRole)
         self.export = self.buttons.addButton("Export\N{HORIZONTAL ELLIPSIS}", QDialogButtonBox.ButtonRole.AcceptRole)
         self.export.setEnabled(can_export)
+        make_copyable(self.left)
         self._arrange()
         first = self.export if verdict.enough and not verdict.doubted and settled and can_export else self.go_on
         first.setDefault(True)

@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLay
 from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, plain_tip, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
 from app.text.outcomes import LinkWords, link_lines
+from app.text_size import scaled, set_font
 from app.theme import GAP
 from app.units import count
 from skincal.model.readings import LinkHealth
@@ -31,11 +32,12 @@ _SIGNS = {
 """The state of a link by shape, and which of the theme's colours says it again."""
 
 SIGN_PX = 18
+RATE_PT = 13
 
 
 def _sign(look: LinkLook) -> str:
     sign, ink = _SIGNS[look]
-    return f'<span style="font-size:{SIGN_PX}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
+    return f'<span style="font-size:{scaled(SIGN_PX)}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
 
 
 class LinkCard(QFrame):
@@ -49,7 +51,7 @@ class LinkCard(QFrame):
         self.name = QLabel()
         embolden(self.name)
         self.rate = QLabel()
-        self.rate.setFont(digits_font(13))
+        set_font(self.rate, digits_font(RATE_PT), RATE_PT)
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.about = ElidedLabel("muted")
         self._address = address

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from PySide6.QtCore import QEvent, QObject, QTimer, Signal
 from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout, QWidget
 
 from app.panels.widgets import embolden, quiet
 from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END
+from app.text_size import scaled
 from app.theme import GAP
 
 WIDTH_PX = 340
@@ -16,13 +19,18 @@ TITLE_PT = 10.5
 
 
 class FirstMinute(QFrame):
-    """A card in a corner of another widget."""
+    """A card in the left upper corner of another widget.
+
+    Parameters
+    ----------
+    covers : is told how many pixels of that widget it covers, from its left edge
+    """
 
     gone = Signal()
 
-    def __init__(self, over: QWidget) -> None:
+    def __init__(self, over: QWidget, covers: Callable[[int], object]) -> None:
         super().__init__(over)
-        self._over = over
+        self._over, self._covers = over, covers
         self.setObjectName("card")
         self.setAccessibleName("first minute")
         self.setAutoFillBackground(True)
@@ -42,13 +50,14 @@ class FirstMinute(QFrame):
         self._timer.timeout.connect(self.leave)
         self._timer.start(STAYS_MS)
         over.installEventFilter(self)
-        self._place()
         self.show()
+        self._place()
 
     def leave(self) -> None:
         """Go away."""
         self._timer.stop()
         self.hide()
+        self._covers(0)
         self.gone.emit()
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
@@ -63,6 +72,8 @@ class FirstMinute(QFrame):
         return super().eventFilter(watched, event)
 
     def _place(self) -> None:
-        width = min(WIDTH_PX, self._over.width() - 2 * GAP)
+        width = min(scaled(WIDTH_PX), self._over.width() - 2 * GAP)
         self.setGeometry(GAP, GAP, width, self.heightForWidth(width))
         self.raise_()
+        if not self.isHidden():
+            self._covers(GAP + width)

@@ -29,7 +29,7 @@ from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, tax
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
 from app.theme import GAP, Colours
-from app.units import DASH, ChannelNames, count, direction, millimetres, number, point_mm
+from app.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
@@ -37,6 +37,7 @@ from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, State
 
 PLOT_PX = 152
+TITLE_PT = 11
 DOT_PX = 4.0
 RADIUS_PX = PLOT_PX / 2 - DOT_PX - 3
 DOUBT_LEAST = 0.45
@@ -185,7 +186,7 @@ class AxisDiversityPanel(QWidget):
 
 
 ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
-POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by")
+POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by, mm")
 _POKE_HINTS = (
     "Number of the poke; a double click shows it in the list of pokes",
     "The taxel's answer in shares of the strongest in the poke: its weight in the solution",
@@ -235,7 +236,7 @@ class InspectPanel(QScrollArea):
         self._selected: int | None = None
         self._dead = False
         self.title = QLabel("No taxel selected")
-        embolden(self.title, self.font().pointSizeF() + 2.0)
+        embolden(self.title, TITLE_PT)
         self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
         self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
@@ -338,4 +339,4 @@ def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
     """Return the cells of `POKE_HEADINGS`."""
     sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < DOUBT_MARKED else ""
     trust = "1" if poke.trust >= FULL else number(poke.trust, 2)
-    return (str(poke.poke), number(poke.weight, 2), sign + trust, millimetres(poke.miss))
+    return (str(poke.poke), number(poke.weight, 2), sign + trust, cell(poke.miss, "m"))

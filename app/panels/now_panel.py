@@ -299,7 +299,8 @@ class NowPanel(QFrame):
         right.addWidget(self.gauge, 1)
         row.addLayout(right)
         # The same height with the dial and without: nothing beside it moves when the guide is switched off.
-        self.setFixedHeight(DIAL_PX + 2 * GAP + 2 * self.frameWidth() + 2)
+        row.addStrut(DIAL_PX + 2)
+        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def begin(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QEvent, Qt
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from app.panels.widgets import theme_colours
 from app.state.policies import curve_range
 from app.state.view_state import ViewState
 from app.text.errors_text import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
+from app.text_size import scaled
 from app.theme import GAP, method_hue
 from app.units import UNITS, in_millimetres, in_minutes, number
 from skincal.geometry import FloatArray, IntArray
@@ -92,11 +93,22 @@ class StillPlot(pg.PlotWidget):
         self.item.hideButtons()
         self.item.setMouseEnabled(False, False)
         self.item.disableAutoRange()
-        self.item.getAxis("left").setWidth(left_px)
-        self.item.getAxis("bottom").setHeight(bottom_px)
+        self._axes_px = left_px, bottom_px
+        self._fit_axes()
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setAccessibleName(name)
         self.setMinimumHeight(least_px)
+
+    def _fit_axes(self) -> None:
+        left_px, bottom_px = self._axes_px
+        self.item.getAxis("left").setWidth(scaled(left_px))
+        self.item.getAxis("bottom").setHeight(scaled(bottom_px))
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Leave room for numbers of another size."""
+        super().changeEvent(event)
+        if event.type() is QEvent.Type.FontChange:
+            self._fit_axes()
 
     def curve(self) -> Any:
         """Add a curve; no NaN may reach it, since looking for one costs a pass over its points."""

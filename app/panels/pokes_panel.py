@@ -11,6 +11,7 @@ from typing import Any
 
 from PySide6.QtCore import (
     QAbstractTableModel,
+    QEvent,
     QItemSelection,
     QItemSelectionModel,
     QModelIndex,
@@ -21,12 +22,13 @@ from PySide6.QtCore import (
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
 
+from app.panels.copying import make_copyable
 from app.panels.widgets import plain_tip, quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
 from app.theme import GAP
-from app.units import DASH, ChannelNames, degrees, in_millimetres, number
+from app.units import DASH, ChannelNames, cell, number
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.sentences import missed_words
@@ -34,15 +36,19 @@ from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
 
 _Index = QModelIndex | QPersistentModelIndex
-HEADINGS = ("#", "Outcome", "Taxel", "N", "Tilt", "Pitch")
+HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Pitch\nmm")
 _HINTS = (
     "Number of the poke in the session",
     "Accepted, or why not",
     "Taxel that answered most, and how many more did",
-    "Force, newtons",
-    "Angle between the push and the inward normal, degrees",
-    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}, millimetres: beyond the noise it shows a second contact or a torque",
+    "Force of the poke",
+    "Angle between the push and the inward normal",
+    "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}: beyond the noise it shows a second contact or a torque",
 )
+
+
+_WIDEST = ("00000", "", "00-00 +0", "Force", "Tilt0", "Pitch0")
+"""What a column has room for; the empty one takes what is left."""
 
 
 class PokeTable(QAbstractTableModel):
@@ -166,8 +172,8 @@ class PokeTable(QAbstractTableModel):
         if column == 3:
             return number(force_of(contact), 1)
         if column == 4:
-            return degrees(tilt_of(contact, self._estimates))
-        return number(in_millimetres(pitch_of(contact)), 1)
+            return cell(tilt_of(contact, self._estimates), "rad", 0)
+        return cell(pitch_of(contact), "m")
 
 
 def _outcome_text(record: PokeRecord, doubt: str) -> str:
@@ -211,23 +217,34 @@ class PokesPanel(QWidget):
     def _prepare(self) -> None:
         table = self.table
         table.setAccessibleName("pokes")
+        make_copyable(table)
         # Tab leads on to the next part of the window, as everywhere.
         table.setTabKeyNavigation(False)
         table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         table.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         table.verticalHeader().hide()
-        table.verticalHeader().setDefaultSectionSize(table.fontMetrics().height() + 8)
         table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         header = table.horizontalHeader()
         header.setHighlightSections(False)
         header.setMinimumSectionSize(24)
-        for column, text in enumerate(("00000", "", "00-00 +0", "00.0", "00\N{DEGREE SIGN}0", "Pitch0")):
-            fixed = QHeaderView.ResizeMode.Stretch if not text else QHeaderView.ResizeMode.Fixed
-            header.setSectionResizeMode(column, fixed)
-            if text:
-                header.resizeSection(column, table.fontMetrics().horizontalAdvance(text) + 12)
+        for column, text in enumerate(_WIDEST):
+            header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed if text else QHeaderView.ResizeMode.Stretch)
+        self._fit_cells()
         table.selectionModel().selectionChanged.connect(self._selection_changed)
+
+    def _fit_cells(self) -> None:
+        metrics = self.fontMetrics()
+        self.table.verticalHeader().setDefaultSectionSize(metrics.height() + 8)
+        for column, text in enumerate(_WIDEST):
+            if text:
+                self.table.horizontalHeader().resizeSection(column, metrics.horizontalAdvance(text) + 12)
+
+    def changeEvent(self, event: QEvent) -> None:
+        """Fit rows and columns to letters of another size."""
+        super().changeEvent(event)
+        if event.type() is QEvent.Type.FontChange:
+            self._fit_cells()
 
     def show_state(self, state: ViewState) -> None:
         """Show the pokes of a tick; nothing happens where they are the same."""

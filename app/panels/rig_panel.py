@@ -25,12 +25,12 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
 from app.text.rig_text import landmark_rows, offer_text, review_words
 from app.theme import GAP
-from app.units import degrees
+from app.units import cell
 from skincal.contacts.outcome import Contact
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 
-HEADINGS = ("Landmark", "Here", "All", "Off by")
+HEADINGS = ("Landmark", "Here", "All", "Off by, mm")
 _HINTS = (
     "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
     "Pokes at it in the present arm pose",
@@ -57,7 +57,7 @@ class ArmPanel(QWidget):
         embolden(self.current)
         self.current.setWordWrap(True)
         self.how = quiet(wrap=True)
-        self.poses = table("arm poses", ("Pose", "Joints", "Contacts"))
+        self.poses = table("arm poses", ("Pose", "Joints, \N{DEGREE SIGN}", "Contacts"))
         # Seven joints are wider than their column: the operator widens it, or scrolls.
         self.poses.header().setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         self.poses.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
@@ -66,7 +66,7 @@ class ArmPanel(QWidget):
         for name, row in self.rows.items():
             # Kept apart: the text gets a mark before the name.
             row.setData(0, Qt.ItemDataRole.UserRole, name)
-            row.setText(1, "   ".join(degrees(float(angle), 1) for angle in np.atleast_1d(arm.poses[name])))
+            row.setText(1, "   ".join(cell(float(angle), "rad") for angle in np.atleast_1d(arm.poses[name])))
         column = QVBoxLayout(self)
         column.setContentsMargins(0, GAP, 0, 0)
         column.addWidget(self.current)

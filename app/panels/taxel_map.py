@@ -38,6 +38,7 @@ from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS
+from app.text_size import scaled
 from app.theme import HUES, Colours
 from app.units import ChannelNames, number
 from skincal.geometry import FloatArray, IntArray
@@ -383,8 +384,14 @@ class TaxelMap(Painted):
         super().resizeEvent(event)
         self._refit()
 
+    def changeEvent(self, event: QEvent) -> None:
+        """Leave room for a legend in letters of another size."""
+        super().changeEvent(event)
+        if event.type() is QEvent.Type.FontChange:
+            self._refit()
+
     def _room(self) -> QRectF:
-        width, height = self.width() - 2 * MARGIN_PX, self.height() - LEGEND_PX - 2 * MARGIN_PX
+        width, height = self.width() - 2 * MARGIN_PX, self.height() - scaled(LEGEND_PX) - 2 * MARGIN_PX
         return QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height))
 
     def _refit(self) -> None:
@@ -510,13 +517,13 @@ class TaxelMap(Painted):
             self._draw_name(painter, self._target, radius, colours)
 
     def _above_legend(self) -> QRectF:
-        return QRectF(0, 0, self.width(), self.height() - LEGEND_PX)
+        return QRectF(0, 0, self.width(), self.height() - scaled(LEGEND_PX))
 
     def _draw_name(self, painter: QPainter, channel: int, radius: float, colours: Colours) -> None:
         """Write a taxel's name beside its ring: right of it, or left where the map ends."""
         font = self.font()
         font.setBold(True)
-        font.setPixelSize(NAME_PX)
+        font.setPixelSize(scaled(NAME_PX))
         painter.setFont(font)
         words, at = self._names.short(channel), self.place_of(channel)
         width, height = painter.fontMetrics().horizontalAdvance(words) + 6, painter.fontMetrics().height()
@@ -595,13 +602,15 @@ class TaxelMap(Painted):
     def _draw_legend(self, painter: QPainter, text: QColor, panel: QColor, muted: QColor) -> None:
         painter.setFont(self.font())
         counted = np.bincount(self._marks[self._plan.channels], minlength=len(Mark))
-        at = QPointF(MARGIN_PX + 6, self.height() - LEGEND_PX / 2 - 1)
+        at = QPointF(MARGIN_PX + 6, self.height() - scaled(LEGEND_PX) / 2 - 1)
 
         def count(words: str) -> None:
             nonlocal at
             width = painter.fontMetrics().horizontalAdvance(words)
             painter.setPen(muted)
-            painter.drawText(QRectF(at.x() + 9, at.y() - 9, width + 4, 18), Qt.AlignmentFlag.AlignVCenter, words)
+            painter.drawText(
+                QRectF(at.x() + 9, at.y() - scaled(9), width + 4, scaled(18)), Qt.AlignmentFlag.AlignVCenter, words
+            )
             at += QPointF(width + 26, 0)
 
         for mark in Mark:

@@ -25,6 +25,8 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
+from app.panels.copying import make_copyable
+from app.text_size import set_font, text_scale
 from app.theme import DARK, LIGHT, Colours
 
 Made = TypeVar("Made")
@@ -47,9 +49,9 @@ def mix(first: str, second: str, share: float) -> QColor:
 
 
 def digits_font(points: float) -> QFont:
-    """Return a bold font whose digits have one width, so that live numbers do not jump."""
+    """Return a bold font whose digits have one width, so that live numbers do not jump, of so many points at 100 %."""
     font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
-    font.setPointSizeF(points)
+    font.setPointSizeF(points * text_scale())
     font.setBold(True)
     return font
 
@@ -131,11 +133,13 @@ def quiet(text: str = "", *, wrap: bool = False) -> QLabel:
 
 
 def embolden(label: QWidget, points: float = 0.0) -> None:
-    """Make a label's type bold, and so large where that is said."""
-    font = label.font()
+    """Make a label's type bold, and so many points large at 100 % where that is said."""
+    font = QFont()
     font.setBold(True)
-    font.setPointSizeF(points or font.pointSizeF())
-    label.setFont(font)
+    if points:
+        set_font(label, font, points)
+    else:
+        label.setFont(font)
 
 
 class AbstractWidget(ABCMeta, type(QWidget)):
@@ -164,7 +168,7 @@ class Painted(QWidget, metaclass=AbstractWidget):
 
 
 def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTreeWidget:
-    """Return an empty list with columns; `hints` explain their headings."""
+    """Return an empty list with columns, whose rows are copied by Ctrl+C; `hints` explain their headings."""
     tree = QTreeWidget()
     tree.setAccessibleName(name)
     tree.setHeaderLabels(list(headings))
@@ -175,6 +179,7 @@ def table(name: str, headings: Sequence[str], hints: Sequence[str] = ()) -> QTre
     tree.header().setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
     for column, hint in enumerate(hints):
         tree.headerItem().setToolTip(column, plain_tip(hint))
+    make_copyable(tree)
     return tree
 
 

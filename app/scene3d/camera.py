@@ -255,15 +255,18 @@ def place(camera: vtkCamera, stand: Stand) -> None:
     camera.SetViewUp(*stand.axes[1])
 
 
-def well_seen(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, surface: Surface | None) -> bool:
+def well_seen(
+    stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, surface: Surface | None, covered: float = 0.0
+) -> bool:
     """Return whether a place on the skin is in the picture, turned to the camera, and not behind the part.
 
-    `at` and `normal` are (3,) float, metres and unit; `aspect` is width over height of the picture.
+    `at` and `normal` are (3,) float, metres and unit; `aspect` is width over height of the picture; `covered` is the share
+    of its width, from the left, over which something else lies.
     """
     towards = stand.position - at
     reach = float(np.linalg.norm(towards))
     towards /= reach
-    if float(normal @ towards) < SLANT or np.abs(_in_picture(stand, at, aspect)).max() > INSIDE:
+    if float(normal @ towards) < SLANT or np.abs(_in_picture(stand, at, aspect, covered)).max() > INSIDE:
         return False
     if surface is None:
         return True
@@ -272,7 +275,9 @@ def well_seen(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, s
     return not (before > COVER).any()
 
 
-def turned_to(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> Stand:
+def turned_to(
+    stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None, covered: float = 0.0
+) -> Stand:
     """Return the nearest stand, at the same distance, from which a place on the skin is well seen; see `well_seen`.
 
     `level` is (3,) float, unit: what lies level in the picture; None where nothing does.
@@ -282,16 +287,17 @@ def turned_to(stand: Stand, at: FloatArray, normal: FloatArray, aspect: float, l
     if slant > LEFT:
         axes = _upright(axes, _between(axes[2], normal, 1.0 - LEFT / slant, axes[1]), level)
     found = Stand(axes, stand.focus, stand.distance)
-    outside = _in_picture(found, at, aspect)
+    outside = _in_picture(found, at, aspect, covered)
     if np.abs(outside).max() > INSIDE:
-        too_far = (outside - np.clip(outside, -BACK_TO, BACK_TO)) * np.array([aspect, 1.0])
+        too_far = (outside - np.clip(outside, -BACK_TO, BACK_TO)) * np.array([aspect * (1.0 - covered), 1.0])
         found = Stand(axes, stand.focus + _half_height(found, at) * too_far @ axes[:2], stand.distance)
     return found
 
 
-def _in_picture(stand: Stand, at: FloatArray, aspect: float) -> FloatArray:
-    """Return (2,) where a point appears, right and up, in shares of the way from the picture's middle to its edge."""
-    return (stand.axes[:2] @ (at - stand.focus)) / (_half_height(stand, at) * np.array([aspect, 1.0]))
+def _in_picture(stand: Stand, at: FloatArray, aspect: float, covered: float) -> FloatArray:
+    """Return (2,) where a point appears, right and up, in shares of the way from the free picture's middle to its edge."""
+    whole = (stand.axes[:2] @ (at - stand.focus)) / (_half_height(stand, at) * np.array([aspect, 1.0]))
+    return np.asarray((whole - (covered, 0.0)) / (1.0 - covered, 1.0))
 
 
 def _half_height(stand: Stand, at: FloatArray) -> float:
@@ -369,6 +375,8 @@ class Turner:
         self.wanted = True
         self.held = False
         """A button of the mouse is down on the picture."""
+        self.covered = 0.0
+        """Share of the picture's width, from the left, over which something lies: no target is brought there."""
         self._surface, self._level = surface, level
         self._touched_s = -np.inf
         self._target: Target | None = None
@@ -403,8 +411,8 @@ class Turner:
     def _begin(self, camera: vtkCamera, size: tuple[int, int], target: Target, now_s: float) -> None:
         stand, at = stand_of(camera), skin_point(self._surface, target.place, target.normal)
         aspect, end = size[0] / size[1], stand
-        if not well_seen(stand, at, target.normal, aspect, self._surface):
-            end = turned_to(stand, at, target.normal, aspect, self._level)
+        if not well_seen(stand, at, target.normal, aspect, self._surface, self.covered):
+            end = turned_to(stand, at, target.normal, aspect, self._level, self.covered)
             if abs(float((at - end.focus) @ end.axes[2])) > BESIDE * end.distance:
                 end = Stand(end.axes, at, end.distance)
         end = near_to(end, at, size[1])

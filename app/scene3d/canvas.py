@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
 
+from app.text_size import text_scale
+
 if TYPE_CHECKING:
     from pyvistaqt import QtInteractor
 
@@ -67,7 +69,8 @@ class RasterCanvas(QWidget):
         self._window: HiddenWindow | None = window
         self._image = QImage()
         self._stale = True
-        self._size = (0, 0)
+        self._looks = (0, 0, 0.0)
+        """Its size in pixels, and that of its letters."""
         self.setMouseTracking(False)
 
     def update(self, *part: Any) -> None:
@@ -97,11 +100,12 @@ class RasterCanvas(QWidget):
     def _refresh(self) -> None:
         density = self.devicePixelRatioF()
         size = max(1, round(self.width() * density)), max(1, round(self.height() * density))
-        if self._window is None or not (self._stale or size != self._size):
+        looks = *size, density * text_scale()
+        if self._window is None or not (self._stale or looks != self._looks):
             return
-        if size != self._size:
-            self._window.resize(size, density)
-            self._size = size
+        if looks != self._looks:
+            self._window.resize(size, density * text_scale())
+            self._looks = looks
         self._stale = False
         pixels = self._window.draw()
         # VTK's first row is the lowest; the flipped copy is the image's own, so the next picture cannot tear it.

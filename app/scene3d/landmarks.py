@@ -110,8 +110,9 @@ class LandmarksLayer(Layer):
         """Put each name beside its diamond, of so many pixels, and away from the target and from each other."""
         self._taken = self._target.boxes
         at = project(self._renderer, self.places)
-        # So, and not `>`: the depth of what lies behind the camera is NaN.
-        seen = near & (np.abs(at[:, 2]) <= 1.0)
+        # A diamond outside the picture has no name in it. So, and not `>`: what lies behind the camera has the depth NaN.
+        inside = ((at[:, :2] >= 0.0) & (at[:, :2] <= self._renderer.GetSize())).all(axis=1)
+        seen = near & (np.abs(at[:, 2]) <= 1.0) & inside
         taken = np.concatenate([self._taken, boxes_around(at[seen, :2], radius), self._estimates.boxes(self._renderer)])
         for row, actor in enumerate(self.names[: self.named]):
             actor.SetVisibility(bool(seen[row]))

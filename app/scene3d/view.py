@@ -140,6 +140,7 @@ class View3D(QWidget):
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
+        self._covered = 0.0
         self._hidden: frozenset[str] = frozenset()
         self._picking = False
         self._stage: Stage | None = None
@@ -213,6 +214,13 @@ class View3D(QWidget):
         if self._stage is not None:
             self._stage.turner.wanted = wanted
             self._show_state()
+
+    def cover(self, width: int) -> None:
+        """Turn the camera so that no target is brought under what lies over so many pixels of the view, from its left edge."""
+        # Half of the picture is for the target, whatever the view's size.
+        self._covered = min(width / max(1, self.width()), 0.5)
+        if self._stage is not None:
+            self._stage.turner.covered = self._covered
 
     def hide_layers(self, names: frozenset[str]) -> None:
         """Leave these layers out of the picture, and show all others; one of them is the target's `cone`."""
@@ -320,6 +328,7 @@ class View3D(QWidget):
         self._stage.set_colours(self._look)
         self._stage.hide(self._hidden)
         self._stage.fit()
+        self._stage.turner.covered = self._covered
         self.set_turning(self._turning)
         self.set_picking(self._picking)
         self._show_state()

@@ -8,8 +8,8 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,10 +34,10 @@ from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
-    from skincal.files.calibration import LandmarkCheck
     from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
     from skincal.model.actions import Action
+    from skincal.rig.correction_fit import RigAnswer
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
@@ -199,9 +199,9 @@ class Controller(QObject):
         self.demo, self.pace = request.demo, BRISK if request.demo else 1
         self._timer.start()
         if request.session is not None:
-            folder, self._links = request.session, link_specs(request.addresses)
-            self._confirmed = bool(self._links)
-            links = None if request.look_on else self._links
+            folder, links = request.session, None if request.look_on else link_specs(request.addresses)
+            self._links = links or ()
+            self._confirmed = bool(links)
             self.compute(
                 lambda: self._load_session(folder, links),
                 lambda found: self._take_session(storage, found),
@@ -273,6 +273,8 @@ class Controller(QObject):
         self._endings.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
+        if self._server is not None:
+            self._server.release()
         self._server = DeviceProcess(self)
         self._server.said_truth.connect(self._take_truth)
         self._server.served.connect(self._take_links)
@@ -295,7 +297,7 @@ class Controller(QObject):
             self._start_recording()
             return
         # The rig of a recorded session, served again.
-        self._recording.links = links
+        self._recording.links, self._confirmed = links, True
         self._connect(self._recording)
 
     def set_pace(self, pace: int) -> None:
@@ -374,8 +376,10 @@ class Controller(QObject):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
             return
-        part, pipeline, self._again = found
-        self.simulated = bool(self._again)
+        part, pipeline, again = found
+        self.simulated = bool(again)
+        # Where nothing can be recorded, no rig is served.
+        self._again = again if pipeline.journal is not None else ()
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
@@ -474,15 +478,15 @@ class Controller(QObject):
         """Take the devices, in a new segment of the recording; those of a recorded session once they are `confirmed`."""
         if self._recording is None or self.running is Running.STREAMING:
             return
-        if self._again and self._server is None:
-            # Its links follow.
-            self._start_server(self._again)
-            return
         self._confirmed |= confirmed
-        if not (self._confirmed or self._again):
+        # What is only looked at has nothing to connect, and says so.
+        if self._confirmed or self._recording.pipeline.journal is None:
+            self._connect(self._recording)
+        elif not self._again:
             self.confirmation_due.emit(tuple(link.address for link in self._links))
-            return
-        self._connect(self._recording)
+        elif self._server is None or not self._server.running:
+            # Its own links follow; until then those that the file names are a stranger's.
+            self._start_server(self._again)
 
     def _connect(self, recording: Recording) -> None:
         try:
@@ -542,6 +546,11 @@ class Controller(QObject):
         return self._recording is not None and self._recording.storage.can_keep
 
     @property
+    def folder(self) -> Path | None:
+        """Where what is open lies for good; None where it does not yet."""
+        return None if self._recording is None else self._recording.storage.lasting
+
+    @property
     def would_lose(self) -> int:
         """How many pokes would go with the window."""
         return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
@@ -551,25 +560,29 @@ class Controller(QObject):
         format_: str,
         path: Path,
         method: Method,
-        check: LandmarkCheck | None,
+        rig: RigAnswer | None,
         done: Callable[[tuple[str, ...]], None],
         failed: Callable[[str], None],
+        verdicts: Mapping[Method, str] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
-        check : what landmark pokes say of a correction of the rig
+        rig : what landmark pokes say; None where nobody has looked
         done : gets the sentences of the file's lint
         failed : gets why there is none
+        verdicts : by method what was checked; worked out where they are not given
         """
         if self._recording is None:
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
+        from skincal.session.checked import checked_calibration
+
         # Made here, not in the thread: the session goes on while the file is written.
-        calibration = replace(self._recording.pipeline.session.calibration(), landmark_check=check)
+        calibration = checked_calibration(self._recording.pipeline.session, rig, verdicts)
 
         def write() -> tuple[str, ...]:
             from skincal.files.export import write_calibration
@@ -656,7 +669,7 @@ class Controller(QObject):
             part, pipeline = look_at(folder) if links is None else resume_pipeline(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
-        again = () if links or links is None else rig_again(folder, pipeline.session.last_poke + 1)
+        again = () if links else rig_again(folder, pipeline.session.last_poke + 1)
         return part, pipeline, again
 
     def _say_failure(self, sentence: str) -> None:

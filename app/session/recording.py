@@ -46,6 +46,11 @@ class Storage:
         """Whether the recording is temporary and not kept yet."""
         return self._temporary is not None and self.kept is None
 
+    @property
+    def lasting(self) -> Path | None:
+        """Where the recording, or a copy of it, is found again; None where it goes with the window."""
+        return self.folder if self._temporary is None else self.kept
+
     def keep(self) -> Path:
         """Copy a temporary recording into the documents and return the new folder.
 

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
-from app.units import TIMES, ChannelNames, count, degrees, millimetres, number
+from app.units import TIMES, ChannelNames, cell, count, degrees, millimetres, number
 from skincal.modules.health import LayoutMend
 from skincal.sentences import change_words, left_sentences, misfit_sentence
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
 
-MODULE_HEADINGS = ("Module", "Mean", "Shift", "Shape", "Spacing")
+MODULE_HEADINGS = ("Module", "Mean, mm", "Shift, mm", "Shape, mm", "Spacing")
 MODULE_HINTS = (
     "Its number, and how many of its taxels are known in both where some are not",
     "Mean length of its taxels' differences",
@@ -70,7 +70,7 @@ def module_cells(module: ModuleDifference, number_of: int, taxels: int, spacing:
     """Return the cells of `MODULE_HEADINGS` for a module by its id, its taxels, and its spacing over the layout's, or NaN."""
     some = "" if module.known == taxels else f"  {module.known}/{taxels}"
     lengths = (module.mean, module.shift, module.shape)
-    return (f"{number_of}{some}", *(millimetres(length) for length in lengths), number(spacing, 2))
+    return (f"{number_of}{some}", *(cell(length, "m") for length in lengths), number(spacing, 2))
 
 
 def worst_words(channel: int, length: float, names: ChannelNames) -> str:

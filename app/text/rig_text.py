@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.state.policies import Offer
-from app.units import DASH, in_millimetres, millimetres, number
+from app.units import DASH, cell, millimetres
 from skincal.model.actions import Correct
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
@@ -94,7 +94,7 @@ class LandmarkRow:
     """Pokes in the present arm pose."""
     every: int
     off: str
-    """How far its pokes pass it, root mean square, as the rig reports them and under the correction that was found."""
+    """How far its pokes pass it, mm, root mean square, as the rig reports them and under the correction that was found."""
 
 
 def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow]:
@@ -117,8 +117,8 @@ def _off(pokes: Sequence[int], review: Review) -> str:
     if not reported:
         return DASH
     if not found:
-        return millimetres(_rms(reported))
-    return f"{number(in_millimetres(_rms(reported)), 1)} \N{RIGHTWARDS ARROW} {millimetres(_rms(found))}"
+        return cell(_rms(reported), "m")
+    return " \N{RIGHTWARDS ARROW} ".join(cell(_rms(values), "m") for values in (reported, found))
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -5,19 +5,17 @@ Imports that cost time stand in the functions that need them: `--help` must answ
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.files.formats import ExportFormat, formats_help
+from skincal.files.formats import FORMATS, ExportFormat, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.modules.health import LayoutMend
@@ -108,10 +106,10 @@ def solve(
     totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
     leads = report.leading_name(snapshot.estimates)
-    verdict = _verdicts(pipeline.session, [] if leads is None else [Method(leads)], _rig_answer(pipeline.session))
+    verdict = None if leads is None else _verdict(pipeline.session, Method(leads))
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *(f"{words}." for words in verdict.values())]
+    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in dead.items())]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -119,7 +117,7 @@ def solve(
         **counts,
         "methods": methods,
         "leads": leads,
-        "verdict": next(iter(verdict.values()), None),
+        "verdict": verdict,
         **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
@@ -296,15 +294,6 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
     return ([] if off is None else [unchecked_sentence(off, len(session.landmark_pokes))]), off
 
 
-def _calibration(session: Session) -> Calibration:
-    """Return what the files are written from, with what landmark pokes say about a correction of the rig, and the verdicts."""
-    from skincal.files.calibration import landmark_check
-
-    answer = _rig_answer(session)
-    check = None if answer is None else landmark_check(answer)
-    return replace(session.calibration(), landmark_check=check, verdicts=_verdicts(session, session.methods, answer))
-
-
 def _rig_answer(session: Session) -> RigAnswer | None:
     """Return what landmark pokes say of the rig; None without any."""
     from skincal.rig.correction_fit import correct_rig
@@ -312,36 +301,29 @@ def _rig_answer(session: Session) -> RigAnswer | None:
     return correct_rig(session.rig_request()) if session.landmark_pokes else None
 
 
-def _verdicts(session: Session, methods: Sequence[Method], answer: RigAnswer | None) -> dict[Method, str]:
-    """Return by method what a session has come to, what of it was checked and what could not be, without a full stop.
+def _verdict(session: Session, method: Method) -> str:
+    """Return what a session has come to, without a full stop."""
+    from skincal.session.checked import verdicts_of
 
-    `answer` is what landmark pokes say.
-    """
-    from skincal.guide.verdict_words import verdict_sentence
-    from skincal.session.guiding import SessionGuide
-    from skincal.session.part import lay_part
-
-    guide, snapshot = SessionGuide(lay_part(session.scene, session.surface, ())), session.snapshot()
-    found: dict[Method, str] = {}
-    for method in methods:
-        guidance = guide.of_skin(snapshot, method, session.evidence)
-        found[method] = verdict_sentence(guide.verdict(guidance, snapshot, session.evidence, answer)).rstrip(".")
-    return found
+    return verdicts_of(session, [method], _rig_answer(session))[method]
 
 
 def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
     """Write every format for every method the scene has; return the files and what was found."""
     from skincal.files.export import write_calibration
+    from skincal.session.checked import checked_calibration
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
-    calibration = _calibration(pipeline.session)
+    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     methods = tuple(calibration.estimates)
-    names = [("json", "calibration.json", methods[0]), ("csv", "calibration.csv", methods[0])]
-    for method in methods:
-        names += [("icub", f"positions-{method.value}.txt", method), ("ply", f"taxels-{method.value}.ply", method)]
+    names: list[tuple[str, str, Method]] = []
+    for format_, words in FORMATS.items():
+        stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
+        own = [(format_.value, f"{stem}-{method.value}{words.ending}", method) for method in methods]
+        names += [(format_.value, f"calibration{words.ending}", methods[0])] if words.every_method else own
     # Several formats of the same calibration have the same faults, which are said once.
     findings: dict[str, None] = {}
     for format_, name, method in names:
@@ -371,13 +353,14 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
+    from skincal.session.checked import checked_calibration
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
     pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
-    calibration = _calibration(pipeline.session)
+    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     leads = leading_method(calibration.estimates)
     chosen = method or leads or pipeline.session.methods[-1]
     if chosen not in calibration.estimates:
@@ -388,6 +371,8 @@ def export(
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    text = [report.method_line(chosen, summary) + lead, *findings, f"wrote {out}"]
-    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "findings": findings}
+    verdict = calibration.verdicts[chosen]
+    text = [report.method_line(chosen, summary) + lead, f"{verdict}.", *findings, f"wrote {out}"]
+    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "verdict": verdict}
+    result["findings"] = findings
     report.print_result({**result, "text": text}, as_json)

@@ -7,6 +7,7 @@ from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, TypeAlias, cast
 
 from skincal.model.errors import InputError
+from skincal.model.tables import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,8 +215,11 @@ def from_json(document: Mapping[str, Any]) -> Action:
     wanted = {item.name: str(item.type) for item in fields(kind)}
     # What was added to an action since has a default: sessions of old lack it.
     values = {item.name: item.default for item in fields(kind) if item.default is not MISSING} | values
-    if values.keys() != wanted.keys() or not all(_is(values[key], type_) for key, type_ in wanted.items()):
-        raise InputError(f"action {dict(document)!r}: expected {', '.join(f'{k} ({v})' for k, v in wanted.items())}.")
+    wrong = [key for key in wanted | values if not _is(values.get(key), wanted.get(key, ""))]
+    if wrong:
+        found = shown({key: values[key] for key in wrong if key in values})
+        expected = ", ".join(f"{key} ({wanted[key]})" for key in wrong if key in wanted) or "no such value"
+        raise InputError(f"action {document['do']!r} has {found}; expected {expected}.")
     return kind(**values)
 
 

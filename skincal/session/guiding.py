@@ -18,6 +18,7 @@ from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
+from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
 from skincal.rig.closing import FEWEST, PLACES
@@ -134,6 +135,20 @@ class SessionGuide:
             unchecked_of(used, landmarks, estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
         )
         return replace(verdict, closing=closing_of(snapshot, noise))
+
+    def verdicts(
+        self,
+        snapshot: Snapshot,
+        methods: Sequence[Method],
+        evidence: Callable[[Collection[int]], Evidence],
+        rig: RigAnswer | None,
+    ) -> dict[Method, str]:
+        """Return by method what was checked and what could not be, as `Calibration.verdicts` says it; else as `verdict`."""
+        found: dict[Method, str] = {}
+        for method in methods:
+            guidance = self.of_skin(snapshot, method, evidence)
+            found[method] = verdict_sentence(self.verdict(guidance, snapshot, evidence, rig)).rstrip(".")
+        return found
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.

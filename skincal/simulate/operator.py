@@ -209,6 +209,11 @@ class Habits:
     reaction_s: float = 0.25
     """s before the touch: another target that is shown later comes too late. A simple visual reaction."""
 
+    @property
+    def leans(self) -> bool:
+        """Whether pushes are not just as they are meant, but for the hand's error."""
+        return self.bias != 0.0 or self.arc < 2.0 * np.pi
+
     @classmethod
     def careful(cls) -> Habits:
         """Return the habits of somebody who never slides and never touches twice."""
@@ -234,7 +239,10 @@ lean to one side, that reach the part from a third of its sides, or from one onl
 
 def by_habit(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
     """Return the pushes (n, 3) that somebody makes of those meant, on skin with the outward `normals`: see `Habits.side`."""
-    inward = -np.sum(pushes * normals, axis=1, keepdims=True)
+    if not habits.leans:
+        return pushes
+    # A push that grazes leans as far as one can.
+    inward = np.maximum(-np.sum(pushes * normals, axis=1, keepdims=True), 1e-3)
     e1, e2 = tangents(normals)
     # Slopes beside the normal, as seen from the hand's side.
     x, y = (np.sum(pushes * e, axis=1) / inward[:, 0] for e in (e1, e2))
@@ -319,7 +327,10 @@ def aim(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -
     tilts = cone_tilts(count, habits.cone, rng)
     azimuths = rng.uniform(-np.pi, np.pi, count)
     forces = rng.uniform(*habits.force, count)
-    return place(rig, targets, habits.aim * rng.standard_normal((count, 2)), tilts, azimuths, forces, rng)
+    meant = place(rig, targets, habits.aim * rng.standard_normal((count, 2)), tilts, azimuths, forces, rng)
+    if not habits.leans:
+        return meant
+    return replace(meant, directions=held(by_habit(meant.directions, meant.normals, habits), meant.normals, habits.cone))
 
 
 def place(
@@ -562,7 +573,8 @@ class Guided(Auto):
         e1, e2 = tangents(normal[None])
         beside = habits.aim * rng.standard_normal(2)
         place, normal = self._on_part(row, place + beside[0] * e1[0] + beside[1] * e2[0])
-        push = held(by_hand(target.push[None], habits.hand, rng), normal[None], habits.cone)
+        meant = by_habit(target.push[None], normal[None], habits)
+        push = held(by_hand(meant, habits.hand, rng), normal[None], habits.cone)
         channel = self._rig.channels[row : row + 1]
         return PressedPlaces(
             channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
@@ -576,7 +588,8 @@ class Guided(Auto):
         e1, e2 = tangents(normal)
         beside = firm.aim * rng.standard_normal(2)
         place = target.place + beside[0] * e1 + beside[1] * e2
-        push = held(by_hand(target.push[None], self._habits.hand, rng), normal, firm.cone)
+        meant = by_habit(target.push[None], normal, self._habits)
+        push = held(by_hand(meant, self._habits.hand, rng), normal, firm.cone)
         nobody = np.array([-1], dtype=np.int64)
         return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
 

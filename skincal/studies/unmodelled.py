@@ -192,8 +192,14 @@ Each: TypeAlias = Callable[[Callable[[str, int], Session], Iterable[str], Iterab
 """`map`, or that of a pool of processes."""
 
 
-def unmodelled(seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES), each: Each = map) -> list[dict[str, Any]]:
+def unmodelled(
+    seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES), each: Each = map, first: int = 1
+) -> list[dict[str, Any]]:
     """Try the program on rigs of each case.
+
+    Parameters
+    ----------
+    first : seed of the first rig; what the program's thresholds were found with begins at 1
 
     Returns
     -------
@@ -203,12 +209,12 @@ def unmodelled(seeds: int = SEEDS, cases: Sequence[str] = tuple(CASES), each: Ea
     same for each number of landmark pokes and each method. `sessions`: the modules method's `FoundByMethod` of each seed
     """
     of_case = {case: seeds if seeds < SEEDS else max(seeds, CLOSE.get(case, 0)) for case in cases}
-    jobs = [(case, seed) for case, count in of_case.items() for seed in range(1, count + 1)]
+    jobs = [(case, seed) for case, count in of_case.items() for seed in range(first, first + count)]
     found = iter(each(run_one, [case for case, _ in jobs], [seed for _, seed in jobs]))
-    return [_row(case, list(islice(found, count))) for case, count in of_case.items()]
+    return [_row(case, list(islice(found, count)), first) for case, count in of_case.items()]
 
 
-def _row(case: str, found: Sequence[Session]) -> dict[str, Any]:
+def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
     means = {
         str(count): {method.value: _over([session[count][method.value] for session in found]) for method in Method}
         for count in LANDMARKS
@@ -221,7 +227,7 @@ def _row(case: str, found: Sequence[Session]) -> dict[str, Any]:
         **row, "predicted": row["predicted_21"], "methods": means,
         "sessions": [
             {"seed": seed, **{str(count): _as_json(session[count][Method.MODULES.value]) for count in LANDMARKS}}
-            for seed, session in enumerate(found, start=1)
+            for seed, session in enumerate(found, start=first)
         ],
     }  # fmt: skip
 

@@ -61,6 +61,7 @@ class Cause(Enum):
     MODULE_ONE_POKE = "one poke does not determine its module's turn"
     MODULE_LOOSE = "pokes do not determine how its module lies"
     BY_MODULE = "known by its module alone"
+    SHARED_ERRORS = "errors that its pokes share leave it unknown"
     MEAN_OF_POSES = "mean over arm poses"
     BLIND_IN_POSES = "blind in each arm pose"
     GIVEN = "in the words of another: of the channel's health, or of a file"

@@ -27,7 +27,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, Evidence, across
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import Estimate, Method
+from skincal.taxels.result import SD_MAX, Cause, Estimate, Method, State, StateReason
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Of pokes by number (m,), with the places (m, 3), metres, that they are said to touch and the directions E (m, 2, 3) across
@@ -202,7 +202,9 @@ def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
 def with_shared(
     estimates: Sequence[Estimate], factors: FloatArray, added: FloatArray, moves: FloatArray | None
 ) -> list[Estimate]:
-    """Return n estimates that have a position with more covariance.
+    """Return n estimates that have a position with more covariance; under a correction blind where it is beyond `SD_MAX`.
+
+    Without one the points stay the paper's, however far their axes miss them up to `MISS_MAX`.
 
     Parameters
     ----------
@@ -228,8 +230,13 @@ def with_shared(
             rms=rms[row],
             moved=None if moves is None else moves[row],
         )
+        if moves is None or sds[row] <= SD_MAX
+        else Estimate(
+            estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal, weakest=weakest[row],
+            sd=sds[row], reason=StateReason(Cause.SHARED_ERRORS, size=sds[row]), doubted=estimate.doubted,
+        )
         for row, estimate in enumerate(estimates)
-    ]
+    ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

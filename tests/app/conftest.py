@@ -79,12 +79,13 @@ def _nothing_left() -> Iterator[None]:
 def _own_theme() -> Iterator[None]:
     """Give the next test the theme that this one found."""
     app = QApplication.instance()
-    before = None if app is None else (app.palette(), app.styleSheet())
+    before = None if app is None else (app.palette(), app.styleSheet(), app.font())
     yield
     app = QApplication.instance()
-    if before is not None and (app.palette(), app.styleSheet()) != before:
+    if before is not None and (app.palette(), app.styleSheet(), app.font()) != before:
         app.setPalette(before[0])
         app.setStyleSheet(before[1])
+        app.setFont(before[2])
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """The window and a stranger's session: every text is plain, devices are asked about, and another's recording is looked at."""
 
 import ast
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -8,18 +9,24 @@ from pathlib import Path
 import pytest
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QTextDocument
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLabel, QMessageBox
 
 import app
+from app import run
 from app.panels.pokes_panel import PokeTable
 from app.panels.widgets import ElidedLabel, plain_tip
 from app.session.controller import Controller
-from app.session.opening import OpenRequest
+from app.session.opening import Addresses, OpenRequest
+from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
 from app.units import ChannelNames
 from app.window import Theme, Window
+from app.workers.device_process import DeviceProcess
+from skincal.files.reference import RIG_KEY, TRUTH_NAME
 from skincal.journal.writer import create_session
+from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
 from skincal.streams.links import LinkSpec
@@ -89,11 +96,16 @@ def test_the_tip_of_a_poke_shows_the_pose_of_a_stranger_as_it_is(folder):
     assert "<img" not in tip
 
 
+def strangers_links(tmp_path):
+    """Links whose devices no operator has named."""
+    return tuple(LinkSpec(link.name, f"file:{tmp_path}/{link.name}.none", link.carries, "skt") for link in LINKS)
+
+
 @pytest.fixture
 def folder(tmp_path):
     """A session whose device is a stranger's, with two pokes."""
     scene = write_scene(tmp_path / "source")
-    links = tuple(LinkSpec(link.name, f"file:{tmp_path}/{link.name}.none", link.carries, "skt") for link in LINKS)
+    links = strangers_links(tmp_path)
     pipeline = Pipeline(scene, links, None, create_session(tmp_path / "s", scene, links))
     for item in as_chunks(some_pokes(scene, 2).samples):
         pipeline.feed(item)
@@ -108,6 +120,11 @@ def bench(qtbot, tmp_path):
     yield made
     made.window.close()
     QSettings("skincal", "test").remove("addresses")
+
+
+def say_simulated(folder):
+    """Have a session say that its rig was a simulated one."""
+    (folder / TRUTH_NAME).write_text(json.dumps({RIG_KEY: {"seed": 1, "errors": "none"}}))
 
 
 def asked(window):
@@ -125,8 +142,9 @@ def test_the_devices_of_a_recorded_session_are_shown_and_asked_about_once(bench,
     bench.controller.toggle()
     assert bench.controller.running is Running.OFFLINE
     assert all(link.address in asked(bench.window).text() for link in bench.controller.links)
-    answer(bench.window, "Cancel")
-    assert bench.controller.running is Running.OFFLINE
+    QTest.keyClick(asked(bench.window).focusWidget(), Qt.Key.Key_Space)
+    assert asked(bench.window) is None
+    assert bench.controller.running is Running.OFFLINE, "pressed twice, it connects nothing"
     bench.controller.toggle()
     answer(bench.window, "Connect")
     assert bench.controller.running is Running.STREAMING
@@ -136,6 +154,27 @@ def test_the_devices_of_a_recorded_session_are_shown_and_asked_about_once(bench,
     bench.open(OpenRequest(session=folder))
     bench.controller.toggle()
     assert bench.controller.running is Running.STREAMING, "agreed to before"
+
+
+def test_a_session_that_says_it_is_simulated_never_connects_what_its_file_names(bench, tmp_path, monkeypatch):
+    """Also where it is told to go on once more before its own rig is served, and after that has failed."""
+    connected = []
+    monkeypatch.setattr(Recording, "start", lambda recording: connected.extend(link.address for link in recording.links))
+    folder, scene = tmp_path / "s", load_scene(resource("scenes/flat-patch/scene.toml"))
+    create_session(folder, scene, strangers_links(tmp_path)).close()
+    say_simulated(folder)
+    bench.open(OpenRequest(session=folder))
+    strange = {link.address for link in bench.controller.links}
+    bench.controller.toggle()
+    bench.controller._server.stop()
+    assert bench.controller.running is Running.OFFLINE
+    for _ in range(3):
+        bench.controller.toggle()
+        assert connected == []
+    assert asked(bench.window) is None
+    bench.until(lambda: bench.controller.running is Running.STREAMING)
+    assert connected
+    assert strange.isdisjoint(connected)
 
 
 def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
@@ -152,12 +191,25 @@ def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
     window.close()
 
 
+def test_addresses_of_the_command_line_are_named_by_the_operator(bench, folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "start_log", lambda: "")
+    named = Addresses(*(f"file:{tmp_path}/{stream}.none" for stream in ("wrench", "skin")))
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
+        run.begin(bench.window, OpenRequest(session=folder, addresses=named))
+    bench.open(OpenRequest(session=folder))
+    assert {link.address for link in bench.controller.links} == {named.wrench, named.skin}
+    bench.controller.toggle()
+    assert asked(bench.window) is None
+    assert bench.controller.running is Running.STREAMING
+
+
 def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tmp_path):
     scene = write_scene(tmp_path / "source")
     pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     items = as_chunks(some_pokes(scene, 3).samples)
     for item in items[: len(items) * 3 // 4]:
         pipeline.feed(item)
+    say_simulated(tmp_path / "s")
     before = {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()}
     bench.window.open(OpenRequest(session=tmp_path / "s"))
     bench.until(lambda: asked(bench.window) is not None, 20_000)
@@ -165,7 +217,11 @@ def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tm
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
         answer(bench.window, "Look on")
     assert len(bench.recording.pipeline.session.contacts) >= 1
-    bench.controller.go_on(confirmed=True)
+    assert bench.controller.simulated
+    assert not bench.controller.served
+    bench.controller.toggle()
+    assert bench.controller.findChild(DeviceProcess) is None, "its rig is another's"
+    assert asked(bench.window) is None, "nothing is to be connected"
     assert bench.controller.running is Running.OFFLINE
     assert any("only looked at" in message.text for message in bench.messages)
     assert {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()} == before

@@ -16,6 +16,7 @@ from app.state.running import Running
 from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
 from skincal.model.scene import resource
 from skincal.session.replay import replay
+from tests.app.view3d_on_screen import stage_of
 from tests.app.whole_window import OPEN_MS, Bench
 
 Key = Qt.Key
@@ -38,8 +39,12 @@ def test_a_newcomer_is_told_four_things_once(bench, qtbot, tmp_path):
     card = card_of(bench)
     assert card.isVisible()
     assert len(FIRST_MINUTE) == 4
+    bench.until_all_is_there()
+    view = bench.window.session_view.workspace.view
+    assert card.geometry().right() < stage_of(view).turner.covered * view.width() <= view.width() / 2
     bench.key(Key.Key_Escape)
     assert not card.isVisible()
+    assert stage_of(view).turner.covered == 0
     assert QSettings("skincal", "test").value("window/told", type=bool)
     bench.window.leave()
     other = Bench(qtbot, tmp_path / "again")
@@ -120,10 +125,12 @@ def test_a_simulated_session_that_was_kept_goes_on_with_its_rig(bench):
     bench.open(OpenRequest(session=kept))
     assert bench.controller.running is Running.OFFLINE
     assert bench.window.session_view.workspace.now.simulated.text() == simulated_words(1, Running.OFFLINE)
-    before = len(bench.accepted())
+    before, recorded = len(bench.accepted()), {link.address for link in bench.controller.links}
     assert before >= 2
     bench.key(Key.Key_Space)
+    assert bench.window.findChildren(QMessageBox) == [], "its own rig is nobody's device"
     bench.until(lambda: bench.controller.running is Running.STREAMING, OPEN_MS)
+    assert recorded.isdisjoint(link.address for link in bench.controller.links)
     bench.until(lambda: len(bench.accepted()) > before)
     assert (kept / "truth.json").read_bytes() == truth
     bench.window.leave()

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
 from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
@@ -185,14 +186,17 @@ def test_what_a_kill_left_is_said_as_a_finding(bench, recorded):
     assert all(message.found and not message.error for message in found)
 
 
-def test_a_session_that_is_recorded_elsewhere_is_refused_with_a_sentence(bench, recorded):
+def test_a_session_that_is_recorded_elsewhere_is_not_opened_but_offered_to_look_at(bench, recorded):
     before = {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()}
     lock = SessionLock(recorded)
     try:
         bench.window.open(OpenRequest(session=recorded))
-        bench.until(lambda: any(approved("session.recorded_by_begin") in m.text and m.error for m in bench.messages))
+        bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), OPEN_MS)
+        question = QApplication.activeWindow()
+        assert approved("session.recorded_by_begin") in question.text()
         assert bench.controller.running is Running.OFFLINE
-        bench.key(Qt.Key.Key_Escape)
+        QTest.keyClick(question, Qt.Key.Key_Escape)
+        assert bench.window.session_view is None
     finally:
         lock.release()
     assert {path: path.read_bytes() for path in recorded.rglob("*") if path.is_file()} == before
@@ -300,7 +304,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     create_session(tmp_path / "strange", scene, links).close()
     bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
-    bench.controller.go_on()
+    bench.controller.go_on(confirmed=True)
     view = bench.window.session_view
     bench.until(
         lambda: all(approved("links.refused_scheme_state", scheme="spy") in link.text for link in view.state.live.links)

@@ -104,13 +104,13 @@ import sys, threading
 from skincal.cli import main
 code = main(["solve", {folder!r}, "--json"])
 heavy = ("PySide6", "shiboken6", "vtkmodules", "pyvista", "pyvistaqt", "pyqtgraph", "matplotlib", "scipy", "trimesh", "serial")
-present = [name for name in (*heavy, "skincal.mesh.surface", "skincal.simulate.simulated_rig") if name in sys.modules]
+present = [name for name in (*heavy, "skincal.mesh.load", "skincal.simulate.simulated_rig") if name in sys.modules]
 print(code, present, threading.active_count(), file=sys.stderr)
 """
 
 
 def test_solving_a_patch_imports_and_starts_nothing_it_does_not_need(patch):
-    """Headless, without a mesh: no Qt, no VTK, no mesh code, no serial port, one thread."""
+    """Headless, without a mesh: no Qt, no VTK, no mesh reader, no serial port, one thread."""
     done = subprocess.run(
         [sys.executable, "-c", LEAN.format(folder=str(patch))], capture_output=True, text=True, timeout=60, check=True
     )
@@ -143,11 +143,14 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
     assert said["accepted"] == 3
     assert main(["export", str(folder), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
     rows = [line.split(",") for line in (tmp_path / "c.csv").read_text(encoding="utf-8").splitlines()]
-    assert ",".join(rows[0]) == "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm"
+    assert ",".join(rows[0]) == (
+        "channel,module,method,state,contacts,x_m,y_m,z_m,nx,ny,nz,sd_mm,gain_raw_per_N,gain_sd_raw_per_N,gain_pokes"
+    )
     poked = next(row for row in rows if row[0] == "3")
     assert poked[2:5] == ["free", "estimated", "3"]
+    assert 1 <= int(poked[-1]) <= 3
     unseen = next(row for row in rows[1:] if row[3] == "unseen")
-    assert unseen[5:] == [""] * 7
+    assert unseen[5:] == [*[""] * 9, "0"]
 
 
 def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_path, monkeypatch, capsys):
@@ -189,7 +192,7 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
         (["export", "nowhere", "--format", "icub", "--out", "x"], ["nowhere"]),
         (["simulate", "--scene", "icub-forearm"], ["--out", "--serve"]),
         (["simulate", "--scene", "icub-leg", "--out", "x"], ["icub-leg"]),
-        (["export", "x", "--format", "urdf", "--out", "y"], ["urdf"]),
+        (["export", "x", "--format", "step", "--out", "y"], ["step"]),
         (["import", "yarp", "--wrench", "none", "--skin", "none", "--scene", "flat-patch", "--out", "x"], ["none"]),
         (["fly"], ["fly"]),
     ],

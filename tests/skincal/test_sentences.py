@@ -89,6 +89,7 @@ STATES = (
         approved("taxel.module_loose", count=5),
     ),
     (StateReason(Cause.BY_MODULE), approved("taxel.by_module")),
+    (StateReason(Cause.SHARED_ERRORS, size=0.0351), approved("taxel.shared_errors", depth="35 mm")),
     (StateReason(Cause.MEAN_OF_POSES, 3), "Mean of 3 poses."),
     (StateReason(Cause.MEAN_OF_POSES, 2, blind=1), approved("taxel.mean_of_poses_without", count=2, blind=1)),
     (

@@ -149,9 +149,9 @@ def test_the_summary_is_one_line():
 
 def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
     cells = module_cells(ModuleDifference(0, 12, 0.0021, 0.002, 0.0005), 17, 12, 0.934)
-    assert cells == ("17", "2.1 mm", "2.0 mm", "0.5 mm", "0.93")
+    assert cells == ("17", "2.1", "2.0", "0.5", "0.93")
     cells = module_cells(ModuleDifference(0, 2, 0.0021, 0.002, None), 17, 12, float("nan"))
-    assert cells == ("17  2/12", "2.1 mm", "2.0 mm", "\N{EN DASH}", "\N{EN DASH}")
+    assert cells == ("17  2/12", "2.1", "2.0", "\N{EN DASH}", "\N{EN DASH}")
 
 
 def test_of_too_many_modules_the_worst_are_listed():
@@ -230,8 +230,8 @@ def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
     assert panel.summary.text() == approved("compare.summary", count=24, mean_mm=3.1, largest_mm=5.0, taxel="11-03")
     rows = modules_of(panel)
     assert [row[0] for row in rows] == ["10", "11"]
-    assert rows[0][1:] == ["3.0 mm", "3.0 mm", "0.0 mm", "1.00"]
-    assert rows[1][3] != "0.0 mm"
+    assert rows[0][1:] == ["3.0", "3.0", "0.0", "1.00"]
+    assert rows[1][3] != "0.0"
     assert panel.worst.item(0).text() == "11-03   5.0 mm"
     assert panel.worst.count() == 10
     assert "1.0" in panel.spacing.text()

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QSizePolicy
 
 from app.panels.now_panel import DIAL_PX, NowPanel
 from app.panels.top_view import AROUND, TOOL, axes_on, top_view
@@ -111,11 +111,12 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
 
 def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     pressed(panel)
-    wide = panel.headline.width()
+    wide, high = panel.headline.width(), panel.sizeHint().height()
     panel.show_state(frame())
     QApplication.processEvents()
     assert not panel.dial.isVisible()
-    assert panel.minimumHeight() == panel.maximumHeight() > DIAL_PX
+    assert panel.sizeHint().height() == panel.minimumSizeHint().height() == high > DIAL_PX
+    assert panel.sizePolicy().verticalPolicy() is QSizePolicy.Policy.Fixed
     assert panel.headline.width() > wide
 
 

@@ -337,7 +337,7 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     known = {3: estimate(3, (0, 0, 0))}
     panel.show_state(frame(session(1, known, [touch(1), slip(2)])))
     row = [panel.model.index(1, column).data() for column in range(6)]
-    assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0\N{DEGREE SIGN}", "2.0"]
+    assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0", "2.0"]
     assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
     assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
     assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
@@ -431,7 +431,7 @@ def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
     panel = shown(qtbot, ArmPanel(scene.arm))
     panel.show_state(frame(session(1, pokes=[touch(1)]), where=scene))
     low, high = panel.rows["low"], panel.rows["high"]
-    assert (low.text(1), low.text(2), high.text(2)) == ("0.0\N{DEGREE SIGN}", "1", "0")
+    assert (low.text(1), low.text(2), high.text(2)) == ("0.0", "1", "0")
     with qtbot.waitSignal(panel.pose_requested) as chosen:
         panel.poses.itemClicked.emit(high, 0)
     assert chosen.args == ["high"]

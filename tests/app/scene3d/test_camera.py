@@ -149,6 +149,21 @@ def test_a_target_outside_the_picture_comes_into_it_by_the_shortest_way():
     assert abs(moved @ UP) < 1e-12
 
 
+@pytest.mark.parametrize("covered", [0.2, 0.42, 0.5])
+@pytest.mark.parametrize("degrees", [0, 90, -160])
+@pytest.mark.parametrize("along", [-0.09, 0.0, 0.09])
+def test_no_target_is_brought_under_what_lies_over_the_picture(covered, degrees, along):
+    near, (at, normal) = Stand(above().axes, above().focus, 0.3), on_tube(degrees, along)
+    end = turned_to(near, at, normal, ASPECT, X, covered)
+    assert well_seen(end, at, normal, ASPECT, TUBE, covered)
+    made = vtkCamera()
+    place(made, end)
+    made.SetViewAngle(camera.VIEW_ANGLE)
+    matrix = made.GetCompositeProjectionTransformMatrix(ASPECT, -1, 1)
+    x, _, _, w = matrix.MultiplyPoint((*at, 1.0))
+    assert -1.0 + 2.0 * covered < x / w < 1.0
+
+
 def test_the_way_begins_and_ends_at_rest_and_goes_one_way():
     start = above()
     end = turned_to(start, *on_tube(150, 0.05), ASPECT, X)

@@ -11,7 +11,7 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
-from app.scene3d.camera import project, ray
+from app.scene3d.camera import project, ray, shift
 from app.scene3d.canvas import Canvas
 from app.scene3d.landmarks import MOST_NAMES, normals_of, poked_here
 from app.scene3d.scene_state import View3DState
@@ -176,6 +176,19 @@ def test_what_lies_behind_the_part_is_left_out_until_the_part_is_turned(view):
     layer = stage_of(view).landmarks
     assert layer.marks.actor.GetVisibility()
     assert layer.names[0].GetVisibility()
+
+
+def test_what_lies_outside_the_picture_has_no_name_in_it(view):
+    show(view, session(1, (HEAD, CORNER)))
+    settle()
+    stage = stage_of(view)
+    assert all(actor.GetVisibility() for actor in stage.landmarks.names[:2])
+    x, _ = seen(view, HEAD.place)
+    shift(stage.renderer.GetActiveCamera(), (view.width() - x + 5) / view.height(), 0.0)
+    canvas_of(view).update()
+    settle()
+    assert seen(view, HEAD.place)[0] > view.width()
+    assert not stage.landmarks.names[0].GetVisibility()
 
 
 def test_a_landmark_without_a_normal_lies_on_the_face_that_is_nearest():

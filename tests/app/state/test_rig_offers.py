@@ -251,11 +251,11 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
     answer = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
     first, second = landmark_rows(moment, answer)
-    assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0 mm")
+    assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0")
     assert second == LandmarkRow("other", 0, 1, DASH)
     assert [row.off for row in landmark_rows(moment, None)] == [DASH, DASH]
     only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}))
-    assert only[0].off == "3.5 mm"
+    assert only[0].off == "3.5"
     assert landmark_rows(replace(moment, landmarks=()), answer) == []
 
 

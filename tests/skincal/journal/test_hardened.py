@@ -360,9 +360,9 @@ def test_the_checksum_of_an_index_is_looked_at(recorded):
     assert zlib.crc32(data[begin:-12]) == int.from_bytes(data[-12:-8], "little")
     data[begin + 20] ^= 1
     path.write_bytes(data)
-    pipeline = resume(recorded)
-    pipeline.close()
-    assert any("index was damaged" in sentence for sentence in pipeline.findings)
+    resumed = resume(recorded)
+    resumed.close()
+    assert any("index was damaged" in sentence for sentence in resumed.findings)
 
 
 def test_what_watches_the_folder_looks_no_more_than_twice_a_second():

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
+from skincal.journal import lock
 from skincal.journal.lock import LOCK_NAME, SessionLock, writer_of
 from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
@@ -199,16 +200,17 @@ def test_a_disk_that_refuses_lets_the_session_go(tmp_path, monkeypatch):
     SessionLock(tmp_path / "s").release()
 
 
-def test_many_openers_at_once_and_one_gets_it(tmp_path):
+def test_many_openers_at_once_and_one_gets_it(tmp_path, monkeypatch):
     """Each takes the lock away with its file: nobody may hold one that lies on no file."""
+    monkeypatch.setattr(lock, "_PATIENCE_S", 0.0)
     held = []
     for _ in range(50):
-        lock = SessionLock(tmp_path)
+        first = SessionLock(tmp_path)
         held.append(writer_of(tmp_path))
         with pytest.raises(InputError):
             SessionLock(tmp_path)
-        lock.release()
-        lock.release()
+        first.release()
+        first.release()
     assert all(held)
     assert list(tmp_path.iterdir()) == []
 

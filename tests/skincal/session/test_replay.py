@@ -23,6 +23,7 @@ from skincal.journal.documents import (
     from_document,
     note_to_json,
 )
+from skincal.journal.mcap_file import McapFile
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
@@ -300,9 +301,11 @@ def test_loading_opens_no_bytes(scene, tmp_path, monkeypatch):
     live = record(scene, tmp_path / "s", some_pokes(scene, 6))
     live.close()
     monkeypatch.setattr(documents, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
-    monkeypatch.setattr(reader, "StreamReader", lambda *_, **__: pytest.fail("bytes were read"))
-    assert_same(live, load(tmp_path / "s"))
-    monkeypatch.setattr(reader, "read_lines", lambda _: None)  # nor are they of sessions without lines
+    with monkeypatch.context() as patch:
+        patch.setattr(McapFile, "records", lambda _: pytest.fail("bytes were read"))
+        assert_same(live, load(tmp_path / "s"))
+    # Of a session without lines the records are looked at, but nothing is made of the bytes.
+    monkeypatch.setattr(reader, "read_lines", lambda _: None)
     assert_same(live, load(tmp_path / "s"))
 
 
@@ -381,6 +384,8 @@ def test_a_changed_scene_is_not_answered_from_notes(scene, tmp_path, name):
 
 
 ODD = np.array([0.1, -0.0, 5e-324, 1.7976931348623157e308, math.nan, math.inf, -math.inf, 1 / 3])
+MEASURED = np.array([1 / 3, 1e12, -5e-324])
+"""Odd as well, but within what a session takes for measured."""
 
 
 def odd_outcomes():
@@ -388,7 +393,7 @@ def odd_outcomes():
     still = StillMean(0.1, 0.2, 0.15, ODD[:6], np.eye(4) / 3, "up", math.inf, math.nan)
     poke = FinishedPress(7, 0.1, 0.2, 0.02, 8.1, 0, 0.0, 0.0, tare, still, np.array([3, 9]), np.array([1 / 3, 2.0]))
     contact = Contact(
-        7, 0.1, 1 / 3, ODD[:3], ODD[3:6], np.array([3, 9]), ODD[:2], np.eye(4) / 3, 'a "pose"\n', math.nan, final=False
+        7, 0.1, 1 / 3, ODD[:3], MEASURED, np.array([3, 9]), MEASURED[:2], np.eye(4) / 3, 'a "pose"\n', math.nan, final=False
     )
     rejection = Rejection(8, 0.1, 0.2, Reason.NOT_STILL, math.inf, -0.0, "1", np.empty(0, dtype=np.int64), final=True)
     unstill = dataclasses.replace(poke, still=None, channels=np.empty(0, dtype=np.int64), responses=np.empty(0))

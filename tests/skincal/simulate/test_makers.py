@@ -4,7 +4,9 @@ import os
 import queue
 import threading
 import time
+from collections import Counter
 from contextlib import closing, contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import Clock, DeviceSettings, DeviceTimeline, LossyLink, SimulatedDevice
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.maker_outlets import MakerOutlets
+from skincal.simulate.maker_outlets import MakerOutlets, RdtOutlet, TalkOutlet
 from skincal.simulate.makers import MAKERS, assign
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.serve import Server
@@ -53,8 +55,8 @@ def serving(line, *, tcp=False):
 
 
 @contextmanager
-def reading(links):
-    items = queue.SimpleQueue()
+def reading(links, items=None):
+    items = queue.SimpleQueue() if items is None else items
     readers = [Reader(link, items) for link in links]
     for reader in readers:
         reader.start()
@@ -120,41 +122,72 @@ class Orchestra:
         self.line._boards = boards
         self.links = {name: LinkSpec(name, outlet.address, (self.line.links[name],)) for name, outlet in self.outlets.items()}
 
-    def play(self, done):
-        begun = time.monotonic()
-        while not done.is_set():
-            ahead = self.line.now - (time.monotonic() - begun)
-            if ahead > 0:
-                time.sleep(ahead)
+    def play(self, brought):
+        """Play to the end, and a little longer."""
+        while not self.line.finished:
+            self._step(brought)
+        for _ in range(30):
+            self._step(brought)
+
+    def _step(self, brought):
+        self._talk(brought)
+        for at_ns, link, data in self.line.step():
+            brought.now_ns, wanted = at_ns, brought.sizes[link] + len(data)
+            self.outlets[link].write(data)
+            end = time.monotonic() + PATIENCE_S
+            while brought.sizes[link] < wanted:
+                assert time.monotonic() < end, f"{link}: bytes were lost"
+                brought.wait(0.1)
+
+    def _talk(self, brought):
+        """Let the devices answer until all are asked for readings."""
+        while True:
             for outlet in self.outlets.values():
                 outlet.poll()
-            for _, link, data in self.line.step():
-                self.outlets[link].write(data)
+            if brought.opened >= self.links.keys() and all(map(is_asked, self.outlets.values())):
+                return
+            brought.wait(0.01)
 
     def close(self):
         for outlet in self.outlets.values():
             outlet.close()
 
 
+def is_asked(outlet):
+    """Return whether a host gets what the device sends."""
+    if isinstance(outlet, TalkOutlet):
+        return any(talk.ready for talk in outlet._talks.values())
+    return outlet._host is not None if isinstance(outlet, RdtOutlet) else getattr(outlet, "_streams", True)
+
+
+class Brought:
+    """What readers bring, stamped by the rig's clock. It stands while bytes travel: a busy machine changes nothing."""
+
+    def __init__(self):
+        self.items, self.opened, self.sizes, self.now_ns = [], set(), Counter(), 0
+        self._came = threading.Event()
+
+    def put(self, item):
+        self.items.append(replace(item, host_ns=self.now_ns))
+        if isinstance(item, Chunk):
+            self.sizes[item.link] += len(item.data)
+        elif item.state is LinkState.OPEN:
+            self.opened.add(item.link)
+        self._came.set()
+
+    def wait(self, seconds):
+        """Wait until something comes, so many seconds at most."""
+        self._came.wait(seconds)
+        self._came.clear()
+
+
 @pytest.fixture(scope="module")
 def played():
     """What all links brought while the operator poked, and the rig."""
-    orchestra, done = Orchestra(WRENCHES, SKINS), threading.Event()
-    thread = threading.Thread(target=orchestra.play, args=(done,))
-    thread.start()
-    brought = []
-    try:
-        with reading(orchestra.links.values()) as items:
-            while not orchestra.line.finished:
-                time.sleep(0.05)
-            time.sleep(0.3)
-        while not items.empty():
-            brought.append(items.get())
-    finally:
-        done.set()
-        thread.join(PATIENCE_S)
-        orchestra.close()
-    return orchestra, brought
+    orchestra, brought = Orchestra(WRENCHES, SKINS), Brought()
+    with closing(orchestra), reading(orchestra.links.values(), brought):
+        orchestra.play(brought)
+    return orchestra, brought.items
 
 
 @pytest.mark.parametrize("skin", SKINS)

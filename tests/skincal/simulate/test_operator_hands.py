@@ -1,10 +1,14 @@
 """Hands unlike the one that the guide was made with: how they push, and what they come to; more in `tests/long`."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from skincal.simulate.operator import OPERATORS, Habits, by_habit
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.operator import OPERATORS, Guided, Habits, TargetOrder, by_habit
 from skincal.simulate.simulated_rig import push_directions, tangents
+from tests.skincal.sim_support import make_rig
 from tests.skincal.simulate.operators_support import followed
 
 NORMALS = np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.0, -1.0, 0.0]])
@@ -44,6 +48,29 @@ def test_a_hand_that_reaches_an_arc_pushes_from_nowhere_else():
         assert (np.abs(off) <= arc.arc / 2 + 1e-9).all()
         inside = abs(np.angle(np.exp(1j * (azimuth - arc.side)))) < arc.arc / 2
         assert np.allclose(azimuths, azimuth) == inside
+
+
+@pytest.mark.parametrize("channel", [None, 204], ids=["own choice", "target"])
+@pytest.mark.parametrize("known", [False, True])
+def test_a_guided_hand_pushes_by_its_habits_whatever_it_pokes(channel, known):
+    rig = make_rig(RigErrors.none())
+    row = rig.row_of(204)
+    # Without a hand's error a poke lies just in its arc; what is asked for lies on the other side of the part.
+    hand = replace(OPERATORS["arc"], hand=0.0, ignores=1.0 if channel is None else 0.0)
+    e1, e2 = tangents(rig.normals[row : row + 1])
+    across = np.cos(hand.side + np.pi) * e1[0] + np.sin(hand.side + np.pi) * e2[0]
+    push = np.sin(0.35) * across - np.cos(0.35) * rig.normals[row]
+    guided, presses, now = Guided(rig, hand, np.random.default_rng(4)), [], 0.0
+    guided.accept(TargetOrder(None if known else channel, rig.places[row], push, known=known))
+    while len(presses) < 60:
+        action = guided.next(now)
+        now = now + 0.1 if action is None else action.free
+        presses += [] if action is None else [action]
+    pushes, normals = (np.concatenate([getattr(each.pokes, name) for each in presses]) for name in ("directions", "normals"))
+    tilts, azimuths = leans(pushes, normals)
+    off = np.angle(np.exp(1j * (azimuths - hand.side)))
+    assert (np.abs(off[tilts > 0.02]) <= hand.arc / 2 + 1e-9).all()
+    assert tilts.max() > 0.2
 
 
 @pytest.mark.parametrize("operator", ["two_taxels", "one_side"])

@@ -37,6 +37,13 @@ def rows():
     return unmodelled(1, ["nothing", "gaussian"])
 
 
+def test_rigs_that_nothing_was_tuned_by_have_seeds_of_their_own():
+    (row,) = unmodelled(1, ["gaussian"], first=1001)
+    (own,) = row["sessions"]
+    assert own["seed"] == 1001
+    assert own["0"]["mean"] == session("gaussian", 1001)[0]["modules"].mean != session("gaussian")[0]["modules"].mean
+
+
 # ---- how it is counted
 
 

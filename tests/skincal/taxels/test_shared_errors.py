@@ -9,7 +9,7 @@ from skincal.contacts.outcome import Contact
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.result import Cause, Estimate, Method, State
 from skincal.taxels.shared_errors import SLOW, PredictedError, predicted_error
 
 EVEN = NoiseSettings(force=1e-4, moment=1e-5, contact=5e-4, reach=1e-6, radius=1e9, skin=0.0)
@@ -130,6 +130,24 @@ def test_the_pull_of_the_forces_noise_is_in_the_spread():
     pulled = -np.mean(off, axis=0) @ lever / np.linalg.norm(lever)
     assert pulled > 5 * np.std(off) / np.sqrt(len(off))
     assert np.mean(added) == pytest.approx(pulled, rel=0.25)
+
+
+@pytest.mark.parametrize(("size", "state"), [(0.025, State.ESTIMATED), (0.035, State.BLIND)])
+def test_a_taxel_that_shared_errors_leave_worse_known_than_a_module_is_blind(rng, size, state):
+    """A shift of the whole skin by `size` in each direction, which no poke of the taxel shows."""
+
+    def shifted(numbers, _places, pairs):
+        return size * pairs, np.zeros((len(numbers), 2, 0))
+
+    contacts = pokes(rng, 20)
+    found = estimate_taxels(contacts, [0], [Method.FREE], EVEN, None, shared=shifted)[Method.FREE][0]
+    assert found.state is state
+    assert found.sd == pytest.approx(size, rel=0.01)
+    known = (found.position, found.covariance, found.rms, found.moved)
+    assert all((each is None) is (state is State.BLIND) for each in known)
+    if state is State.BLIND:
+        assert found.contacts == 20
+        assert found.reason.cause is Cause.SHARED_ERRORS
 
 
 def estimate(channel, covariance, moved=None):

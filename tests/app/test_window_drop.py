@@ -1,0 +1,107 @@
+"""Files that are dropped onto the window: what can be opened is, and of anything else a sentence says what to do."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
+from PySide6.QtGui import QDragEnterEvent, QDropEvent
+from PySide6.QtWidgets import QApplication
+
+from app.session.dropping import MESHES, request_of
+from app.session.opening import OpenRequest
+from app.state.running import Running
+from skincal.mesh.load import read_mesh
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
+from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
+
+
+def drop(window, *urls: str) -> bool:
+    """Drag over a window and let go; return whether it takes that."""
+    mime = QMimeData()
+    mime.setUrls([QUrl(url) for url in urls]) if urls else mime.setText("words")
+    given = (Qt.DropAction.CopyAction, mime, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier)
+    enter = QDragEnterEvent(window.rect().center(), *given)
+    enter.ignore()
+    QApplication.sendEvent(window, enter)
+    if enter.isAccepted():
+        QApplication.sendEvent(window, QDropEvent(QPointF(window.rect().center()), *given))
+    return enter.isAccepted()
+
+
+def of(path: Path) -> str:
+    return QUrl.fromLocalFile(str(path)).toString()
+
+
+def test_a_session_that_is_dropped_is_opened_in_place_of_what_is_open(bench, tmp_path, recorded):
+    other = shutil.copytree(recorded, tmp_path / "other session")
+    bench.open(OpenRequest(session=recorded))
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        assert drop(bench.window, of(other))
+    assert bench.controller.folder == other
+
+
+def test_a_scene_that_is_dropped_is_opened_with_a_simulated_rig(bench):
+    scene = resource("scenes/flat-patch/scene.toml")
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        assert drop(bench.window, of(scene))
+    assert bench.window.session_view.workspace.part.scene.path == scene
+    assert bench.controller.running is Running.STREAMING
+    assert bench.controller.simulated
+
+
+def test_of_what_cannot_be_opened_the_window_says_so_and_stays_as_it_is(bench, tmp_path, recorded):
+    bench.open(OpenRequest(session=recorded))
+    mesh = tmp_path / "elbow.STL"
+    mesh.write_bytes(b"")
+    assert drop(bench.window, of(mesh))
+    assert bench.window.messages.isVisible()
+    assert drop(bench.window, "https://example.org/session")
+    assert bench.window.messages.isVisible()
+    assert bench.controller.folder == recorded
+
+
+def test_only_files_are_taken(bench):
+    assert not drop(bench.window)
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        *((f"elbow{kind}", approved("dropping.mesh", name=f"elbow{kind}")) for kind in (*MESHES, ".PLY")),
+        *((name, approved("dropping.table")) for name in ("wrench.csv", "data.log")),
+        *((name, approved("dropping.nothing")) for name in ("places.json", "without")),
+        *((name, approved("dropping.recording")) for name in ("log/data.log", "log/arm/data.log", "log/robot/arm/data.log")),
+        ("photographs/me.png", approved("dropping.no_session")),
+    ],
+)
+def test_each_kind_has_its_sentence(tmp_path, name, sentence):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True, parents=True)
+    path.write_text("")
+    dropped = tmp_path / Path(name).parts[0]
+    with pytest.raises(InputError) as refusal:
+        request_of([dropped])
+    assert str(refusal.value) == f"{dropped}: {sentence}"
+
+
+def test_one_thing_at_a_time_that_is_there(tmp_path, recorded):
+    for paths in ((), (recorded, recorded)):
+        with pytest.raises(InputError) as refusal:
+            request_of(paths)
+        assert str(refusal.value) == approved("dropping.several", count=len(paths))
+    with pytest.raises(InputError, match="cannot be looked at"):
+        request_of([recorded / ("n" * 300)])
+    with pytest.raises(InputError) as refusal:
+        request_of([tmp_path / "gone.toml"])
+    assert str(refusal.value).endswith(approved("dropping.gone"))
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_the_meshes_are_those_that_are_read(kind):
+    with pytest.raises(InputError, match="export the mesh again"):
+        read_mesh(Path(f"part{kind}"), b"?")

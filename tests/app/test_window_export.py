@@ -1,0 +1,58 @@
+"""Calibration files that the window writes, and those without a display, say what was checked and what could not be."""
+
+import json
+import shutil
+from pathlib import Path
+
+from app import headless
+from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.verdict_dialog import VerdictDialog
+from app.session.opening import OpenRequest
+from skincal.cli import main
+from skincal.model.scene import resource
+
+OPEN_MS = 60_000
+
+
+def verdicts(path: Path) -> dict[str, str]:
+    return json.loads(path.read_text(encoding="utf-8"))["verdicts"]
+
+
+def export_json(bench, path: Path) -> None:
+    bench.window.session_view.ask_export(bench.window)
+    dialog = bench.window.findChild(ExportDialog)
+    dialog.path.setText(str(path))
+    dialog.format.setCurrentIndex(next(i for i in range(dialog.format.count()) if dialog.format.itemData(i).value == "json"))
+    dialog.path.setText(str(path))
+    dialog.write.click()
+    bench.until(lambda: "Written" in dialog.outcome.text(), OPEN_MS)
+    dialog.reject()
+
+
+def test_the_windows_file_says_what_the_verdict_and_the_command_say(bench, recorded, tmp_path, capsys):
+    folder = shutil.copytree(recorded, tmp_path / "mine")
+    bench.open(OpenRequest(session=folder))
+    bench.until_all_is_there()
+    view = bench.window.session_view
+    target = view.state.guidance.target
+    export_json(bench, tmp_path / "w.json")
+    assert view.state.guidance.target == target, "what is asked for stays"
+    view.ask_verdict(bench.window)
+    dialog = bench.window.findChild(VerdictDialog)
+    said = verdicts(tmp_path / "w.json")
+    assert set(said) == {method.value for method in view.workspace.methods}
+    assert dialog.sentence.text() == f"{said[view.method.value]}."
+    dialog.reject()
+    assert main(["export", str(folder), "--format", "json", "--out", str(tmp_path / "c.json")]) == 0
+    capsys.readouterr()
+    assert verdicts(tmp_path / "c.json") == said
+
+
+def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(headless, "POKES", 12)
+    monkeypatch.setattr(headless, "_draw", lambda *asked: asked[-1])
+    scene = resource("scenes/flat-patch/scene.toml")
+    assert headless.run_headless(scene, tmp_path / "s", "no display") == 0
+    lines = capsys.readouterr().out.splitlines()
+    (words,) = [line for line in lines if line.startswith("Not enough yet")]
+    assert words.rstrip(".") in (tmp_path / "s" / "positions.txt").read_text(encoding="utf-8")
