@@ -40,7 +40,7 @@ def connect_words(addresses: Sequence[str]) -> str:
 
 def look_words(sentence: str) -> str:
     """Return what is asked where `sentence` says that another process records a session."""
-    return f"{sentence}\n\nIt can be looked at as far as it is written; nothing in it is changed, and nothing is recorded."
+    return f"{sentence}\n\nIt can be looked at as far as it is written now; nothing in it is changed, and nothing is recorded."
 
 
 def kept_words(folder: Path) -> str:

@@ -69,7 +69,7 @@ def solve(
         Path | None,
         typer.Option(
             help="File for the corrected layout where modules are mirrored, turned or swapped in the layout; an older one is "
-            "kept as .bak, the layout that was read is not touched. Nothing is written where nothing is wrong.",
+            "kept as .bak, .bak-2, ...; the layout that was read is not touched. Nothing is written where nothing is wrong.",
             show_default=False,
         ),
     ] = None,
@@ -334,7 +334,7 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
 def export(
     session: SessionArgument,
     format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file; see above.")],
-    out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak.")],
+    out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak, .bak-2, ...")],
     method: Annotated[
         Method | None,
         typer.Option(

@@ -18,7 +18,7 @@ def add_to(app: typer.Typer) -> None:
 
 def write(
     session: SessionArgument,
-    out: Annotated[Path, typer.Option(help="File to write (*.html); an older one is kept as .bak.")],
+    out: Annotated[Path, typer.Option(help="File to write (*.html); an older one is kept as .bak, .bak-2, ...")],
     method: Annotated[
         Method | None,
         typer.Option(help="Whose estimates are shown; else those of the method that leads.", show_default=False),
