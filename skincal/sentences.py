@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skincal.model.actions import MissedLandmark
+from skincal.model.errors import plural
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -197,7 +198,8 @@ def unchecked_sentence(off: float, landmark_pokes: int) -> str:
 
     `landmark_pokes` is how many were made, which `off` knows of.
     """
-    tell = f"{landmark_pokes} pokes at landmarks leave that open." if landmark_pokes else "Pokes at landmarks tell."
+    leave = "leaves" if landmark_pokes == 1 else "leave"
+    tell = f"{plural(landmark_pokes, 'poke')} at landmarks {leave} that open." if landmark_pokes else "Pokes at landmarks tell."
     return (
         f"The rig's own errors are not in the predicted ones: an ordinary rig's move the taxels by about {off * 1e3:.1f} mm, "
         f"most of it alike. {tell}"

@@ -90,10 +90,10 @@ def rig_again(folder: Path, run: int) -> tuple[str, ...]:
 
     try:
         rig = parse_json(read_regular(folder / TRUTH_NAME, DOCUMENT_MOST))[RIG_KEY]
-        seed, errors = int(rig["seed"]), str(rig["errors"])
+        seed, errors = rig["seed"], rig["errors"]
     except (InputError, ValueError, KeyError, TypeError):
         return ()
-    if seed < 0 or errors not in ("none", "noise", "paper"):
+    if not isinstance(seed, int) or seed < 0 or errors not in ("none", "noise", "paper"):
         return ()
     command = server_command(folder / SCENE_FOLDER / SCENE_FILE)
     return (*command, "--seed", str(seed), "--errors", errors, "--run", str(run))
@@ -140,13 +140,14 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     InputError
         The folder cannot be made, or there is something in it.
     """
+    from skincal.files.atomic import write_atomically
     from skincal.files.reference import TRUTH_NAME
     from skincal.journal.writer import create_session
     from skincal.session.pipeline import Pipeline
 
     pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
     if truth:
-        (folder / TRUTH_NAME).write_bytes(truth)
+        write_atomically(folder / TRUTH_NAME, truth)
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline

@@ -17,6 +17,7 @@ from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkSta
 
 if TYPE_CHECKING:
     from skincal.streams.decoders.detect import LinkDecoder
+    from skincal.streams.links import Inbox
 
 LISTEN_S = 3.0
 """s on each serial port: three baud rates."""
@@ -116,11 +117,11 @@ def watch(
     """Show what a link says, live: readings, rate, losses and what the device says of itself; a line each second."""
     import json
 
-    from skincal.streams.links import LinkSpec, Reader, parse_address
+    from skincal.streams.links import Inbox, LinkSpec, Reader, parse_address
 
     parse_address(link)
     streams = tuple(Stream) if carries is Carries.ANY else (Stream(carries.value),)
-    items: queue.SimpleQueue[Chunk | LinkEvent] = queue.SimpleQueue()
+    items = Inbox()
     watched, reader = Watched(link, streams), Reader(LinkSpec("link", link, streams), items)
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     reader.start()
@@ -136,7 +137,7 @@ def watch(
         reader.stop()
 
 
-def _take(watched: Watched, items: queue.SimpleQueue[Chunk | LinkEvent], due_s: float) -> None:
+def _take(watched: Watched, items: Inbox, due_s: float) -> None:
     """Take what comes until `due_s` of the monotonic clock; say what becomes of the link."""
     while (left_s := due_s - time.monotonic()) > 0:
         try:

@@ -131,11 +131,12 @@ def own_error(estimate: Estimate) -> float:
     """
     if estimate.rms is None or estimate.covariance is None:
         return float("inf")
-    rest = estimate.rms**2
+    own = estimate.covariance
     if estimate.moved is not None:
-        rest -= float(np.sum(estimate.moved**2))
+        own = own - estimate.moved @ estimate.moved.T
+    rest = float(np.trace(own))
     if estimate.triangle is not None and estimate.normal is not None:
-        rest -= float(estimate.normal @ estimate.covariance @ estimate.normal)
+        rest -= float(estimate.normal @ own @ estimate.normal)
     return float(np.sqrt(max(rest, 0.0)))
 
 

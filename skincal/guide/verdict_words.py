@@ -1,4 +1,4 @@
-"""The verdict on a session, put into words, which the window and a session's report share: pure functions."""
+"""The verdict on a session, put into words, for the window, the commands, files and reports: pure functions."""
 
 from __future__ import annotations
 

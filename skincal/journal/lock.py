@@ -10,6 +10,7 @@ import contextlib
 import errno
 import os
 import socket
+import stat
 import sys
 import time
 from datetime import datetime
@@ -94,7 +95,7 @@ def writer_of(folder: Path) -> str:
     """Return in words who writes into a session's folder; empty where nobody does. Nothing is created or changed."""
     path = folder / LOCK_NAME
     try:
-        file = FileIO(path, "r")
+        file = FileIO(path, "r", opener=_open_plain)
     except OSError:
         return ""
     with file:
@@ -108,7 +109,7 @@ def writer_of(folder: Path) -> str:
 def _locked(path: Path) -> FileIO | None:
     """Return the file with the lock on it; None where another holds it."""
     # Not "w": until the lock is had, the file must go on naming its holder.
-    file = FileIO(path, "a+", opener=_open_no_link)
+    file = FileIO(path, "a+", opener=_open_plain)
     try:
         _take(file, shared=False)
         # The one who held it may have taken the file away since it was opened here.
@@ -122,17 +123,24 @@ def _locked(path: Path) -> FileIO | None:
     return None
 
 
-def _open_no_link(path: str, flags: int) -> int:
-    """Open a file, not what a link of its name leads to: a stranger's session must not choose what is written over."""
+def _open_plain(path: str, flags: int) -> int:
+    """Open a regular file, not what a link of its name leads to, nor a pipe: a stranger may have made it.
+
+    Else it would choose what is written over, or keep who reads it waiting for ever.
+    """
     if Path(path).is_symlink():
         raise OSError(errno.ELOOP, f"{LOCK_NAME} is a link")
-    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    file = os.open(path, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0), 0o666)
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise OSError(errno.EINVAL, f"{LOCK_NAME} is no file")
+    return file
 
 
 def _words_of(path: Path) -> str:
     """Return who holds a lock, as its file says it."""
     try:
-        with FileIO(path, "r") as file:
+        with FileIO(path, "r", opener=_open_plain) as file:
             process, host, begun, *_ = (file.read(_TEXT_BYTES) or b"").decode().split("\n")
     except (OSError, ValueError):
         return "another process"

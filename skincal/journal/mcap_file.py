@@ -28,7 +28,7 @@ NOTE_TOPIC = "/session"
 RAW_TOPIC = "/raw/"
 RECORD_MOST = 64 << 20
 """Bytes of a record, and of a chunk when it is unpacked: four times what the writer makes. What says more is damaged."""
-SUMMARY_MOST = 256 << 20
+SUMMARY_MOST = 64 << 20
 """Bytes of the index at the end: it grows by 2 kB a second, and segments end after five minutes."""
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER_BYTES = 9 + 20 + len(_MAGIC)

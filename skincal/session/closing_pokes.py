@@ -7,10 +7,13 @@ from collections.abc import Mapping, Sequence
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.closing import Closing, ClosingPlaces, closing_check
+from skincal.rig.closing import PLACES, Closing, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import Snapshot
+
+TRIES = 3
+"""Pokes for each place of the closing check, after which nothing is asked for any more."""
 
 
 def closing_of(snapshot: Snapshot, noise: NoiseSettings) -> Closing | None:
@@ -18,11 +21,15 @@ def closing_of(snapshot: Snapshot, noise: NoiseSettings) -> Closing | None:
     after = snapshot.closing_after
     if after is None:
         return None
+    # What is poked once the check was made, or given up, is the work again, and may be thousands.
+    made = [record.outcome.poke for record in snapshot.pokes if record.outcome.poke > after][: TRIES * PLACES]
+    last = max(made, default=after)
     for at, pokes in ((ClosingPlaces.LANDMARKS, at_landmarks(snapshot)), (ClosingPlaces.TAXELS, at_taxels(snapshot))):
-        again = {poke.name for poke in pokes if poke.poke > after}
+        then = [poke for poke in pokes if after < poke.poke <= last]
+        again = {poke.name for poke in then}
         # Of thousands of pokes on the skin, those at the same taxels; of landmarks all, which tell of the rig.
         before = [poke for poke in pokes if poke.poke <= after and (at is ClosingPlaces.LANDMARKS or poke.name in again)]
-        found = closing_check(before, [poke for poke in pokes if poke.poke > after], at, noise)
+        found = closing_check(before, then, at, noise)
         if found is not None:
             return found
     return None

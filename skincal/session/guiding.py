@@ -25,7 +25,7 @@ from skincal.rig.closing import FEWEST, PLACES
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
-from skincal.session.closing_pokes import at_landmarks, at_taxels, closing_of, first_names
+from skincal.session.closing_pokes import TRIES, at_landmarks, at_taxels, closing_of, first_names
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
 from skincal.session.snapshot import Snapshot
@@ -33,8 +33,6 @@ from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
-TRIES = 3
-"""Pokes for each place of the closing check, after which nothing is asked for any more."""
 STILL_S = 1.0
 """s. Landmarks are asked for where the arm has stood so long: on its way it goes through poses in which nobody pokes."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -39,6 +39,8 @@ of 840 pokes at landmarks, and none wrongly: axes pass their landmarks at 10 mm 
 29 % of the pokes on the skin pass one in the same way, so that a poke that a taxel answered is never taken."""
 FACING = -0.5
 """Cosine of the push with what is outward at a landmark: a push that leans by more than 60 degrees slides off."""
+
+Known = TypeVar("Known")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +83,13 @@ class SessionLandmarks:
             raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
         if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
             raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
-        return self._set(f"landmark {action.name}", (*self.landmarks, Landmark(action.name, place, None)), self._named)
-
-    def _set(self, words: str, landmarks: tuple[Landmark, ...], named: Mapping[int, str]) -> Step:
-        before = self.landmarks, self._named
+        before = self.landmarks
 
         def take_back() -> None:
-            self.landmarks, self._named = before
+            self.landmarks = before
 
-        self.landmarks, self._named = landmarks, named
-        return Step(words, take_back)
+        self.landmarks = (*before, Landmark(action.name, place, None))
+        return Step(f"landmark {action.name}", take_back)
 
     def put(self, action: AtLandmark | FoundAtLandmark, outcome: Outcome | None) -> Step:
         """Say at which landmark a poke was, return how that is taken back; InputError where one is missing, or has no axis."""
@@ -99,18 +98,26 @@ class SessionLandmarks:
             raise InputError(
                 f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
             )
-        named = {poke: name for poke, name in self._named.items() if poke != action.poke}
-        if action.name:
-            named[action.poke] = action.name
-        if isinstance(action, AtLandmark):
-            self.by_hand |= {action.poke}
-            self.missed = {poke: miss for poke, miss in self.missed.items() if poke != action.poke}
-        return self._set(f"poke {action.poke} at {action.name or 'no landmark'}", self.landmarks, named)
+        poke, told = action.poke, isinstance(action, AtLandmark)
+        name, missed, by_hand = self._named.get(poke), self.missed.get(poke), poke in self.by_hand
+
+        def take_back() -> None:
+            # Of this poke alone: others may have been found to be far from their landmarks since.
+            found_far = poke in self.missed
+            self._know(poke, None if found_far else name, self.missed[poke] if found_far else missed, by_hand=by_hand)
+
+        self._know(poke, action.name, None if told else missed, by_hand=told or by_hand)
+        return Step(f"poke {poke} at {action.name or 'no landmark'}", take_back)
 
     def miss(self, action: MissedLandmark) -> None:
         """Take that a poke was not at the landmark that was asked for."""
-        self._named = {poke: name for poke, name in self._named.items() if poke != action.poke}
-        self.missed = {**self.missed, action.poke: action}
+        self._know(action.poke, None, action, by_hand=action.poke in self.by_hand)
+
+    def _know(self, poke: int, name: str | None, missed: MissedLandmark | None, *, by_hand: bool) -> None:
+        """Take the landmark that a poke was at, if any, how it missed one, and whether the operator said so."""
+        self._named = {**_without(self._named, poke), **({poke: name} if name else {})}
+        self.missed = {**_without(self.missed, poke), **({} if missed is None else {poke: missed})}
+        self.by_hand = self.by_hand | {poke} if by_hand else self.by_hand - {poke}
 
     def check_name(self, name: str) -> None:
         """Refuse a landmark that is not there with an InputError; an empty name is none."""
@@ -121,6 +128,10 @@ class SessionLandmarks:
     def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
         """Return those of `outcomes` that were at a landmark."""
         return tuple(landmark_pokes(outcomes, self.landmarks, self._named))
+
+
+def _without(known: Mapping[int, Known], poke: int) -> dict[int, Known]:
+    return {each: value for each, value in known.items() if each != poke}
 
 
 class LandmarkFinder:

@@ -4,7 +4,7 @@ Real, replayed and simulated devices differ in where the items come from, and in
 on the sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
 
 A poke that the operator was asked to make at a landmark (`AskLandmark`) is found here, with or without a window, and becomes
-an action of its own (`FoundAtLandmark`).
+an action of its own (`FoundAtLandmark`), or was not there after all (`MissedLandmark`).
 """
 
 from __future__ import annotations

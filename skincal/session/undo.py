@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from skincal.model.actions import Action
+from skincal.model.actions import Action, Exclude, Restore
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class History:
     def forget_poke(self, poke: int) -> None:
         """Drop a poke that no longer counts."""
         self._entries = [entry for entry in self._entries if entry != poke]
-        self._undone = [entry for entry in self._undone if entry != poke]
+        self._undone = [entry for entry in self._undone if not _is_of(entry, poke)]
 
     def do(self, action: Action, at_s: float = math.nan, *, found: bool = False) -> None:
         """Do an action and add it.
@@ -166,6 +166,13 @@ class History:
             if isinstance(entry, ActionEntry) or not self._is_excluded(entry):
                 return at
         return -1
+
+
+def _is_of(entry: Entry, poke: int) -> bool:
+    """Return whether an entry is a poke, or takes it out or in."""
+    if isinstance(entry, ActionEntry):
+        return isinstance(entry.action, Exclude | Restore) and entry.action.poke == poke
+    return entry == poke
 
 
 def words_of(entry: Entry) -> str:

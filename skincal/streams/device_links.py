@@ -161,6 +161,8 @@ class DatagramLink:
             # Connected: what others send does not arrive.
             self._socket.connect(place)
             self._socket.setblocking(False)
+        except UnicodeError as error:
+            raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
         except OSError as error:
             raise LinkFailure(FailureKind.ABSENT, f"{address}: cannot be reached: {error.strerror or error}.") from error
 

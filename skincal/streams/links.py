@@ -111,7 +111,7 @@ def parse_address(address: str) -> Address:
         return Address(LinkKind.DEVICE, address, 0)
     path, baud = split_baud(address)
     # Before the schemes: the name of a file that is there may begin like one.
-    if path.startswith(FILE_PREFIX) or Path(path).is_file():
+    if path.startswith(FILE_PREFIX) or _is_file(path):
         return Address(LinkKind.FILE, path.removeprefix(FILE_PREFIX), baud)
     scheme = SCHEME.match(address)
     if scheme is not None:
@@ -255,6 +255,8 @@ class TcpLink:
         self._name = address
         try:
             self._socket = socket.create_connection((host, port), CONNECT_S)
+        except UnicodeError as error:
+            raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
         except OSError as error:
             raise _connect_failure(address, error) from error
         _probe(self._socket)
@@ -304,13 +306,22 @@ def _probe(connection: socket.socket) -> None:
                 connection.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
+def _is_file(path: str) -> bool:
+    try:
+        return Path(path).is_file()
+    except OSError:  # such as a name that is too long
+        return False
+
+
 def _host_and_port(address: str) -> tuple[str, int]:
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, parts.port
-    except ValueError:
-        host, port = None, None
-    if not host or not port:
+        # What stands before an @ would be taken for the host by who reads the address.
+        fits = parts.username is None and bool(host and port) and bool((host or "").encode("idna"))
+    except ValueError:  # among them: a name that no host can have
+        host, port, fits = None, None, False
+    if not (fits and host and port):
         raise InputError(f"{address} is no TCP address; expected socket://HOST:PORT, such as socket://127.0.0.1:7000.")
     return host, port
 

@@ -36,7 +36,7 @@ their pushes, link frame: B (m, 2, n), metres for each of n errors in its standa
 
 
 SLOW = 60
-"""Pokes that share what changes slowly, about a minute of work: drift of the sensor, an arm that creeps."""
+"""Pokes that share what changes slowly, about two minutes of work: drift of the sensor, an arm that creeps."""
 NEAR = SLOW // 4
 """Pokes at most this far from each other say how much of that there is."""
 

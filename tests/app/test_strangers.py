@@ -17,7 +17,7 @@ from app import run
 from app.panels.pokes_panel import PokeTable
 from app.panels.widgets import ElidedLabel, plain_tip
 from app.session.controller import Controller
-from app.session.opening import Addresses, OpenRequest
+from app.session.opening import Addresses, OpenRequest, rig_again
 from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
@@ -229,3 +229,9 @@ def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tm
         pipeline.feed(item)
     pipeline.close()
     assert not pipeline.journal_failure
+
+
+@pytest.mark.parametrize("seed", ["1e999", "-1", '"7"', "1.5", "null", "[]"])
+def test_a_truth_with_a_seed_that_is_none_starts_no_rig(tmp_path, seed):
+    (tmp_path / TRUTH_NAME).write_text(f'{{"{RIG_KEY}": {{"seed": {seed}, "errors": "none"}}}}')
+    assert rig_again(tmp_path, 1) == ()

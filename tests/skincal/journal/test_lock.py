@@ -275,3 +275,11 @@ def test_recovery_writes_through_no_link(tmp_path):
         (folder / name).symlink_to(letter)
     resume(folder).close()
     assert letter.read_text(encoding="utf-8") == "dear"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names")
+def test_a_pipe_in_the_place_of_the_lock_keeps_nobody_waiting(tmp_path):
+    os.mkfifo(tmp_path / LOCK_NAME)
+    assert writer_of(tmp_path) == ""
+    with pytest.raises(InputError):
+        SessionLock(tmp_path)

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from skincal.journal.writer import create_session
-from skincal.model.actions import Exclude, MarkDead, Redo, Restore, Undo, from_json, to_json
+from skincal.model.actions import (
+    AtLandmark,
+    Exclude,
+    FoundAtLandmark,
+    MarkDead,
+    MissedLandmark,
+    Redo,
+    Restore,
+    Undo,
+    from_json,
+    to_json,
+)
 from skincal.model.errors import InputError
+from skincal.model.scene import Landmark
+from skincal.session.landmark_pokes import SessionLandmarks
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
-from skincal.session.undo import ActionEntry, DeedKind, words_of
+from skincal.session.undo import ActionEntry, DeedKind, History, Step, words_of
 from tests.skincal.poke_script import LINKS, as_chunks, same_estimates, small_scene, some_pokes, write_scene
 
 
@@ -101,3 +115,31 @@ def test_a_session_played_again_has_the_same_history(tmp_path, again):
     assert other.can_redo == "poke 5"
     times = [[entry.at_s for entry in each.undone if isinstance(entry, ActionEntry)] for each in (other, mine)]
     assert times[0] == times[1]
+
+
+def test_a_poke_that_was_found_far_from_its_landmark_stays_so_when_later_ones_are_taken_back(outcomes):
+    by_number = {outcome.poke: outcome for outcome in outcomes}
+    landmarks = SessionLandmarks((Landmark("A", np.zeros(3), None),))
+    landmarks.put(FoundAtLandmark(1, "A"), by_number[1])
+    landmarks.put(FoundAtLandmark(2, "A"), by_number[2])
+    landmarks.miss(MissedLandmark(1, "A", 0.06, 0.03, False))
+    third = landmarks.put(FoundAtLandmark(3, "A"), by_number[3])
+    third.take_back()
+    assert dict(landmarks.named(by_number.get)) == {2: "A"}
+    by_hand = landmarks.put(AtLandmark(1, "A"), by_number[1])
+    assert set(landmarks.named(by_number.get)) == {1, 2}
+    by_hand.take_back()
+    assert dict(landmarks.named(by_number.get)) == {2: "A"}
+    assert set(landmarks.missed) == {1}
+    assert landmarks.by_hand == frozenset()
+
+
+def test_what_was_done_to_a_poke_that_is_gone_is_not_brought_again():
+    history = History(lambda _: False, lambda *_: None, lambda action: Step(str(action), lambda: None))
+    for number in (1, 2):
+        history.do(Exclude(number))
+    history.undo()
+    history.undo()
+    assert [entry.action for entry in history.undone] == [Exclude(2), Exclude(1)]
+    history.forget_poke(1)
+    assert [entry.action for entry in history.undone] == [Exclude(2)]

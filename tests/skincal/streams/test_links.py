@@ -494,3 +494,13 @@ def test_serial_is_imported_only_when_a_port_is_opened():
 
     code = "import sys, skincal.streams.intake, skincal.streams.links; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
+
+
+@pytest.mark.parametrize("address", ["socket://a..b:1", f"socket://{'a' * 70}:1", "socket://192.168.1.1@elsewhere:7000"])
+def test_a_host_that_none_can_be_or_that_is_disguised_is_refused(address):
+    with pytest.raises(InputError, match="no TCP address"):
+        parse_address(address)
+
+
+def test_a_name_that_is_too_long_for_a_file_is_no_file():
+    assert parse_address(f"./{'a' * 300}").kind is LinkKind.SERIAL
