@@ -1,0 +1,29 @@
+"""What more pokes can make smaller of a predicted error: what taxels share and the part of the mesh are taken off once."""
+
+import numpy as np
+import pytest
+
+from skincal.guide.progress import own_error
+from skincal.taxels.result import Estimate, Method, State
+
+NORMAL = np.array([0.0, 0.0, 1.0])
+
+
+def estimate(own, moved=None, triangle=None):
+    shared = np.zeros((3, 3)) if moved is None else moved @ moved.T
+    covariance = np.diag(np.square(own)) + shared
+    return Estimate(
+        3, Method.MODULES, State.ESTIMATED, 9, position=np.zeros(3), normal=NORMAL, covariance=covariance,
+        rms=float(np.sqrt(np.trace(covariance))), triangle=triangle, moved=moved,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("moved", [None, np.diag([0.4e-3, 0.0, 0.6e-3]), np.array([[0.0], [0.3e-3], [2e-3]])])
+def test_what_is_shared_and_what_is_the_mesh_s_are_taken_off_once(moved):
+    own = (1.1e-3, 1.0e-3, 0.7e-3)
+    assert own_error(estimate(own, moved)) == pytest.approx(np.linalg.norm(own))
+    assert own_error(estimate(own, moved, triangle=5)) == pytest.approx(np.hypot(own[0], own[1]))
+
+
+def test_nothing_known_is_infinite():
+    assert own_error(Estimate(3, Method.MODULES, State.UNSEEN, 0)) == float("inf")
