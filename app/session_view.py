@@ -632,8 +632,11 @@ class SessionView(QObject):
         if chosen:
             path = Path(chosen) if Path(chosen).suffix else Path(chosen).with_suffix(".html")
             self.said.emit(Message(REPORTING, found=True))
-            done: Callable[[str], None] = lambda verdict: self.said.emit(Message(report_words(path, verdict)))  # noqa: E731
-            self._controller.report(path, self.method, done, self._say_failure)
+
+            def say_where(verdict: str) -> None:
+                self.said.emit(Message(report_words(path, verdict)))
+
+            self._controller.report(path, self.method, say_where, self._say_failure)
 
     def ask_places(self) -> None:
         """Ask for a file of places, and compare with it."""
