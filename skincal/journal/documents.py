@@ -43,6 +43,7 @@ from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json, read_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
+from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
 
@@ -57,7 +58,7 @@ FORMAT = 3
 FORMAT_WITH_NOTES = 2
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
-_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")
 """What may be missing; elsewhere null is a float that is none."""
 SECONDS_MAX = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
@@ -358,6 +359,8 @@ def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
     before = _tare(document["poke"]["before"])
     assert before is not None
     values |= {"before": before, "still": None if still is None else _checked(StillMean(**_values(still)))}
+    if values.get("thresholds") is not None:
+        values["thresholds"] = with_thresholds(ContactSettings(), values["thresholds"])
     return Doubt(_checked(FinishedPress(**values)), _tare(document["after"]))
 
 

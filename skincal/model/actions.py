@@ -116,6 +116,16 @@ class BeginClosing:
 
 
 @dataclass(frozen=True, slots=True)
+class SetThresholds:
+    """Judge pokes that begin from now on by these thresholds in place of the scene's; all others are the scene's."""
+
+    names: tuple[str, ...] = ()
+    """Fields of `ContactSettings`..."""
+    values: tuple[float, ...] = ()
+    """...and their values, SI units."""
+
+
+@dataclass(frozen=True, slots=True)
 class Correct:
     """Use a correction of what the rig reports, in place of one of its kind; the numbers travel with it, SI units."""
 
@@ -162,6 +172,7 @@ Action: TypeAlias = (
     | MissedLandmark
     | AskLandmark
     | BeginClosing
+    | SetThresholds
     | Correct
     | Uncorrect
 )
@@ -189,6 +200,7 @@ _KINDS: dict[str, type[Action]] = {
     "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
     "begin_closing": BeginClosing,
+    "set_thresholds": SetThresholds,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }

@@ -6,6 +6,7 @@ The file's lengths are metres and its angles degrees unless the key ends in a un
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +26,8 @@ SETTING_LEAST, SETTING_MOST = 1e-9, 1e6
 inverse square leaves others no digits; raw units of a device of 20 bits end at a million, all else before."""
 SECONDS_MOST = 60.0
 """s. Nobody holds still, or keeps the hands off, for a minute at each poke."""
+RISING = ("release_force", "touch_force", "force_min", "force_max")
+"""Thresholds of a poke of which each is below the next."""
 JOINTS_MOST = 1000
 """Columns of a joint stream: a humanoid has some hundred."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
@@ -292,29 +295,62 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         # The type of the default says which kind of number is expected.
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
-        # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
-        off = default == 0 or key == "skin"
-        if not (value > 0 or (off and value == 0)):
-            expected = "0 or a number above" if off else "a number above 0"
-            raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
-        most = SECONDS_MOST if key.endswith("_s") else SETTING_MOST
-        if value not in (0, default) and not SETTING_LEAST <= value <= most:
-            raise InputError(f"{table.where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
+        _check_setting(table.where, key, value, default)
         given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
 
 
+def _check_setting(where: str, key: str, value: float, default: float) -> None:
+    # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
+    off = default == 0 or key == "skin"
+    if not (value > 0 or (off and value == 0)):
+        expected = "0 or a number above" if off else "a number above 0"
+        raise InputError(f"{where}: {key} is {value}; expected {expected}.")
+    most = most_of(key)
+    if value not in (0, default) and not SETTING_LEAST <= value <= most:
+        raise InputError(f"{where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
+
+
+def most_of(key: str) -> float:
+    """Return the largest value that a threshold or a noise may have, in its unit."""
+    return SECONDS_MOST if key.endswith("_s") else SETTING_MOST
+
+
 def _read_contacts(table: Table | None) -> ContactSettings:
     settings: ContactSettings = _read_settings(table, ContactSettings)
-    rising = ("release_force", "touch_force", "force_min", "force_max")
-    for low, high in pairwise(rising):
+    _check_rising("" if table is None else table.where, settings)
+    return settings
+
+
+def _check_rising(where: str, settings: ContactSettings) -> None:
+    for low, high in pairwise(RISING):
         if not getattr(settings, low) < getattr(settings, high):
-            where = "" if table is None else table.where
             raise InputError(
                 f"{where}: {low} is {getattr(settings, low):g} and {high} is {getattr(settings, high):g} (N); "
-                f"they were expected to rise: {' < '.join(rising)}."
+                f"they were expected to rise: {' < '.join(RISING)}."
             )
-    return settings
+
+
+def with_thresholds(settings: ContactSettings, values: Mapping[str, float]) -> ContactSettings:
+    """Return settings with some thresholds in place of theirs, in SI units, by their names.
+
+    Raises InputError: a name is not known, a value is none that a rig has or no whole number where a count is expected, or the
+    forces do not rise.
+    """
+    where = "thresholds of a poke"
+    known: dict[str, Any] = {item.name: item.default for item in fields(ContactSettings)}
+    given: dict[str, float] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"{where}: {name!r} is none; expected one of {', '.join(known)}.")
+        _check_setting(where, name, value, known[name])
+        whole = isinstance(known[name], int)
+        if whole and value != round(value):
+            raise InputError(f"{where}: {name} is {value:g}; expected a whole number.")
+        given[name] = round(value) if whole else float(value)
+    changed = replace(settings, **given)
+    _check_rising(where, changed)
+    return changed
 
 
 def with_layout(scene: Scene, path: Path) -> Scene:

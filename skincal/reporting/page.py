@@ -375,8 +375,10 @@ def _settings(facts: SessionFacts) -> ReportSection:
         ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),
     ]  # fmt: skip
     tables = [ReportTable(("", ""), what, "Scene")]
+    changed = facts.snapshot.thresholds != scene.contacts
+    thresholds = "Thresholds of a poke" + (", as they were changed in the session" if changed else "")
     for caption, settings, units in (
-        ("Thresholds of a poke", scene.contacts, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
+        (thresholds, facts.snapshot.thresholds, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
         ("What the guide wants", GuideSettings(), GUIDE_UNITS),
     ):  # fmt: skip
         tables.append(ReportTable(("Setting", "Value", "Unit"), list(_setting_rows(settings, units)), caption))

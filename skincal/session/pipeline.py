@@ -120,6 +120,7 @@ class Pipeline:
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
+        self._detector.use_thresholds(self.session.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark):
@@ -197,6 +198,7 @@ class Pipeline:
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
+        self._detector.use_thresholds(session.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
 

@@ -32,11 +32,12 @@ from skincal.model.actions import (
     Restore,
     Revive,
     SetPose,
+    SetThresholds,
     Uncorrect,
     Undo,
 )
 from skincal.model.errors import InputError
-from skincal.model.scene import Landmark, Scene
+from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
@@ -74,6 +75,8 @@ class Session:
         """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
+        self.thresholds = scene.contacts
+        """Those by which pokes that begin now are judged."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
         self._records: dict[int, PokeRecord] = {}
         self._corrections = Corrections(self._correct_all)
@@ -281,6 +284,8 @@ class Session:
                 return self._corrections.drop(action)
             case MarkDead() | Revive():
                 return self._choose_channel(action)
+            case SetThresholds():
+                return self._choose_thresholds(action)
             case _:
                 raise TypeError(action)
 
@@ -325,6 +330,7 @@ class Session:
             missed_landmarks=self._known.missed,
             corrections=self.corrections,
             closing_after=self._closing_after,
+            thresholds=self.thresholds,
         )
         return self._snapshot
 
@@ -341,7 +347,7 @@ class Session:
         estimates = snapshot.estimates
         outcomes = [self._corrections.reported[poke] for poke in self._records]
         return Calibration(
-            scene=self.scene,
+            scene=replace(self.scene, contacts=self.thresholds),
             channels=self.channels,
             estimates=estimates,
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
@@ -430,6 +436,21 @@ class Session:
             self.pose = before
 
         return Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back)
+
+    def _choose_thresholds(self, action: SetThresholds) -> Step:
+        if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
+            numbers = f"{len(action.names)} names and {len(action.values)} values"
+            raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
+        before = self.thresholds
+        wanted = with_thresholds(self.scene.contacts, dict(zip(action.names, action.values, strict=True)))
+        if wanted == before:
+            raise InputError("These thresholds of a poke are in use already.")
+
+        def put(thresholds: ContactSettings) -> None:
+            self.thresholds = thresholds
+
+        put(wanted)
+        return Step("change of thresholds" if action.names else "return to the scene's thresholds", lambda: put(before))
 
     def _choose_channel(self, action: MarkDead | Revive) -> Step:
         channel, mark = action.channel, isinstance(action, MarkDead)

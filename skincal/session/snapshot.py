@@ -9,7 +9,7 @@ from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
-from skincal.model.scene import Landmark
+from skincal.model.scene import ContactSettings, Landmark
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
@@ -61,6 +61,8 @@ class Snapshot:
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
     closing_after: int | None = None
     """Number of the last poke before the closing check began; None where it has not."""
+    thresholds: ContactSettings = field(default_factory=ContactSettings)
+    """Those by which pokes that begin now are judged."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
