@@ -60,6 +60,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
+        ("thresholds", "Thresholds...", "Shift+H", "What a poke must pass to count; a change holds for pokes from then on"),
         (
             "landmark",
             "Add landmark...",

@@ -192,6 +192,7 @@ class Window(QMainWindow):
             "undo": self._of_session(lambda view: view.undo()),
             "redo": self._of_session(lambda view: view.redo()),
             "history": self._of_session(lambda view: view.show_history(self)),
+            "thresholds": self._of_session(lambda view: view.show_thresholds(self)),
             "exclude": self._of_session(lambda view: view.exclude_or_restore()),
             "last": self._of_session(lambda view: view.select_last()),
             "dead": self._of_session(lambda view: view.mark_or_revive()),

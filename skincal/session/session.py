@@ -278,10 +278,8 @@ class Session:
                 return self._known.add(action)
             case AtLandmark() | FoundAtLandmark():
                 return self._known.put(action, self.outcome(action.poke))
-            case Correct():
-                return self._corrections.use(action)
-            case Uncorrect():
-                return self._corrections.drop(action)
+            case Correct() | Uncorrect():
+                return self._corrections.use(action) if isinstance(action, Correct) else self._corrections.drop(action)
             case MarkDead() | Revive():
                 return self._choose_channel(action)
             case SetThresholds():

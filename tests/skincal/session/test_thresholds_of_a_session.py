@@ -144,7 +144,7 @@ def test_solve_honours_them(scene, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["accepted"] == 0
     main(["export", str(tmp_path / "s"), "--format", "json", "--out", str(tmp_path / "file.json")])
     exported = json.loads((tmp_path / "file.json").read_text())["contact_settings"]
-    assert exported["force_min"] == 12.0
+    assert exported["force_min_N"] == 12.0
 
 
 def test_a_crowded_poke_is_judged_again_by_those_of_its_time(scene, tmp_path):
