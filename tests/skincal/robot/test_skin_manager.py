@@ -2,9 +2,7 @@
 
 import json
 import shutil
-import threading
 import time
-from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -13,9 +11,10 @@ from skincal.cli import main
 from skincal.files.icub import read_icub
 from skincal.model.scene import resource
 from skincal.simulate.maker_outlets import SkinManagerOutlet, TalkOutlet
-from skincal.simulate.makers import NameTalk, PlainTalk, SkinManagerTalk
+from skincal.simulate.makers import PlainTalk, SkinManagerTalk
 from skincal.streams.decoders.yarp_port import read_answer, write_question
 from tests.approved import approved
+from tests.skincal.robot.robot_support import robot
 
 CHANNELS = 384
 TAXELS = 84
@@ -29,27 +28,6 @@ QUESTION = bytes.fromhex(
 def sample(tmp_path):
     """A copy of the session that ships: 84 taxels of the right forearm."""
     return shutil.copytree(resource("sessions/sample"), tmp_path / "sample")
-
-
-@contextmanager
-def robot(manager):
-    """Serve an outlet as the skinManager of a YARP network; its address."""
-    names = TalkOutlet(lambda: NameTalk({"/skinManager/rpc": manager.port}), "yarp://127.0.0.1:{}/skinManager/rpc")
-    done = threading.Event()
-
-    def serve():
-        while not done.wait(0.001):
-            names.poll()
-            manager.poll()
-
-    thread = threading.Thread(target=serve)
-    with closing(names), closing(manager):
-        thread.start()
-        try:
-            yield names.address
-        finally:
-            done.set()
-            thread.join()
 
 
 class Stubborn(SkinManagerTalk):
