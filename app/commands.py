@@ -41,6 +41,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
+        ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
         ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
         ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
@@ -207,6 +208,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("apply", may.export),
             ("report", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),

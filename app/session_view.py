@@ -19,6 +19,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import LAYERS, Commands
+from app.dialogs.apply_dialog import ApplyDialog
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
@@ -646,6 +647,23 @@ class SessionView(QObject):
             self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
 
         dialog.write_requested.connect(write)
+        dialog.open()
+
+    def ask_apply(self, parent: QWidget, settings: QSettings) -> None:
+        """Ask where positions are to be sent, send them and show what the robot answered."""
+        state = self.state
+        if state is None or self._tick is None:
+            return
+        rig = None if state.review is None else state.review.rig
+        # By the guide that the operator follows, which knows what was skipped.
+        verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
+        dialog = ApplyDialog(verdicts, self.method, str(settings.value("apply/address", "")), parent)
+
+        def send(address: str, method: Method) -> None:
+            settings.setValue("apply/address", address)
+            self._controller.apply(address, method, (rig, verdicts), dialog.show_end)
+
+        dialog.apply_requested.connect(send)
         dialog.open()
 
     def ask_report(self, parent: QWidget) -> None:

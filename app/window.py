@@ -178,6 +178,7 @@ class Window(QMainWindow):
             "open": self.ask_session,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
+            "apply": self._of_session(lambda view: view.ask_apply(self, self._settings)),
             "report": self._of_session(lambda view: view.ask_report(self)),
             "reference": self._of_session(lambda view: view.ask_reference(self)),
             "picture": self._of_session(lambda view: view.ask_picture(self)),

@@ -16,6 +16,7 @@ from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
+    from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.modules.health import LayoutMend
@@ -47,6 +48,16 @@ LayoutFile = Annotated[
     ),
 ]
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
+
+
+MethodOption = Annotated[
+    Method | None,
+    typer.Option(
+        help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
+        "know at least 95 % of the taxels that any one knows.",
+        show_default=False,
+    ),
+]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -331,18 +342,30 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     return [folder / name for _, name, _ in names], list(findings)
 
 
+def calibration_of(
+    session: Path, replay: bool, layout: Path | None, correct: bool, method: Method | None
+) -> tuple[Pipeline, Calibration, Method]:
+    """Open a session, and return what a file is written from, and by which method where none is given."""
+    from skincal.methods import leading_method
+    from skincal.session.checked import checked_calibration
+
+    pipeline = _opened(session, replay, layout)
+    if correct:
+        _correct(pipeline.session)
+    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
+    chosen = method or leading_method(calibration.estimates) or pipeline.session.methods[-1]
+    if chosen not in calibration.estimates:
+        lacks = "surface" if chosen is Method.SURFACE else "layout"
+        known = " or ".join(method.value for method in calibration.estimates)
+        raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
+    return pipeline, calibration, chosen
+
+
 def export(
     session: SessionArgument,
     format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file; see above.")],
     out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak, .bak-2, ...")],
-    method: Annotated[
-        Method | None,
-        typer.Option(
-            help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
-            "know at least 95 % of the taxels that any one knows.",
-            show_default=False,
-        ),
-    ] = None,
+    method: MethodOption = None,
     layout: LayoutFile = None,
     correct: Correct = False,
     part: Part = None,
@@ -353,20 +376,11 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
-    from skincal.session.checked import checked_calibration
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    pipeline = _opened(session, replay, layout)
-    if correct:
-        _correct(pipeline.session)
-    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
+    pipeline, calibration, chosen = calibration_of(session, replay, layout, correct, method)
     leads = leading_method(calibration.estimates)
-    chosen = method or leads or pipeline.session.methods[-1]
-    if chosen not in calibration.estimates:
-        lacks = "surface" if chosen is Method.SURFACE else "layout"
-        known = " or ".join(method.value for method in calibration.estimates)
-        raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}

@@ -23,7 +23,7 @@ needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform
 @contextmanager
 def sending(maker, stream):
     """A device that sends a hundred readings a second; its address."""
-    outlet, encoder, done = MakerOutlets().open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
+    outlet, encoder, done = MakerOutlets(64).open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
 
     def send():
         count = 0

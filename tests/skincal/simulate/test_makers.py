@@ -108,7 +108,7 @@ class Orchestra:
     def __init__(self, wrenches, skins):
         self.line = make_line(pokes=POKES)
         self.outlets = {}
-        makers = MakerOutlets()
+        makers = MakerOutlets(self.line.rig.scene.skin.channels)
         errors, rng = RigErrors.none(), np.random.default_rng(2)
         boards = []
         for stream, names in ((Stream.WRENCH, wrenches), (Stream.SKIN, skins)):
