@@ -42,7 +42,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json, read_regular
-from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
+from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, SideReading, Stream, joined
 from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
 
@@ -75,6 +75,7 @@ SCHEMAS: dict[str, str] = {
         f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
     ),
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nuint64 device_time_us\nfloat32[] values\n{_HEADER}",
+    "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
     "sensor_msgs/msg/JointState": (
         f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
     ),
@@ -100,6 +101,8 @@ class LinkTotals:
     """Name of the format found last; empty while unknown."""
     readings: int
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
+    beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
+    """What else the device measured, by name and unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,8 @@ class Totals:
         for new in health:
             old = links.get(new.link, LinkTotals(new.link, "", 0))
             losses = Counter(old.losses) + Counter(new.losses)
-            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses)
+            beside = joined(old.beside, new.beside)
+            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses, beside)
         return Totals(tuple(links.values()), self.unpaired + unpaired)
 
 
@@ -168,6 +172,7 @@ def note_to_json(note: Note) -> dict[str, Any]:
                 "format": link.format,
                 "readings": link.readings,
                 "lost": {loss.name: count for loss, count in link.losses.items() if count},
+                **({"beside": {name: _to_json(found) for name, found in link.beside.items()}} if link.beside else {}),
             }
             for link in note.links
         }
@@ -401,9 +406,14 @@ def _value(key: str, value: Any) -> Any:
 def _totals_from_json(document: Mapping[str, Any]) -> Totals:
     def read(name: str, link: Mapping[str, Any]) -> LinkTotals:
         losses = {Loss[loss]: _whole(count) for loss, count in link["lost"].items()}
-        return LinkTotals(name, _text_of(link["format"]), _whole(link["readings"]), losses)
+        beside = {_text_of(key): _side_reading(found) for key, found in link.get("beside", {}).items()}
+        return LinkTotals(name, _text_of(link["format"]), _whole(link["readings"]), losses, beside)
 
     return Totals(tuple(read(name, link) for name, link in document["links"].items()), _whole(document["unpaired"]))
+
+
+def _side_reading(document: Mapping[str, Any]) -> SideReading:
+    return SideReading(*(_number(document[item.name]) for item in fields(SideReading)))
 
 
 _READERS: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
@@ -464,6 +474,12 @@ def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: Floa
     if len(angles):
         body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
     return _PREFIX + body + struct.pack("<II", 0, 0)
+
+
+def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
+    """Return a `sensor_msgs/msg/Temperature`, degC, its variance 0, which stands for unknown."""
+    body = _stamped(unix_ns, frame)
+    return _PREFIX + body + bytes(-len(body) % 8) + struct.pack("<dd", celsius, 0.0)
 
 
 def _stamped(unix_ns: int, frame: str) -> bytes:
