@@ -44,6 +44,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import parse_json, read_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, SideReading, Stream, joined
 from skincal.model.tables import shown
+from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
 _END = b"]\n"
@@ -251,7 +252,12 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
         number=_whole(body["segment"]),
         host_ns=host_ns,
         links=tuple(
-            LinkSpec(_text_of(link["name"]), _text_of(link["address"]), tuple(map(Stream, link["carries"])), link["format"])
+            LinkSpec(
+                _text_of(link["name"]),
+                label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
+                tuple(map(Stream, link["carries"])),
+                link["format"],
+            )
             for link in body["links"]
         ),
         format=body["format"],
@@ -264,7 +270,7 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
 def link_to_json(link: LinkSpec) -> dict[str, Any]:
     """Return what a link is as a JSON object."""
     carries = [stream.value for stream in link.carries]
-    return {"name": link.name, "address": link.address, "carries": carries, "format": link.format}
+    return {"name": link.name, "address": label_of(link.address), "carries": carries, "format": link.format}
 
 
 def _taken_from_json(document: Mapping[str, Any]) -> Taken:

@@ -1,4 +1,4 @@
-"""A sensor's temperature is a channel of the session: kept with it, counted through breaks, said, and read by other programs."""
+"""A sensor's temperature is a channel of the session: kept, counted through breaks, said, read by other programs."""
 
 import json
 import struct
