@@ -6,12 +6,13 @@ and degrees appear only in their text.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
+from skincal.model.readings import SideReading
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -84,6 +85,12 @@ def state_sentence(reason: StateReason | None) -> str:
         miss_max=f"{MISS_MAX * 1e3:.0f} mm",
         sd_max=f"{SD_MAX * 1e3:.0f} mm",
     )
+
+
+def beside_words(beside: Mapping[str, SideReading]) -> str:
+    """Return what a device measured beside its readings: the newest, and between what it was."""
+    named = ((*name.partition(", ")[::2], found) for name, found in beside.items())
+    return ", ".join(f"{what} {at.now:.1f} {unit} ({at.least:.1f} to {at.most:.1f})" for what, unit, at in named)
 
 
 def _coarse(metres: float) -> str:

@@ -50,9 +50,11 @@ from skincal.model.readings import (
     LinkState,
     Loss,
     Sample,
+    SideReading,
     SkinBatch,
     Stream,
     WrenchBatch,
+    joined,
 )
 from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
@@ -417,6 +419,7 @@ class _LinkIntake:
         self._decoder = self._new_decoder()
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
+        self._beside_before: dict[str, SideReading] = {}
         self._state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
@@ -446,6 +449,7 @@ class _LinkIntake:
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
+            self._beside_before = self._beside()
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
@@ -470,10 +474,12 @@ class _LinkIntake:
         """Return the figures of the link; `pairing` holds the losses of the pairing, which count for the skin's link."""
         text = self._text or (self._decoder.note if self._state is LinkState.OPEN else "")
         losses = self._before + self._decoder.counts + pairing
-        spec, rate = self.spec, self._rate_until(now_ns)
-        return LinkHealth(
-            spec.name, self._state, text, spec.carries, self._decoder.name, self._readings, rate, self._last_ns, losses
-        )
+        spec, rate, last_ns = self.spec, self._rate_until(now_ns), self._last_ns
+        name, beside = self._decoder.name, self._beside()
+        return LinkHealth(spec.name, self._state, text, spec.carries, name, self._readings, rate, last_ns, losses, beside)
+
+    def _beside(self) -> dict[str, SideReading]:
+        return joined(self._beside_before, self._decoder.beside)
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading where that is less."""

@@ -59,7 +59,7 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
         assert main(["watch", f"bota:{address}", "--seconds", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[0])
     assert figures["format"] == "Bota gen0"
-    assert figures["extras"] == {"temperature, degC": 31.5}
+    assert figures["beside"] == {"temperature, degC": {"least": 31.5, "most": 31.5, "now": 31.5}}
     assert figures["rates"]["wrench"] > 30
     assert figures["losses"] == {}
 
