@@ -54,6 +54,12 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
         ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
+        (
+            "closing",
+            "Closing check again",
+            "A",
+            "Once it is enough: poke some of the first places once more; whether anything moved",
+        ),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
         ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
@@ -216,6 +222,7 @@ class Commands(QObject):
             ("another", may.another),
             ("no landmarks", may.skip_landmarks),
             ("verdict", may.verdict),
+            ("closing", may.ends),
         ):
             self.actions[name].setEnabled(enabled)
 

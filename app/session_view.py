@@ -44,7 +44,7 @@ from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
-from app.text.guidance_text import early_words
+from app.text.guidance_text import NOTHING_TO_CHECK, early_words
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -55,7 +55,19 @@ from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
-from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.model.actions import (
+    Action,
+    AtLandmark,
+    BeginClosing,
+    Exclude,
+    MarkDead,
+    Redo,
+    Restore,
+    Revive,
+    SetPose,
+    Uncorrect,
+    Undo,
+)
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.error_history import ErrorFollower, ModulesCheck
@@ -510,12 +522,21 @@ class SessionView(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self.guide.skip()
-        self.follow_again()
+        self._act_and_follow(self.guide.skip())
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose, or end the closing check."""
-        self.guide.skip_landmarks()
+        self._act_and_follow(self.guide.skip_landmarks())
+
+    def check_again(self) -> None:
+        """Make the closing check once more."""
+        self._act_and_follow(BeginClosing(wanted=True))
+        if self._guidance is not None and self._guidance.closing is None:
+            self.said.emit(Message(NOTHING_TO_CHECK))
+
+    def _act_and_follow(self, action: Action | None) -> None:
+        if action is not None:
+            self._controller.act(action)
         self.follow_again()
 
     def recolour(self) -> None:

@@ -188,6 +188,7 @@ class Window(QMainWindow):
             "pause": self.controller.toggle,
             "verdict": self._of_session(lambda view: view.ask_verdict(self)),
             "another": self._of_session(lambda view: view.skip_target()),
+            "closing": self._of_session(lambda view: view.check_again()),
             "correct": self._of_session(lambda view: view.correct()),
             "no landmarks": self._of_session(lambda view: view.skip_landmarks()),
             "undo": self._of_session(lambda view: view.undo()),

@@ -104,7 +104,15 @@ def closing_sentence(closing: Closing) -> str:
     if not closing.moved:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
-    return f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and poke again."
+    return (
+        f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and check again."
+    )
+
+
+def earlier_closings(closings: Sequence[Closing]) -> list[str]:
+    """Return what the closing checks before the last one found, in a sentence; none where there was none."""
+    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{' (moved)' if each.moved else ''}" for each in closings[:-1]]
+    return [f"Checked before: {', '.join(found)}."] if found else []
 
 
 def missed_words(missed: MissedLandmark) -> str:

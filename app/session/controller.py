@@ -330,7 +330,8 @@ class Controller(QObject):
         recording = self._recording
         if recording is None or self.running is not Running.STREAMING or guidance is None or guidance.closing is None:
             return
-        if recording.pipeline.session.closing_after is None:
+        # What is shown may be older than the session, in which it began meanwhile.
+        if len(recording.pipeline.session.closings) < guidance.closing.number:
             from skincal.model.actions import BeginClosing
 
             recording.pipeline.act(BeginClosing(), time.monotonic_ns())

@@ -189,11 +189,11 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
 
 def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
     """Return whether anything moved since the session began, where that was checked."""
-    from skincal.sentences import closing_sentence
-    from skincal.session.closing_pokes import closing_of
+    from skincal.sentences import closing_sentence, earlier_closings
+    from skincal.session.closing_pokes import closings_of
 
-    closing = closing_of(snapshot, scene.noise)
-    return [] if closing is None else [closing_sentence(closing)]
+    closings = closings_of(snapshot, scene.noise)
+    return [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:

@@ -10,6 +10,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import ContactSettings, Landmark
+from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
@@ -22,6 +23,18 @@ class PokeRecord:
     outcome: Outcome
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClosingRound:
+    """One closing check as it was asked for."""
+
+    after: int
+    """Number of the last poke before it began."""
+    skipped: frozenset[ClosingPlace] = frozenset()
+    """Places that are asked for no more in it."""
+    ended: bool = False
+    """The operator ended it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +72,10 @@ class Snapshot:
     """Pokes that a landmark was asked for and that passed it too far, by their number."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
-    closing_after: int | None = None
-    """Number of the last poke before the closing check began; None where it has not."""
     thresholds: ContactSettings = field(default_factory=ContactSettings)
     """Those by which pokes that begin now are judged."""
+    closings: tuple[ClosingRound, ...] = ()
+    """The closing checks that began, the newest last."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
