@@ -1,4 +1,4 @@
-"""As much of bota_driver 1.1.16 as is used; `test_the_fake_is_like_the_driver` holds it against the real one."""
+"""As much of bota_driver 1.1.16 as is used; `test_command_links.py` holds it against the real one."""
 
 import os
 import time
