@@ -325,6 +325,7 @@ class Session:
             missed_landmarks=self._known.missed,
             corrections=self.corrections,
             closing_after=self._closing_after,
+            distances=self._solving.tried_distances,
         )
         return self._snapshot
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
@@ -13,6 +14,9 @@ from skincal.model.scene import Landmark
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,8 @@ class Snapshot:
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
     closing_after: int | None = None
     """Number of the last poke before the closing check began; None where it has not."""
+    distances: tuple[TriedDistance, ...] = ()
+    """Of each known distance between modules of the scene, whether the modules method uses it."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
