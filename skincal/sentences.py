@@ -7,6 +7,7 @@ and degrees appear only in their text.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +20,9 @@ from skincal.rig.correction import FRAME, UsedCorrection
 from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 MOST_NAMED = 4
 """Modules that one sentence names; of more the first."""
@@ -206,6 +210,20 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         if trust < DOUBTED
     ]
     return (first, *doubted)
+
+
+def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
+    """Return how many known distances between modules are used, then of each other one why not; none where none is known."""
+    if not tried:
+        return []
+    said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
+    for each in (each for each in tried if not each.used):
+        kind, (one, other) = "taxels" if each.told.of_taxels else "modules", each.told.ends
+        found, told = "", f"{each.told.length * 1e3:.1f} mm"
+        if each.found is not None and each.sd is not None:
+            found = f" (pokes alone make it {each.found * 1e3:.1f} mm, and should lie within {2e3 * each.sd:.1f} mm of it)"
+        said.append(f"The distance between {kind} {one} and {other}, {told}, is not used: {each.use.value}{found}.")
+    return said
 
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:

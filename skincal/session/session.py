@@ -354,6 +354,7 @@ class Session:
             corrections=self.corrections,
             thresholds=self.thresholds,
             closings=self._closings,
+            distances=self._solving.tried_distances,
         )
         return self._snapshot
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
@@ -14,6 +15,9 @@ from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +80,8 @@ class Snapshot:
     """Those by which pokes that begin now are judged."""
     closings: tuple[ClosingRound, ...] = ()
     """The closing checks that began, the newest last."""
+    distances: tuple[TriedDistance, ...] = ()
+    """Of each known distance between modules of the scene, whether the modules method uses it."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
