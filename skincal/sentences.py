@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
-from skincal.model.readings import SideReading
+from skincal.model.readings import LinkHealth, SideReading
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -296,3 +296,17 @@ def _axes_words(axes: np.ndarray) -> str:
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
     return f"its axes are reported in another order: x, y, z are {', '.join(named)}"
+
+
+def silent_links(links: Sequence[LinkHealth]) -> str:
+    """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
+    # The device's own last words say more than what can be guessed from its bytes.
+    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
+    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
+
+
+def _seen(link: LinkHealth) -> str:
+    if not link.last_host_ns:
+        return "nothing arrived; check the device's power, its cable and its baud rate"
+    expected = " and ".join(stream.value for stream in link.carries)
+    return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"
