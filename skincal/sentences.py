@@ -12,6 +12,7 @@ import numpy as np
 
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
+from skincal.model.readings import LinkAnswer, LinkVerdict, Stream
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -263,3 +264,26 @@ def _axes_words(axes: np.ndarray) -> str:
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
     return f"its axes are reported in another order: x, y, z are {', '.join(named)}"
+
+
+STREAM_NAMES = {Stream.WRENCH: "F/T sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints"}
+_HAS = {Stream.WRENCH: "a wrench has", Stream.SKIN: "the scene has", Stream.JOINTS: "the arm needs"}
+
+
+def link_verdict_words(verdict: LinkVerdict) -> str:
+    """Return what is found of a link, in few words; a sentence on why it does not open is the link's own."""
+    match verdict.answer:
+        case LinkAnswer.GOOD:
+            return "good; no value has changed yet, press the skin once" if verdict.unchanged else "good"
+        case LinkAnswer.NO_READING:
+            tried = f" (tried {', '.join(map(str, verdict.tried))})" if verdict.tried else " Another device?"
+            return f"bytes arrive but none is a reading: another baud rate?{tried}"
+        case LinkAnswer.OTHER_STREAM:
+            found = STREAM_NAMES[verdict.found or Stream.SKIN]
+            return f"this is the {found}: its lines have {verdict.width} values. Swap?"
+        case LinkAnswer.OTHER_WIDTH:
+            return f"{plural(verdict.width, 'value')} where {_HAS[verdict.stream or Stream.SKIN]} {verdict.expected}"
+        case LinkAnswer.FROZEN:
+            return "values never change: the sensor stopped, or its driver repeats one reading"
+        case LinkAnswer.LISTENING | LinkAnswer.NO_ANSWER:
+            return verdict.answer.value
