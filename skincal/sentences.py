@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
-from skincal.model.readings import LinkHealth, SideReading
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -310,3 +310,26 @@ def _seen(link: LinkHealth) -> str:
         return "nothing arrived; check the device's power, its cable and its baud rate"
     expected = " and ".join(stream.value for stream in link.carries)
     return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"
+
+
+STREAM_NAMES = {Stream.WRENCH: "F/T sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints"}
+_HAS = {Stream.WRENCH: "a wrench has", Stream.SKIN: "the scene has", Stream.JOINTS: "the arm needs"}
+
+
+def link_verdict_words(verdict: LinkVerdict) -> str:
+    """Return what is found of a link, in few words; a sentence on why it does not open is the link's own."""
+    match verdict.answer:
+        case LinkAnswer.GOOD:
+            return "good; no value has changed yet, press the skin once" if verdict.unchanged else "good"
+        case LinkAnswer.NO_READING:
+            tried = f" (tried {', '.join(map(str, verdict.tried))})" if verdict.tried else " Another device?"
+            return f"bytes arrive but none is a reading: another baud rate?{tried}"
+        case LinkAnswer.OTHER_STREAM:
+            found = STREAM_NAMES[verdict.found or Stream.SKIN]
+            return f"this is the {found}: its lines have {verdict.width} values. Swap?"
+        case LinkAnswer.OTHER_WIDTH:
+            return f"{plural(verdict.width, 'value')} where {_HAS[verdict.stream or Stream.SKIN]} {verdict.expected}"
+        case LinkAnswer.FROZEN:
+            return "values never change: the sensor stopped, or its driver repeats one reading"
+        case LinkAnswer.LISTENING | LinkAnswer.NO_ANSWER:
+            return verdict.answer.value

@@ -158,7 +158,7 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
     """Return an event as a JSON object."""
     if isinstance(event, LinkEvent):
         body = {"type": "link", "link": event.link, "state": event.state.value, "text": event.text}
-        body |= {"dropped": event.dropped} if event.dropped else {}
+        body |= {key: value for key, value in (("dropped", event.dropped), ("tried", event.tried)) if value}
     elif isinstance(event, Ending):
         body = {"type": "end"}
     else:
@@ -241,9 +241,8 @@ def _text_of(value: object) -> str:
 
 
 def _link_event(host_ns: int, body: Mapping[str, Any]) -> LinkEvent:
-    return LinkEvent(
-        _text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), _whole(body.get("dropped", 0))
-    )
+    dropped, tried = _whole(body.get("dropped", 0)), tuple(map(_whole, body.get("tried", ())))
+    return LinkEvent(_text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), dropped, tried)
 
 
 def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
