@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 from importlib import import_module
+from types import FrameType
 from typing import Any, NoReturn
 
 from skincal.streams.decoders.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
@@ -78,10 +79,14 @@ def read_driver(bota: Any, settings: dict[str, Any], out: int) -> NoReturn:
         driver.shutdown()
 
 
+def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+    sys.exit()
+
+
 def main(text: str) -> None:
     """Run until the parent ends it."""
     # The sensor is left as it was found: see `finally` above.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    signal.signal(signal.SIGTERM, _leave)
     out = os.dup(1)
     os.dup2(2, 1)
     try:

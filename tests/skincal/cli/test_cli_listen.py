@@ -159,5 +159,5 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
         (tmp_path / "yarp.conf").write_text(f"{host} {port} yarp\n", encoding="utf-8")
         assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm"]
+    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""
