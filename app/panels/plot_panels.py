@@ -6,11 +6,16 @@ One has the curves of force and moment; the other the errors of each method, aga
 from __future__ import annotations
 
 import importlib
+import time
 from abc import abstractmethod
+from collections.abc import Iterator
+from functools import partial
 from html import escape
+from types import ModuleType
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSettings, Qt, Signal
+from PySide6 import QtCore, QtGui, QtWidgets
+from PySide6.QtCore import QSettings, Qt, QTimer, Signal
 from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
 from app.panels.widgets import AbstractWidget, plain_tip, quiet, short_box, theme_colours
@@ -29,6 +34,8 @@ if TYPE_CHECKING:
 
 DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
+TYPES_S = 0.005
+"""s. Types of Qt are made for so long at once: all of them take 0.17 s."""
 
 
 class PlotPanel(QWidget, metaclass=AbstractWidget):
@@ -67,10 +74,24 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
             self.draw_state(state)
         elif self.isVisible() and self._threads is None:
             self._threads = ThreadService("curves", self)
-            self._threads.submit(_import_pyqtgraph, self._take_imported, self._label.setText)
+            self._make_types(self._threads, _types_of_qt())
         # It was imported while the panel was hidden.
         elif self.isVisible() and self._imported:
             self._make(state)
+
+    def _make_types(self, threads: ThreadService, left: Iterator[tuple[ModuleType, str]]) -> None:
+        """Have PySide6 make its types in this thread, a few at a time, then import beside the window.
+
+        They are made when they are first named, and pyqtgraph names all. One that is used here while another thread makes it
+        ends the program: it did, one start in fifty (6.11).
+        """
+        end_s = time.perf_counter() + TYPES_S
+        for module, name in left:
+            getattr(module, name)
+            if time.perf_counter() > end_s:
+                QTimer.singleShot(0, self, partial(self._make_types, threads, left))
+                return
+        threads.submit(_import_pyqtgraph, self._take_imported, self._label.setText)
 
     def _take_imported(self, _nothing: None) -> None:
         self._imported = True
@@ -82,6 +103,11 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
         self._label.hide()
         self.ready = True
         self.draw_state(state)
+
+
+def _types_of_qt() -> Iterator[tuple[ModuleType, str]]:
+    """Yield what pyqtgraph copies, by module and name."""
+    return ((module, name) for module in (QtCore, QtGui, QtWidgets) for name in dir(module))
 
 
 def _import_pyqtgraph() -> None:

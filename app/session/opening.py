@@ -146,8 +146,12 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     from skincal.session.pipeline import Pipeline
 
     pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
-    if truth:
-        write_atomically(folder / TRUTH_NAME, truth)
+    try:
+        if truth:
+            write_atomically(folder / TRUTH_NAME, truth)
+    except InputError:
+        pipeline.close()
+        raise
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline

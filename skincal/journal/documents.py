@@ -48,6 +48,8 @@ from skincal.model.tables import shown
 from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
+LINKS_MOST = len(Stream)
+"""Links of a session: each carries another stream."""
 _END = b"]\n"
 _HEAD = 12
 """Bytes before what the checksum covers: `["`, eight digits, `",`."""
@@ -251,19 +253,26 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
     return SegmentMark(
         number=_whole(body["segment"]),
         host_ns=host_ns,
-        links=tuple(
-            LinkSpec(
-                _text_of(link["name"]),
-                label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
-                tuple(map(Stream, link["carries"])),
-                link["format"],
-            )
-            for link in body["links"]
-        ),
+        links=_links(body["links"]),
         format=body["format"],
         scene=_text_of(body["scene"]),
         digest=None if body.get("scene_digest") is None else _text_of(body["scene_digest"]),
         continues=bool(body.get("continues", False)),
+    )
+
+
+def _links(documents: Sequence[Mapping[str, Any]]) -> tuple[LinkSpec, ...]:
+    """Return the links of a segment: all of their addresses are shown before any is connected."""
+    if len(documents) > LINKS_MOST:
+        raise InputError(f"has {len(documents)} links; expected at most {LINKS_MOST}, one for each stream; {_PLAY}.")
+    return tuple(
+        LinkSpec(
+            _text_of(link["name"]),
+            label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
+            tuple(map(Stream, link["carries"])),
+            link["format"],
+        )
+        for link in documents
     )
 
 

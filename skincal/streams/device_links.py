@@ -25,6 +25,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
+from skincal.model.errors import InputError
+from skincal.model.given import read_regular
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
 from skincal.streams.device_address import DeviceAddress, parse_device
@@ -265,6 +267,8 @@ def _netft_page(device: DeviceAddress, ports: Ports) -> bytes:
 # ------------------------------------------------------------------ YARP
 
 
+CONFIG_MOST = 1 << 16
+"""Bytes of a file of YARP's settings: each is a line or two."""
 NAMES_SHOWN = 3
 """Ports named as examples where one is not known."""
 
@@ -292,10 +296,10 @@ def _yarp_folder() -> Path:
 
 
 def _first_words(path: Path) -> list[str]:
-    """Return the words of a file's first line that says something; none where there is no such file."""
+    """Return the words of a file's first line that says something; none where there is no such file, or none of YARP's size."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
+        lines = read_regular(path, CONFIG_MOST).decode("utf-8", "replace").splitlines()
+    except InputError:
         return []
     words = [line.split() for line in lines if line.strip() and line.strip()[0] not in "#["]
     return words[0] if words else []

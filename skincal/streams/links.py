@@ -42,6 +42,8 @@ SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
 KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
+ADDRESS_MOST = 1000
+"""Characters of an address: four times the longest name of a host. Before it is connected, all of it is shown."""
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
@@ -66,7 +68,7 @@ BITS_PER_BYTE = 10
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """A link as the operator describes it."""
+    """A link as the operator describes it; `InputError` where its address is too long."""
 
     name: str
     """Unique in a session, such as `"wrench"`."""
@@ -76,6 +78,11 @@ class LinkSpec:
     carries: tuple[Stream, ...]
     format: str = "auto"
     """One of `skincal.streams.decoders.detect.NAMES`."""
+
+    def __post_init__(self) -> None:
+        length = len(self.address)
+        if length > ADDRESS_MOST:
+            raise InputError(f"{self.address}: the address has {length} characters; expected at most {ADDRESS_MOST}.")
 
 
 class LinkKind(Enum):
