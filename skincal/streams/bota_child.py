@@ -78,10 +78,14 @@ def read_driver(bota: Any, settings: dict[str, Any], out: int) -> NoReturn:
         driver.shutdown()
 
 
+def _leave(*_: object) -> NoReturn:
+    sys.exit()
+
+
 def main(text: str) -> None:
     """Run until the parent ends it."""
     # The sensor is left as it was found: see `finally` above.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    signal.signal(signal.SIGTERM, _leave)
     out = os.dup(1)
     os.dup2(2, 1)
     try:

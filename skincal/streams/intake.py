@@ -476,7 +476,10 @@ class _LinkIntake:
         losses = self._before + self._decoder.counts + pairing
         spec, rate, last_ns = self.spec, self._rate_until(now_ns), self._last_ns
         name, beside = self._decoder.name, self._beside()
-        return LinkHealth(spec.name, self._state, text, spec.carries, name, self._readings, rate, last_ns, losses, beside)
+        units = "; ".join(words for stream, words in self._decoder.units.items() if stream in spec.carries)
+        return LinkHealth(
+            spec.name, self._state, text, spec.carries, name, self._readings, rate, last_ns, losses, beside, units
+        )
 
     def _beside(self) -> dict[str, SideReading]:
         return joined(self._beside_before, self._decoder.beside)
