@@ -62,6 +62,10 @@ SOLVING_S = 0.4
 """s. Solving that lasts longer is said."""
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
+FAR_BEHIND_NS = 1_000_000_000
+"""ns. Readings that wait for so long are about to be dropped: they go before pictures."""
+FAR_DRAIN_S = 0.060
+"""s. So long then: the window still answers within a tenth of a second."""
 SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
@@ -425,7 +429,8 @@ class Controller(QObject):
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        drained = recording.drain(DRAIN_S)
+        far = recording.behind and 0 < recording.reached_ns < time.monotonic_ns() - FAR_BEHIND_NS
+        drained = recording.drain(FAR_DRAIN_S if far else DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:
             self._say_failure(refused_words(recording.pipeline.journal_failure))

@@ -33,7 +33,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams.decoders.detect import AUTO
-from skincal.streams.device_address import parse_device
+from skincal.streams.device_address import from_start, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 DEFAULT_BAUD = 115200
@@ -488,19 +488,20 @@ class Inbox:
         self._dropped: Counter[str] = Counter()
         self._until_ns: dict[str, int] = {}
 
-    def put(self, item: Any) -> None:
-        """Take the next item, if it has room; what is no `Chunk` always has."""
+    def put(self, item: Any) -> bool:
+        """Take the next item, if it has room; what is no `Chunk` always has. Return whether it was taken."""
         with self._lock:
             if not isinstance(item, Chunk):
                 if isinstance(item, LinkEvent):
                     # Before it: what was dropped came while the link was open.
                     self._tell_dropped(item.link, item.host_ns)
-                self._queue.put(item)
             elif self._has_room(item):
                 self._waiting[item.link] += len(item.data) + ITEM_BYTES
-                self._queue.put(item)
             else:
                 self._dropped[item.link] += len(item.data)
+                return False
+            self._queue.put(item)
+            return True
 
     def _has_room(self, chunk: Chunk) -> bool:
         """Return whether a chunk may wait; where that is so again, say first what was dropped."""
@@ -556,6 +557,7 @@ class Reader:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {spec.name}", daemon=True)
         self._opened = False
+        self._from_start = from_start(spec.address)
         self._reported = ""
         """The sentence that was reported last."""
         self._reason, self._reason_since_s = "", 0.0
@@ -616,13 +618,18 @@ class Reader:
         while not self._stop.is_set():
             data = link.read(READ_S)
             if data:
-                # Stamped at once, by a clock that nobody can set back while a session runs.
-                self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data))
+                self._keep(data)
             # Of a port whose baud rate is searched: what follows is heard at another one.
             now_tried: tuple[int, ...] = getattr(link, "tried", ())
             if len(now_tried) > 1 and now_tried != tried:
                 tried = now_tried
                 self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))
+
+    def _keep(self, data: bytes) -> None:
+        # Stamped at once, by a clock that nobody can set back while a session runs.
+        if self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data)) is False and self._from_start:
+            self._stop.wait(DROP_NS * 1e-9)
+            raise LinkFailure(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected anew.")
 
     def _could_not_open(self, failure: LinkFailure) -> None:
         """Report why the link does not open: at once the first time, later only what is new and lasts."""

@@ -51,7 +51,7 @@ def test_watch_shows_a_wrench_with_its_units_and_rate(capsys):
     with sending("netft", Stream.WRENCH) as address:
         assert main(["watch", address, "--seconds", "1.5"]) == 0
     out = capsys.readouterr().out
-    assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m" in out
+    assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m (Fx Fy Fz in N, Mx My Mz in N m)" in out
     assert "ATI RDT" in out
 
 
@@ -69,7 +69,7 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
 def test_watch_shows_a_skin(capsys):
     with sending("xela", Stream.SKIN) as address:
         assert main(["watch", address, "--seconds", "1"]) == 0
-    assert "4 values, 0 to 3" in capsys.readouterr().out
+    assert "4 values, 0 to 3 (the force across the skin of each taxel, as raw words)" in capsys.readouterr().out
 
 
 def test_watch_says_that_a_skin_is_no_wrench(capsys):

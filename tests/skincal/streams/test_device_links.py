@@ -9,17 +9,19 @@ import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from skincal.model.errors import SENTENCE_MOST, InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
-from skincal.simulate.makers import NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.streams import links
 from skincal.streams.device_address import format_of, parse_device
 from skincal.streams.device_links import yarp_server
 from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.intake import Intake
-from skincal.streams.links import ADDRESS_MOST, LinkKind, LinkSpec, Reader, open_link, parse_address
+from skincal.streams.links import ADDRESS_MOST, Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
 from tests.approved import approved
 
 PATIENCE_S = 5.0
@@ -249,6 +251,50 @@ def test_netft_without_its_page_says_what_to_give():
     for wrong in ("cpf=x&cpt=1", "device=hexagon"):
         assert wrong.split("=")[1].split("&")[0] in refusal(f"netft://127.0.0.1:9?{wrong}")
     open_link(spec("netft://127.0.0.1:9?device=hex")).close()
+
+
+# ------------------------------------------------------------------ more than can be worked on
+
+
+@pytest.mark.parametrize("maker", ["netft", "yarp", "rtde", "xela", "robotiq-text"])
+def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
+    """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
+    monkeypatch.setattr(links, "WAITING_MOST", 4000)
+    stream = Stream.SKIN if maker == "xela" else Stream.WRENCH
+    encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets().open(maker, stream, tcp=True), Inbox()
+    count = 0
+
+    def write():
+        nonlocal count
+        count += 1
+        one = encoder.skin(count, np.zeros(4)) if stream is Stream.SKIN else encoder._wrench(count * 2000, [1.0] * 6)
+        say(outlet, one)
+        time.sleep(0.002)
+
+    address = spec(outlet.address, (stream,))
+    intake, reader = Intake(4, [address]), Reader(address, inbox)
+    with served(outlet):
+        reader.start()
+        try:
+            while_not(lambda: intake.health(0)[0].readings > 20, inbox, intake, write)
+            for _ in range(400):  # nobody takes them
+                write()
+            held = intake.health(0)[0].readings
+            while_not(lambda: intake.health(0)[0].readings > held + 200, inbox, intake, write)
+        finally:
+            reader.stop()
+    (health,) = intake.health(0)
+    assert health.state is LinkState.OPEN
+    assert health.losses[Loss.DROPPED] > 0
+
+
+def while_not(done, inbox, intake, write):
+    end = time.monotonic() + 4 * PATIENCE_S
+    while not done():
+        assert time.monotonic() < end, intake.health(0)
+        write()
+        while not inbox.empty():
+            intake.feed(inbox.get())
 
 
 # ------------------------------------------------------------------ RTDE, websockets
