@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from skincal.contacts.outcome import Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
@@ -98,6 +99,11 @@ def closing_sentence(closing: Closing) -> str:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
     return f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and poke again."
+
+
+def rejection_words(outcome: Rejection) -> str:
+    """Return why a poke does not count: `"too soft (2.1, limit 4 N)"`."""
+    return f"{outcome.reason.value} ({f'{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}'.rstrip()})"
 
 
 def missed_words(missed: MissedLandmark) -> str:
