@@ -32,6 +32,7 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
+    from skincal.robot.target_server import TargetServer
     from skincal.session.asking import RobotGuide
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import Inbox, LinkSpec, Reader
@@ -153,12 +154,13 @@ def record(
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     items = Inbox()
-    with stopping() as stop, new_session(out, loaded, links) as pipeline, _guiding(pipeline, targets, method) as robot:
+    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
         readers = {link.name: Reader(link, items) for link in links}
         try:
+            robot = _guide(pipeline, server, method)
             _choose_pose(pipeline, pose)
             for reader in readers.values():
                 reader.start()
@@ -177,17 +179,22 @@ def record(
 
 
 @contextlib.contextmanager
-def _guiding(pipeline: Pipeline, targets: str | None, method: Method | None) -> Generator[RobotGuide | None]:
-    """Yield what guides a robot at a port; None where none is named."""
+def _asking(targets: str | None) -> Generator[TargetServer | None]:
+    """Yield the port at which a robot is asked; None where none is named."""
     if targets is None:
         yield None
         return
     from skincal.robot.target_server import TargetServer, parse_port
-    from skincal.session.asking import RobotGuide
 
     with contextlib.closing(TargetServer(*parse_port(targets))) as server:
         say(f"targets: a robot is asked at {server.host}:{server.port}", err=True)
-        yield RobotGuide(pipeline, server, method)
+        yield server
+
+
+def _guide(pipeline: Pipeline, server: TargetServer | None, method: Method | None) -> RobotGuide | None:
+    from skincal.session.asking import RobotGuide
+
+    return None if server is None else RobotGuide(pipeline, server, method)
 
 
 @contextlib.contextmanager

@@ -44,6 +44,8 @@ PENDING_MAX = 1 << 16
 AGAIN_S = 0.5
 """s. Who was hung up on is heard again so much later."""
 READ_BYTES = 4096
+SAID_AGAIN_S = 60.0
+"""s. Who comes, is hung up on and comes again costs one sentence in so long."""
 SAME_WORDS = 40
 """Characters by which a sentence is known again."""
 HOLD_MAX = 1000
@@ -92,8 +94,8 @@ class TargetServer:
         self._lines = Lines()
         self._times: deque[float] = deque(maxlen=LINES_A_SECOND)
         self._deaf_until_s = 0.0
-        self._said = set[str]()
-        """Sentences since the last good answer, by how they begin: none is said twice."""
+        self._said: dict[str, float] = {}
+        """When each sentence was said last, by how it begins; host's monotonic clock, seconds."""
         self._refusal = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="targets", daemon=True)
@@ -214,7 +216,6 @@ class TargetServer:
             raise InputError(f"it sends more than {LINES_A_SECOND} lines in a second.")
         answer = read_answer_line(line)
         if answer is not None:
-            self._said.clear()
             self._put(answer)
 
     def _refuse(self, reason: str) -> None:
@@ -237,9 +238,9 @@ class TargetServer:
         self._client, self._pending = None, b""
 
     def _tell(self, sentence: str) -> None:
-        kind = sentence[:SAME_WORDS]
-        if kind not in self._said:
-            self._said.add(kind)
+        kind, now_s = sentence[:SAME_WORDS], time.monotonic()
+        if now_s - self._said.get(kind, -SAID_AGAIN_S) >= SAID_AGAIN_S:
+            self._said[kind] = now_s
             self._put(plain_text(sentence))
 
     def _put(self, item: Answer | RobotCame | str) -> None:

@@ -109,12 +109,14 @@ class PokeAsking:
         lines: list[AskedLine] = []
         waiting = self._judge(snapshot, now_s, lines)
         wanted = self._wanted(guidance, snapshot, streaming=streaming)
+        if waiting and wanted is not NoTarget.WAIT:
+            return lines
         if isinstance(wanted, NoTarget):
             if wanted is not self._said:
                 self._said = wanted
                 self._withdraw()
                 lines.append(wanted)
-        elif not waiting and not self._is_asked(wanted):
+        elif not self._is_asked(wanted):
             self._withdraw()
             self._number += 1
             self._asked.append(_Asked(replace(wanted, number=self._number), now_s))

@@ -13,6 +13,8 @@ from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
 
 from skincal.model.scene import resource
+from skincal.robot.target_lines import write_line
+from skincal.robot.target_server import TargetServer
 from tests.app.whole_window import Bench
 
 WAIT_S = 5.0

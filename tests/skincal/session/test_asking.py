@@ -84,7 +84,8 @@ def test_a_poke_is_judged_when_it_is_final_and_the_next_target_waits_for_that():
     course = Course(poke(1, 0.0))
     course.asked(1.0, wants(3))
     course.pokes.append(poke(2, 2.0, final=False))
-    assert course.at(2.4, wants(4)) == []
+    for later in (wants(4), wants(None), None):
+        assert course.at(2.4, later) == []
     course.pokes[-1] = poke(2, 2.0)
     verdict, line = course.at(2.6, wants(4))
     assert verdict == Judged(1)
