@@ -9,7 +9,7 @@ It is imported beside the window, after the window is on the screen: numpy and a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -70,6 +70,7 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.session.asking import first_method
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
 from skincal.session.part import Part
@@ -243,13 +244,6 @@ class Workspace(QWidget):
         self.error_course.recolour()
         self.compare.show_again()
         self.view.set_dark(theme_colours().dark)
-
-
-def first_method(methods: Sequence[Method], part: Part) -> Method:
-    """Return the method that is shown first: modules where their layout lies on a mesh, since it takes far fewer pokes."""
-    if Method.MODULES in methods and part.surface is not None and part.laid is not None:
-        return Method.MODULES
-    return methods[0]
 
 
 def _card(splitter: QSplitter) -> QVBoxLayout:

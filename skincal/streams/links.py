@@ -266,7 +266,7 @@ class TcpLink:
             raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
         except OSError as error:
             raise _connect_failure(address, error) from error
-        _probe(self._socket)
+        probe(self._socket)
 
     def read(self, timeout_s: float) -> bytes:
         """See `Link`."""
@@ -294,7 +294,7 @@ class TcpLink:
         self._socket.close()
 
 
-def _probe(connection: socket.socket) -> None:
+def probe(connection: socket.socket) -> None:
     """Have the system ask a silent server whether it is there: one that lost its power says no goodbye.
 
     It is asked after `PROBE_IDLE_S` of silence, `PROBES` times, and one that answers may be silent for ever.
