@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.actions import MissedLandmark
+from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import Landmark
 from skincal.rig.closing import ClosingPlace
@@ -23,6 +23,8 @@ class PokeRecord:
     outcome: Outcome
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
+    asked: AskPoke | None = None
+    """What was asked for when it was made; None where nothing is known of that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,8 @@ class Snapshot:
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
     closings: tuple[ClosingRound, ...] = ()
     """The closing checks that began, the newest last."""
+    skips: tuple[SkipPoke | SkipLandmark, ...] = ()
+    """What the operator did not want to be asked for, in that order."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
