@@ -44,7 +44,7 @@ from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
-from app.text.guidance_text import NOTHING_TO_CHECK, early_words
+from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -55,6 +55,7 @@ from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
+from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.actions import (
     Action,
     AtLandmark,
@@ -81,6 +82,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.reference import PlaceSet, Reference
+    from skincal.guide.verdict import Verdict
     from skincal.modules.health import LayoutMend
 
 KINDS_OF_PLACES = "Known places (*.json *.csv *.txt *.ini);;All files (*)"
@@ -634,7 +636,7 @@ class SessionView(QObject):
         if state is None or self._tick is None or state.guidance is None:
             return
         found = None if state.review is None else state.review.rig
-        verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence, found)
+        verdict = self.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
         rig = rig_state(state.offers, state.snapshot.corrections.values(), state.review)
         may, names, settled = state.may, self.workspace.names, not state.offers
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
@@ -649,17 +651,14 @@ class SessionView(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            state, early = self.state, self._early_words()
-            rig = None if state is None or state.review is None else state.review.rig
-            verdicts = None
-            if state is not None and self._tick is not None:
-                # By the guide that the operator follows, which knows what was skipped.
-                verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
+            rig = None if self.state is None or self.state.review is None else self.state.review.rig
 
-            def done(sentences: tuple[str, ...]) -> None:
+            def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
+                verdict, sentences = found
+                early = () if verdict.enough else (verdict_sentence(verdict),)
                 dialog.show_findings((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure)
 
         dialog.write_requested.connect(write)
         dialog.open()
@@ -711,13 +710,6 @@ class SessionView(QObject):
         for found in sets:
             source = Source(PlaceOrigin.OTHER, name=found.name)
             self.workspace.compare.offer(source, found.places, choose=found is sets[0])
-
-    def _early_words(self) -> tuple[str, ...]:
-        """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
-        guidance = self._guidance
-        if self.state is None or guidance is None or guidance.enough:
-            return ()
-        return (early_words(guidance, self.state.snapshot.dead),)
 
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""

@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
+    from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
     from skincal.robot.target_server import TargetServer
@@ -588,37 +589,38 @@ class Controller(QObject):
         path: Path,
         method: Method,
         rig: RigAnswer | None,
-        done: Callable[[tuple[str, ...]], None],
+        done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
-        verdicts: Mapping[Method, str] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
         rig : what landmark pokes say; None where nobody has looked
-        done : gets the sentences of the file's lint
+        done : gets the verdict by `method` and the sentences of the file's lint
         failed : gets why there is none
-        verdicts : by method what was checked; worked out where they are not given
         """
-        if self._recording is None:
+        if self._recording is None or self._part is None:
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
-        from skincal.session.checked import checked_calibration
-
         # Made here, not in the thread: the session goes on while the file is written.
-        calibration = checked_calibration(self._recording.pipeline.session, rig, verdicts)
+        session, part = self._recording.pipeline.session, self._part
+        calibration, snapshot = session.calibration(), session.snapshot()
 
-        def write() -> tuple[str, ...]:
+        def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
+            from skincal.files.formats import FORMATS, ExportFormat
+            from skincal.session.checked import checked, verdicts_of
 
+            methods = session.methods if FORMATS[ExportFormat(format_)].every_method else (method,)
+            verdicts = verdicts_of(part, snapshot, methods, rig)
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
         self.compute(write, done, failed)
 

@@ -259,6 +259,8 @@ class Verdict:
     """s, from the first of these pokes to the end of the last, without pauses."""
     closings: tuple[Closing, ...] = ()
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
+    landmarks_left: int = 0
+    """Pokes at landmarks that are still asked for."""
 
     @property
     def doubted(self) -> bool:
@@ -313,6 +315,7 @@ def verdict_of(
         left=left,
         check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
         landmarks=landmarks,
+        landmarks_left=0 if guidance.landmark is None else guidance.landmark.left,
         predicted=predicted_error(estimates),
         unchecked=unchecked,
         pokes=len(contacts),
