@@ -16,6 +16,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Si
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
+    QDialog,
     QFileDialog,
     QLabel,
     QMainWindow,
@@ -40,11 +41,12 @@ from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
 from app.text.help_text import about_words
-from app.text.message import Message, connect_words, keep_question, look_words
+from app.text.message import NO_ADDRESSES, Message, connect_words, keep_question, look_words
 from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
+    from app.session.opening import Addresses
     from app.session_view import SessionView
     from skincal.session.part import Part
     from skincal.session.snapshot import Snapshot
@@ -176,6 +178,7 @@ class Window(QMainWindow):
         return {
             "new": self.ask_new,
             "open": self.ask_session,
+            "addresses": self.ask_addresses,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
             "report": self._of_session(lambda view: view.ask_report(self)),
@@ -407,8 +410,33 @@ class Window(QMainWindow):
 
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
-        dialog = NewSessionDialog(scene, folder, self)
+        dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
         dialog.request_chosen.connect(self.open)
+        self._lend_devices(dialog)
+
+    def ask_addresses(self) -> None:
+        """Ask where the devices of this session are now."""
+        from app.dialogs.new_session import NewSessionDialog
+        from app.session.opening import addresses_of
+
+        view = self.session_view
+        if view is None or self.controller.served or not self.controller.links:
+            self.tell(Message(NO_ADDRESSES, found=True))
+            return
+        present = addresses_of(self.controller.links), view.workspace.part.scene
+        dialog = NewSessionDialog(None, Path(), self, self._known_addresses(), present)
+        dialog.addresses_chosen.connect(self._use_addresses)
+        self._lend_devices(dialog)
+
+    def _use_addresses(self, addresses: Addresses) -> None:
+        self._remember({addresses.wrench, addresses.skin, addresses.joints} - {""})
+        self.controller.change_addresses(addresses)
+
+    def _lend_devices(self, dialog: QDialog) -> None:
+        """Open a page that looks at devices: what this session reads of them waits, as a port has one reader."""
+        if self.controller.running is Running.STREAMING and not self.controller.served:
+            self.controller.pause()
+            dialog.rejected.connect(self.controller.go_on)
         dialog.open()
 
     def ask_pedals(self) -> None:
