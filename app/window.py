@@ -410,9 +410,10 @@ class Window(QMainWindow):
 
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
+        paused = self._lend_devices()
         dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
         dialog.request_chosen.connect(self.open)
-        self._lend_devices(dialog)
+        self._open_page(dialog, paused=paused)
 
     def ask_addresses(self) -> None:
         """Ask where the devices of this session are now."""
@@ -424,18 +425,25 @@ class Window(QMainWindow):
             self.tell(Message(NO_ADDRESSES, found=True))
             return
         present = addresses_of(self.controller.links), view.workspace.part.scene
+        paused = self._lend_devices()
         dialog = NewSessionDialog(None, Path(), self, self._known_addresses(), present)
         dialog.addresses_chosen.connect(self._use_addresses)
-        self._lend_devices(dialog)
+        self._open_page(dialog, paused=paused)
 
     def _use_addresses(self, addresses: Addresses) -> None:
         self._remember({addresses.wrench, addresses.skin, addresses.joints} - {""})
         self.controller.change_addresses(addresses)
 
-    def _lend_devices(self, dialog: QDialog) -> None:
-        """Open a page that looks at devices: what this session reads of them waits, as a port has one reader."""
-        if self.controller.running is Running.STREAMING and not self.controller.served:
-            self.controller.pause()
+    def _lend_devices(self) -> bool:
+        """Let go of devices that a page will look at, since a port has one reader; return whether they were read."""
+        if self.controller.running is not Running.STREAMING or self.controller.served:
+            return False
+        self.controller.pause()
+        return True
+
+    def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
+        """Open a page that looks at devices; where it is left they are read again."""
+        if paused:
             dialog.rejected.connect(self.controller.go_on)
         dialog.open()
 

@@ -54,9 +54,10 @@ SWAP_KEY = "F6"
 LOOK_MS = 100
 """Ten looks a second: a hand that presses sees its own curve."""
 CURVE_PX = 120, 26
+VERDICT_PX = 34
 WIDTH_PX = 700
-HEIGHT_MOST = 0.8
-"""Of the screen; what is higher scrolls."""
+MOST_PX = 1200, 660
+"""What is larger, with large text, scrolls: a screen of 1280 x 720 shows all of it."""
 NAME_MOST = 80
 """Letters of a port's own name."""
 PLACES_SHOWN = 12
@@ -125,6 +126,9 @@ class StreamRow(QWidget):
         self.sign.setProperty("rich", True)
         self.verdict = QLabel()
         self.verdict.setWordWrap(True)
+        # Room for two lines from the first: nothing jumps as words come and go.
+        self.verdict.setMinimumHeight(scaled(VERDICT_PX))
+        self.verdict.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.verdict.setAccessibleName(f"what is found of the {stream.value}")
         self.rate = QLabel()
         set_font(self.rate, digits_font(11), 11)
@@ -244,7 +248,9 @@ class NewSessionDialog(QDialog):
         self.objection.setWordWrap(True)
         buttons = QDialogButtonBox.StandardButton
         self.buttons = QDialogButtonBox(buttons.Ok | buttons.Cancel)
-        self._previews = Previews()
+        previews = self._previews = Previews()
+        # Also where the window goes while the page is open.
+        self.destroyed.connect(lambda: previews.let_go())
         self._scene: Scene | None = None
         self._look_for, self._read = (ThreadService(name, self) for name in ("places", "set-up"))
         self._arrange()
@@ -296,10 +302,8 @@ class NewSessionDialog(QDialog):
         column = QVBoxLayout(self)
         column.addWidget(self.area, 1)
         column.addWidget(self.buttons)
-        room = self.screen().availableSize()
-        width = min(scaled(WIDTH_PX), room.width() - 40)
         height = inner.sizeHint().height() + self.buttons.sizeHint().height() + 8 * GAP
-        self.resize(width, min(height, round(HEIGHT_MOST * room.height())))
+        self.resize(min(scaled(WIDTH_PX), MOST_PX[0]), min(height, MOST_PX[1]))
         start.setFocus()
 
     def _connect(self) -> None:
