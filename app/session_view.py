@@ -314,7 +314,6 @@ class SessionView(QObject):
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
         self._connect()
-        self._show_addresses()
 
     def _connect(self) -> None:
         workspace = self.workspace
@@ -326,6 +325,7 @@ class SessionView(QObject):
         workspace.compare.layout_wanted.connect(self.ask_layout)
         workspace.compare.file_wanted.connect(self.ask_places)
         workspace.compare.session_wanted.connect(self.ask_session_places)
+        workspace.devices.change_wanted.connect(self._commands.actions["addresses"].trigger)
         workspace.tabs.currentChanged.connect(self._tab_opened)
         workspace.error_course.source_chosen.connect(self.follow_again)
         workspace.pokes.selection_changed.connect(self.refresh_allowed)
@@ -342,12 +342,8 @@ class SessionView(QObject):
         # With the workspace as its context Qt calls nothing once that is gone.
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
-    def _show_addresses(self) -> None:
-        self.workspace.devices.addresses = {link.name: link.address for link in self._controller.links}
-
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
-        self._show_addresses()
         self._cues = CueMemory.of(snapshot)
         self.workspace.now.begin(snapshot)
 

@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import (
+    Addresses,
     OpenRequest,
     begin_session,
     find_scene,
@@ -170,6 +171,8 @@ class Controller(QObject):
     """Where a robot, or the simulated operator, is asked."""
     _asking: PokeAsking | None = None
     """What is asked in the session that is open."""
+    _pose = ""
+    """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
     """Serves the simulated rig of a recorded session again."""
 
@@ -211,6 +214,7 @@ class Controller(QObject):
         self._set_running(Running.OPENING)
         self._storage = storage = Storage(request, self._documents)
         self.demo, self.pace = request.demo, BRISK if request.demo else 1
+        self._pose = request.pose
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
@@ -391,9 +395,17 @@ class Controller(QObject):
         if part is not None and links and storage is not None:
             self.compute(
                 lambda: begin_session(part, links, storage.folder, truth),
-                lambda pipeline: self._take_recording(Recording(pipeline, storage)),
+                lambda pipeline: self._take_new(Recording(pipeline, storage)),
                 dropped=lambda pipeline: pipeline.close(),
             )
+
+    def _take_new(self, recording: Recording) -> None:
+        """Start with a new recording, in the arm pose that was named for it."""
+        if self._pose:
+            from skincal.model.actions import SetPose
+
+            recording.pipeline.act(SetPose(self._pose), time.monotonic_ns())
+        self._take_recording(recording)
 
     def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
         if isinstance(found, str):
@@ -515,6 +527,17 @@ class Controller(QObject):
         elif self._server is None or not self._server.running:
             # Its own links follow; until then those that the file names are a stranger's.
             self._start_server(self._again)
+
+    def change_addresses(self, addresses: Addresses) -> None:
+        """Read the devices at these addresses from now on, in a new segment of the recording, which says so."""
+        recording = self._recording
+        if recording is None:
+            return
+        self.pause()
+        recording.links = self._links = link_specs(addresses)
+        self._confirmed = True
+        # After the readers of the pause have ended: a serial port has one reader.
+        self.compute(lambda: None, lambda _: self._connect(recording))
 
     def _connect(self, recording: Recording) -> None:
         try:

@@ -52,6 +52,9 @@ class OpenRequest:
     demo: bool = False
     """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
 
+    pose: str = ""
+    """Name of the arm pose in which a new session begins; empty where nobody said."""
+
     look_on: bool = False
     """See the session as far as it is written, and change nothing in it: another process records it."""
 
@@ -117,6 +120,12 @@ def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
 
     named = {Stream.WRENCH: addresses.wrench, Stream.SKIN: addresses.skin, Stream.JOINTS: addresses.joints}
     return describe_links({stream: address for stream, address in named.items() if address})
+
+
+def addresses_of(links: Sequence[LinkSpec]) -> Addresses:
+    """Return where each device is that links read."""
+    named = {stream.value: link.address for link in links for stream in link.carries}
+    return Addresses(**named)
 
 
 def dated_folder(parent: Path, now: datetime) -> Path:

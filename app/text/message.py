@@ -11,6 +11,7 @@ from skincal.model.errors import plain_text
 REPORTING = "The report is being written; it is said when it is there."
 ADDRESS_WIDTH = 120
 """Characters of a line of the question about addresses: one word that long fits a window of 1280 pixels."""
+NO_ADDRESSES = "No device of this session has an address: its rig is simulated, or nothing is open. Ctrl+N names devices."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
 

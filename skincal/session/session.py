@@ -74,6 +74,13 @@ class Session:
     methods : those that are solved; None for all that the scene has
     """
 
+    asked: AskPoke | None = None
+    """The poke on the skin that the operator is asked for; None before anything was."""
+    _generation = 0
+    _last: Snapshot | None = None
+    _snapshot: Snapshot | None = None
+    """The last one, where nothing changed since; else None."""
+
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None = None) -> None:
         self.scene = scene
         self.surface = surface
@@ -100,14 +107,8 @@ class Session:
         self._solving.taxels_changed(self.channels)
         self._closings: tuple[ClosingRound, ...] = ()
         self._skips: tuple[SkipPoke | SkipLandmark, ...] = ()
-        self.asked: AskPoke | None = None
-        """The poke on the skin that the operator is asked for; None before anything was."""
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
-        self._generation = 0
-        self._last: Snapshot | None = None
-        self._snapshot: Snapshot | None = None
-        """The last one, where nothing changed since; else None."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

@@ -37,6 +37,8 @@ from skincal.streams.device_address import from_start, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 DEFAULT_BAUD = 115200
+PORTS_LISTED = 200
+"""Ports of a YARP network that are listed: a whole iCub has some hundred."""
 FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
@@ -176,6 +178,13 @@ def serial_ports() -> list[tuple[str, str]]:
     from serial.tools import list_ports
 
     return [(port.device, port.description or "") for port in list_ports.comports() if port.description != "n/a"]
+
+
+def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
+    """Return name, host and number of ports that the name server of this machine's YARP knows. Raises LinkFailure."""
+    from skincal.streams.device_links import Ports, ask_names, yarp_server
+
+    return sorted(ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink)).items())[:PORTS_LISTED]
 
 
 def split_baud(address: str) -> tuple[str, int]:
