@@ -665,13 +665,17 @@ class SessionView(QObject):
         if state is None or self._tick is None:
             return
         rig = None if state.review is None else state.review.rig
-        # By the guide that the operator follows, which knows what was skipped.
-        verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
-        dialog = ApplyDialog(verdicts, self.method, str(settings.value("apply/address", "")), parent)
+        evidence, snapshot = self._tick.evidence, state.snapshot
+
+        def verdict_of(method: Method) -> str:
+            return verdict_sentence(self.guide.verdict(snapshot, method, evidence, rig))
+
+        address = str(settings.value("apply/address", ""))
+        dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, parent)
 
         def send(address: str, method: Method) -> None:
             settings.setValue("apply/address", address)
-            self._controller.apply(address, method, (rig, verdicts), dialog.show_end)
+            self._controller.apply(address, method, dialog.show_end)
 
         dialog.apply_requested.connect(send)
         dialog.open()

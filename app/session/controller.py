@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -647,18 +647,11 @@ class Controller(QObject):
 
         self.compute(write, done, failed)
 
-    def apply(
-        self,
-        address: str,
-        method: Method,
-        checked: tuple[RigAnswer | None, Mapping[Method, str]],
-        done: Callable[..., None],
-    ) -> None:
+    def apply(self, address: str, method: Method, done: Callable[..., None]) -> None:
         """Bring positions to a running robot in the background.
 
         Parameters
         ----------
-        checked : what landmark pokes say, None where nobody has looked, and by method what the session has come to
         done : gets a sentence, every question with its answer, and `good`: whether all went well
         """
         if self._recording is None:
@@ -666,9 +659,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             done(STILL_SOLVING, (), good=False)
             return
-        from skincal.session.checked import checked_calibration
-
-        calibration = checked_calibration(self._recording.pipeline.session, *checked)
+        calibration = self._recording.pipeline.session.calibration()
         folder = self._recording.storage.lasting or self._documents
         lines: list[str] = []
 
