@@ -199,7 +199,7 @@ def _words(text: str) -> str:
     return shortened(plain_text(" ".join(text.split())), WORDS_MAX)
 
 
-class Lines:
+class LineCutter:
     """Cuts bytes into lines; InputError where one is longer than `LINE_MAX`, whether or not it ends."""
 
     def __init__(self) -> None:

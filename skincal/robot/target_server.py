@@ -23,7 +23,7 @@ from skincal.robot.target_lines import (
     AnswerKind,
     AskedLine,
     Judged,
-    Lines,
+    LineCutter,
     NoTarget,
     PokeTarget,
     Refused,
@@ -91,7 +91,7 @@ class TargetServer:
         self._heard: queue.Queue[Answer | RobotCame | str] = queue.Queue(HOLD_MAX)
         self._client: socket.socket | None = None
         self._pending = b""
-        self._lines = Lines()
+        self._lines = LineCutter()
         self._times: deque[float] = deque(maxlen=LINES_A_SECOND)
         self._deaf_until_s = 0.0
         self._said: dict[str, float] = {}
@@ -145,11 +145,12 @@ class TargetServer:
         ready = select.select(waits, [], [], WAKE_S)[0] if waits else []
         if not waits:
             self._stop.wait(WAKE_S)
+        # First: who hangs up and comes back at once finds the place free.
+        if self._client is not None and self._client in ready:
+            self._read()
         if self._listening in ready:
             self._accept()
         self._send_pending()
-        if self._client is not None and self._client in ready:
-            self._read()
         reason, self._refusal = self._refusal, ""
         if reason:
             self._refuse(reason)
@@ -170,7 +171,7 @@ class TargetServer:
         with self._lock:
             self._out.clear()
             self._pending = f"{GREETING}\n{write_line(self._now)}\n".encode()
-        self._client, self._lines = client, Lines()
+        self._client, self._lines = client, LineCutter()
         self._times.clear()
         self._put(RobotCame.CAME)
         self._tell(f"A robot came, from {host}.")
@@ -280,7 +281,7 @@ class TargetClient:
             self._stop.wait(AGAIN_S)
 
     def _talk(self, connection: socket.socket) -> None:
-        lines = Lines()
+        lines = LineCutter()
         connection.settimeout(WAKE_S)
         while not self._stop.is_set():
             with contextlib.suppress(queue.Empty):

@@ -6,11 +6,14 @@ import json
 import queue
 import sys
 import threading
+from contextlib import closing
 
 import numpy as np
+import pytest
 from PySide6.QtCore import Qt
 
-from app.session.opening import server_command
+from app.__main__ import main
+from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
@@ -19,12 +22,15 @@ from skincal.journal.reader import SessionLog
 from skincal.mesh.load import load_surface
 from skincal.model.actions import FoundAtLandmark, Stamped, to_json
 from skincal.model.readings import Chunk, LinkEvent
+from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction
-from skincal.robot.target_lines import read_line
+from skincal.robot.target_lines import GREETING, read_line
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
 from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates
+from tests.skincal.robot.robot_support import Peer
 
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
 
@@ -134,3 +140,58 @@ def without_a_window(folder, lived) -> None:
     assert [outcome_key(poke.outcome) for poke in here.pokes] == [outcome_key(poke.outcome) for poke in there.pokes]
     assert same_estimates(here, there)
     assert here.can_undo == there.can_undo
+
+
+def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench):
+    nobody = "socket://127.0.0.1:9"
+    scene = resource("scenes/flat-patch/scene.toml")
+    bench.open(OpenRequest(scene=scene, addresses=Addresses(nobody, nobody.replace("9", "10")), targets="0"))
+    port = bench.controller._targets.port
+    with closing(Peer(port)) as peer:
+        assert peer.line() == GREETING
+
+        def targets(line):
+            while not line.startswith("target "):
+                assert line == "wait"
+                line = on_the_side(bench, peer.line)
+            return read_line(line)
+
+        first = targets(on_the_side(bench, peer.line))
+        assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
+        peer.say(f"skip {first.number}")
+        second = read_line(on_the_side(bench, peer.line))
+        assert (second.number, second.channel != first.channel) == (first.number + 1, True)
+        peer.say(f"fault {second.number} joint 3 at its end")
+        assert on_the_side(bench, peer.line) == "wait"
+        why = approved("targets.stopped", number=second.number, why="joint 3 at its end")
+        bench.until(lambda: any(why in message.text for message in bench.messages), 5000)
+    with closing(Peer(port)) as peer:
+        assert peer.line() == GREETING
+        again = targets(on_the_side(bench, peer.line))
+        assert (again.number, again.channel) == (second.number + 1, second.channel)
+    bench.window.close()
+    with pytest.raises(OSError, match="refused"):
+        Peer(port)
+
+
+def on_the_side(bench, read):
+    """What `read` returns, while the window goes on."""
+    found = []
+    thread = threading.Thread(target=lambda: found.append(read()))
+    thread.start()
+    bench.until(lambda: bool(found), 10_000)
+    thread.join()
+    return found[0]
+
+
+WITHOUT = {
+    "--targets 7010": "no device is named",
+    "--targets x": approved("targets.no_port"),
+    "--headless --targets 1": "--headless",
+}
+
+
+@pytest.mark.parametrize("options", WITHOUT)
+def test_targets_without_devices_are_refused(options, capsys):
+    assert main(options.split()) == 2
+    assert WITHOUT[options] in capsys.readouterr().err

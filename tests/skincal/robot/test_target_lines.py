@@ -14,7 +14,7 @@ from skincal.robot.target_lines import (
     Answer,
     AnswerKind,
     Judged,
-    Lines,
+    LineCutter,
     NoTarget,
     PokeTarget,
     Refused,
@@ -108,7 +108,7 @@ def test_a_fault_is_one_plain_line_of_bounded_length():
 @given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\n"), max_size=80)), st.integers(1, 40))
 def test_lines_are_the_same_however_they_are_cut(texts, size):
     data = "".join(f"{text}\n" for text in texts).encode()
-    lines = Lines()
+    lines = LineCutter()
     found = [line for at in range(0, len(data), size) for line in lines.feed(data[at : at + size])]
     assert found == texts
 
@@ -116,7 +116,7 @@ def test_lines_are_the_same_however_they_are_cut(texts, size):
 @given(st.binary(max_size=2000))
 def test_garbage_ends_in_an_answer_or_in_the_one_exception(data):
     try:
-        for line in Lines().feed(data):
+        for line in LineCutter().feed(data):
             assert read_answer_line(line) is None or line.split()[0] in {kind.value for kind in AnswerKind}
             read_line(line)
     except InputError:
@@ -125,6 +125,6 @@ def test_garbage_ends_in_an_answer_or_in_the_one_exception(data):
 
 @pytest.mark.parametrize("end", [b"", b"\n"])
 def test_a_line_is_bounded_whether_or_not_it_ends(end):
-    Lines().feed(b"x" * LINE_MAX)
+    LineCutter().feed(b"x" * LINE_MAX)
     with pytest.raises(InputError, match=approved_pattern("targets.more_than", most=LINE_MAX)):
-        Lines().feed(b"x" * (LINE_MAX + 1) + end)
+        LineCutter().feed(b"x" * (LINE_MAX + 1) + end)

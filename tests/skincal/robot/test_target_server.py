@@ -11,6 +11,7 @@ from skincal.model.errors import InputError
 from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
 from skincal.robot.target_server import AGAIN_S, LINES_A_SECOND, RobotCame, TargetClient, TargetServer, parse_port
 from tests.approved import approved, approved_pattern
+from tests.skincal.robot.robot_support import Peer
 
 PATIENCE_S = 10.0
 
@@ -23,28 +24,6 @@ def target(number):
 def server():
     with closing(TargetServer(*parse_port("0"))) as server:
         yield server
-
-
-class Peer:
-    """A client as a test drives it."""
-
-    def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), PATIENCE_S)
-        self._file = self.socket.makefile("rb")
-
-    def say(self, text):
-        self.socket.sendall(text if isinstance(text, bytes) else f"{text}\n".encode())
-
-    def line(self):
-        """The next line; None where the other side hung up."""
-        try:
-            return self._file.readline().decode().rstrip("\n") or None
-        except ConnectionError:
-            return None
-
-    def close(self):
-        self._file.close()
-        self.socket.close()
 
 
 @contextmanager
@@ -80,7 +59,6 @@ def test_who_comes_back_hears_again_what_is_asked_for_now(server):
         server.send([target(1)])
         assert peer.line() == write_line(target(1))
     server.send([Judged(1), target(2)])
-    time.sleep(0.2)
     with robot(server) as peer:
         assert [peer.line(), peer.line()] == [GREETING, write_line(target(2))]
     assert sum(item is RobotCame.CAME for item in taken(server, 3, but=None)) == 2
