@@ -160,17 +160,3 @@ def loss_lines(losses: Mapping[str, Any]) -> list[str]:
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
     """Return what the devices of open links got wrong or said last."""
     return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
-
-
-def silent_links(links: Sequence[LinkHealth]) -> str:
-    """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
-    # The device's own last words say more than what can be guessed from its bytes.
-    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
-    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
-
-
-def _seen(link: LinkHealth) -> str:
-    if not link.last_host_ns:
-        return "nothing arrived; check the device's power, its cable and its baud rate"
-    expected = " and ".join(stream.value for stream in link.carries)
-    return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"

@@ -43,6 +43,7 @@ from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json, read_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, SideReading, Stream, joined
+from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
 from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
@@ -58,7 +59,7 @@ FORMAT = 3
 FORMAT_WITH_NOTES = 2
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
-_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")
 """What may be missing; elsewhere null is a float that is none."""
 SECONDS_MAX = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
@@ -157,7 +158,7 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
     """Return an event as a JSON object."""
     if isinstance(event, LinkEvent):
         body = {"type": "link", "link": event.link, "state": event.state.value, "text": event.text}
-        body |= {"dropped": event.dropped} if event.dropped else {}
+        body |= {key: value for key, value in (("dropped", event.dropped), ("tried", event.tried)) if value}
     elif isinstance(event, Ending):
         body = {"type": "end"}
     else:
@@ -240,9 +241,8 @@ def _text_of(value: object) -> str:
 
 
 def _link_event(host_ns: int, body: Mapping[str, Any]) -> LinkEvent:
-    return LinkEvent(
-        _text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), _whole(body.get("dropped", 0))
-    )
+    dropped, tried = _whole(body.get("dropped", 0)), tuple(map(_whole, body.get("tried", ())))
+    return LinkEvent(_text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), dropped, tried)
 
 
 def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
@@ -369,6 +369,8 @@ def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
     before = _tare(document["poke"]["before"])
     assert before is not None
     values |= {"before": before, "still": None if still is None else _checked(StillMean(**_values(still)))}
+    if values.get("thresholds") is not None:
+        values["thresholds"] = with_thresholds(ContactSettings(), values["thresholds"])
     return Doubt(_checked(FinishedPress(**values)), _tare(document["after"]))
 
 

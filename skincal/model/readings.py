@@ -73,6 +73,8 @@ class LinkEvent:
     """A sentence for the operator: what happened and what to do."""
     dropped: int = 0
     """Bytes that came before it faster than they could be worked on, and were dropped."""
+    tried: tuple[int, ...] = ()
+    """Baud rates at which a serial port was listened to, where they are searched: one was added."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +159,37 @@ def is_silent(last_s: float, now_s: float) -> bool:
     return now_s - last_s > SILENT_S
 
 
+class LinkAnswer(Enum):
+    """What a link is found to bring."""
+
+    LISTENING = "listening"
+    GOOD = "good"
+    NO_ANSWER = "no answer"
+    NO_READING = "no reading"
+    OTHER_STREAM = "another stream"
+    OTHER_WIDTH = "another number of values"
+    FROZEN = "frozen"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkVerdict:
+    """What is found of a link: numbers and states; its words are in `skincal.sentences`."""
+
+    answer: LinkAnswer
+    stream: Stream | None = None
+    """The stream that is wanted and does not come as it should; None where all do."""
+    found: Stream | None = None
+    """What comes instead: `OTHER_STREAM` alone."""
+    width: int = 0
+    """Number of values that arrive: `OTHER_STREAM` and `OTHER_WIDTH` alone."""
+    expected: int = 0
+    """Number of values that are expected: `OTHER_WIDTH` alone."""
+    tried: tuple[int, ...] = ()
+    """Baud rates that were listened to, where they are searched."""
+    unchanged: bool = False
+    """A good skin has not changed one value yet, as thresholded ones do not while nothing touches."""
+
+
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
     """How a link does, for the devices panel."""
@@ -177,6 +210,10 @@ class LinkHealth:
     """Counted losses by reason."""
     beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
     """What else the device measured since the link was described, by name and unit."""
+    verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
+    """What it is found to bring."""
+    address: str = ""
+    """Where it is read from."""
     units: str = ""
     """What the values of its readings are; empty while unknown."""
 

@@ -80,7 +80,9 @@ class Pipeline:
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         """Begin with what comes from these links; nothing is known of what came from others."""
         self.links = tuple(links)
-        self._intake = Intake(self.scene.skin.channels, links)
+        arm = self.scene.arm
+        self._intake = Intake(self.scene.skin.channels, links, 0 if arm is None else max(arm.arm.joints, default=-1) + 1)
+        self._frozen = frozenset[str]()
         self._poses = _Poses(self.scene)
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
@@ -95,7 +97,7 @@ class Pipeline:
         try:
             for sample in self._intake.feed(item):
                 outcomes += self._take(sample)
-            if isinstance(item, LinkEvent) and self._breaks(item):
+            if self._breaks(item):
                 outcomes += self._detector.reset(item.host_ns * 1e-9)
         finally:
             self._settle_item(item, outcomes)  # also where the work fails: these bytes are worth keeping
@@ -121,6 +123,7 @@ class Pipeline:
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
+        self._detector.use_thresholds(self.session.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark):
@@ -198,6 +201,7 @@ class Pipeline:
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
+        self._detector.use_thresholds(session.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
 
@@ -274,8 +278,13 @@ class Pipeline:
         self._totals_ns = item.host_ns
         return True
 
-    def _breaks(self, event: LinkEvent) -> bool:
-        """Return whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
+    def _breaks(self, item: Chunk | LinkEvent) -> bool:
+        """Return whether an item interrupts the samples: a sensor froze or lives again, or an event says so."""
+        before, self._frozen = self._frozen, self._intake.frozen
+        return self._frozen != before or (isinstance(item, LinkEvent) and self._ends_samples(item))
+
+    def _ends_samples(self, event: LinkEvent) -> bool:
+        """Return whether a needed link vanished, or the last of a recording ended."""
         needed = {link.name for link in self.links if {Stream.WRENCH, Stream.SKIN} & set(link.carries)}
         if event.link not in needed:
             return False

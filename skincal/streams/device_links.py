@@ -313,10 +313,8 @@ def ask_names(where: str, server: tuple[str, int], port: str, ports: Ports) -> d
     return read_names(answer)
 
 
-def _open_yarp(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
-    from skincal.streams.decoders.yarp_port import YarpDialogue
-
-    del carries
+def _yarp_transport(device: DeviceAddress, ports: Ports) -> Link:
+    """Return the connection to a port whose place its name server says. Raises LinkFailure."""
     server = (device.host, device.port) if device.host else yarp_server()
     found = ask_names(device.text, server, device.path, ports).get(device.path)
     if found is None:
@@ -328,12 +326,70 @@ def _open_yarp(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports)
             f"such as {some}. Start the robot's part, or check the name (skincal devices lists them).",
         )
     try:
-        transport = ports.tcp(f"{device.text} (at {found[0]}:{found[1]} by the name server)", *found)
+        return ports.tcp(f"{device.text} (at {found[0]}:{found[1]} by the name server)", *found)
     except LinkFailure as failure:
         raise LinkFailure(
             failure.kind, f"{failure} The address is the robot's own view of itself: this machine may not reach it."
         ) from failure
-    return TalkingLink(device.text, transport, YarpDialogue())
+
+
+def _open_yarp(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    from skincal.streams.decoders.yarp_port import YarpDialogue
+
+    del carries
+    return TalkingLink(device.text, _yarp_transport(device, ports), YarpDialogue())
+
+
+class AskedPort:
+    """A YARP port that answers questions (RPC), one after another; binary, as every port here.
+
+    Raises LinkFailure: the address is of no YARP port, or nobody answers there within `timeout_s`.
+    """
+
+    def __init__(self, address: str, ports: Ports, timeout_s: float) -> None:
+        from skincal.streams.decoders.yarp_port import HELLO, Messages
+
+        device = parse_device(address)
+        if device is None or device.scheme != "yarp":
+            usage = "yarp:/skinManager/rpc or yarp://SERVER:10000/skinManager/rpc"
+            raise LinkFailure(FailureKind.ADDRESS, f"{address} is no port of a YARP network; expected such as {usage}.")
+        self._address, self._timeout_s, self._messages = address, timeout_s, Messages()
+        self._transport = _yarp_transport(device, ports)
+        try:
+            self._transport.write(HELLO)
+            self._hear(lambda: self._messages.port is not None)
+        except BaseException:
+            self.close()
+            raise
+
+    def ask(self, question: Sequence[str | int | float]) -> list[float | str]:
+        """Return the values that the port answers. Raises LinkFailure, after which nothing more is to be asked."""
+        from skincal.streams.decoders.yarp_port import PortBottleError, read_answer, write_question
+
+        self._transport.write(write_question(question))
+        bodies: list[bytes | None] = []
+        self._hear(lambda: bool(bodies), bodies)
+        try:
+            return read_answer(bodies[0] or b"")
+        except PortBottleError as error:
+            raise LinkFailure(FailureKind.NONSENSE, f"{self._address}: its answer cannot be read: {error}.") from error
+
+    def _hear(self, enough: Callable[[], bool], bodies: list[bytes | None] | None = None) -> None:
+        """Read until it is `enough`; messages go to `bodies`."""
+        end_s = time.monotonic() + self._timeout_s
+        while not enough():
+            left_s = end_s - time.monotonic()
+            if left_s <= 0:
+                raise LinkFailure(FailureKind.ABSENT, f"{self._address}: no answer within {self._timeout_s:g} s.")
+            heard = self._messages.split(self._transport.read(left_s))
+            if self._messages.fault:
+                raise LinkFailure(FailureKind.NONSENSE, f"{self._address}: {self._messages.fault}.")
+            if bodies is not None:
+                bodies += heard
+
+    def close(self) -> None:
+        """Hang up."""
+        self._transport.close()
 
 
 # ------------------------------------------------------------------ serial ports with a talk, and robots

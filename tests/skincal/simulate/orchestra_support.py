@@ -45,7 +45,7 @@ class Orchestra:
     def __init__(self, line, wrenches, skins):
         self.line = line
         self.outlets = {}
-        makers = MakerOutlets()
+        makers = MakerOutlets(line.rig.scene.skin.channels)
         errors, rng = RigErrors.none(), np.random.default_rng(2)
         boards, skin = [], line.rig.scene.skin
         for stream, names, width in ((Stream.WRENCH, wrenches, 0), (Stream.SKIN, skins, skin.channels)):
