@@ -16,15 +16,16 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.operator import Guided, Habits, NoTarget, TargetOrder
 from skincal.streams.links import LinkSpec
+from tests.approved import approved
 from tests.skincal.sim_support import make_rig
 
 POSE = "2"
 START_NS = 1_000_000_000
 ADDRESSES = {"netft": "netft://192.168.1.1?cpf=1000000&cpt=1000000", "bota": "bota:/dev/ttyUSB0", "yarp": "yarp:/x/analog:o"}
 WIRINGS = {
-    "signs": (np.diag([1.0, -1.0, -1.0]), "the sign of y, z is turned"),
-    "axes": (np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), "its axes are reported in another order: x, y, z are -y, x, z"),
-    "reaction": (-np.eye(3), "it reports the reaction: all signs are turned"),
+    "signs": (np.diag([1.0, -1.0, -1.0]), approved("sensor_frame.signs_turned", axes="y, z")),
+    "axes": (np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]), approved("sensor_frame.axes_order", order="-y, x, z")),
+    "reaction": (-np.eye(3), approved("sensor_frame.reaction")),
 }  # fmt: skip
 
 

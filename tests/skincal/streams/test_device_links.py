@@ -261,7 +261,7 @@ def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
     """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
     monkeypatch.setattr(links, "WAITING_MOST", 4000)
     stream = Stream.SKIN if maker == "xela" else Stream.WRENCH
-    encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets().open(maker, stream, tcp=True), Inbox()
+    encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets(4).open(maker, stream, tcp=True), Inbox()
     count = 0
 
     def write():
