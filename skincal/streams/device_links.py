@@ -37,7 +37,7 @@ READY_S = 0.8
 ANSWER_S = 1.0
 """s. For a page or the answer of a name server: machines of one room."""
 ANSWER_MAX = 1 << 20
-"""Bytes of a name server's answer: some 10,000 ports."""
+"""Bytes of an answer: a name server's has some 10,000 ports."""
 DATAGRAM_MAX = 1472
 """Bytes of a datagram that passes Ethernet in one piece; no device here sends longer ones."""
 DATAGRAMS_TOGETHER = 64
@@ -82,7 +82,8 @@ class TalkingLink:
             self._transport.write(opening)
         end_s = time.monotonic() + READY_S
         while not self._dialogue.ready:
-            if time.monotonic() > end_s:
+            # What is said and not understood must not fill the memory meanwhile.
+            if time.monotonic() > end_s or len(self._early) > ANSWER_MAX:
                 raise LinkFailure(FailureKind.ABSENT, f"{self._address}: does not answer as it should; check what runs there.")
             self._early += self._hear(end_s - time.monotonic())
 

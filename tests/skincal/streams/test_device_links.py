@@ -17,8 +17,9 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
 from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.streams import links
+from skincal.streams.decoders.rtde import RtdeDialogue
 from skincal.streams.device_address import format_of, parse_device
-from skincal.streams.device_links import yarp_server
+from skincal.streams.device_links import ANSWER_MAX, TalkingLink, yarp_server
 from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.intake import Intake
 from skincal.streams.links import ADDRESS_MOST, Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
@@ -157,6 +158,27 @@ def test_yarp_name_that_is_not_known_names_some_that_are():
         said = refusal(names.address)
     assert "knows no port /icub/y" in said
     assert "/icub/head/state:o" in said
+
+
+def test_a_device_that_talks_and_never_agrees_is_not_kept():
+    """At the speed of a network it would bring a gigabyte before the time is over."""
+    sent = 0
+
+    class Chatter:
+        def read(self, _timeout_s):
+            nonlocal sent
+            sent += 60_000
+            return (60_000).to_bytes(2, "big") + b"M" + bytes(59_997)
+
+        def write(self, data):
+            pass
+
+        def close(self):
+            pass
+
+    with pytest.raises(LinkFailure, match="does not answer"):
+        TalkingLink("rtde://h", Chatter(), RtdeDialogue(WRENCH))
+    assert sent <= ANSWER_MAX + 120_000
 
 
 def test_what_a_device_says_is_made_plain_and_short():
