@@ -19,6 +19,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import LAYERS, Commands
+from app.dialogs.apply_dialog import ApplyDialog
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
@@ -43,7 +44,7 @@ from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
-from app.text.guidance_text import early_words
+from app.text.guidance_text import NOTHING_TO_CHECK, early_words
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -54,7 +55,19 @@ from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
-from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.model.actions import (
+    Action,
+    AtLandmark,
+    BeginClosing,
+    Exclude,
+    MarkDead,
+    Redo,
+    Restore,
+    Revive,
+    SetPose,
+    Uncorrect,
+    Undo,
+)
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.error_history import ErrorFollower, ModulesCheck
@@ -509,12 +522,21 @@ class SessionView(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self.guide.skip()
-        self.follow_again()
+        self._act_and_follow(self.guide.skip())
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose, or end the closing check."""
-        self.guide.skip_landmarks()
+        self._act_and_follow(self.guide.skip_landmarks())
+
+    def check_again(self) -> None:
+        """Make the closing check once more."""
+        self._act_and_follow(BeginClosing(wanted=True))
+        if self._guidance is not None and self._guidance.closing is None:
+            self.said.emit(Message(NOTHING_TO_CHECK))
+
+    def _act_and_follow(self, action: Action | None) -> None:
+        if action is not None:
+            self._controller.act(action)
         self.follow_again()
 
     def recolour(self) -> None:
@@ -646,6 +668,23 @@ class SessionView(QObject):
             self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
 
         dialog.write_requested.connect(write)
+        dialog.open()
+
+    def ask_apply(self, parent: QWidget, settings: QSettings) -> None:
+        """Ask where positions are to be sent, send them and show what the robot answered."""
+        state = self.state
+        if state is None or self._tick is None:
+            return
+        rig = None if state.review is None else state.review.rig
+        # By the guide that the operator follows, which knows what was skipped.
+        verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
+        dialog = ApplyDialog(verdicts, self.method, str(settings.value("apply/address", "")), parent)
+
+        def send(address: str, method: Method) -> None:
+            settings.setValue("apply/address", address)
+            self._controller.apply(address, method, (rig, verdicts), dialog.show_end)
+
+        dialog.apply_requested.connect(send)
         dialog.open()
 
     def ask_report(self, parent: QWidget) -> None:

@@ -114,6 +114,18 @@ class AskLandmark:
 class BeginClosing:
     """Ask for some of the first places once more: pokes from now on show whether anything moved (`skincal.rig.closing`)."""
 
+    wanted: bool = False
+    """The operator wants it, who can take that back; else it began by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkipClosing:
+    """Ask for a place of the closing check no more, or end the check."""
+
+    at: str
+    """A value of `ClosingPlaces`; empty to end it."""
+    name: str
+
 
 @dataclass(frozen=True, slots=True)
 class SetThresholds:
@@ -173,6 +185,7 @@ Action: TypeAlias = (
     | AskLandmark
     | BeginClosing
     | SetThresholds
+    | SkipClosing
     | Correct
     | Uncorrect
 )
@@ -201,6 +214,7 @@ _KINDS: dict[str, type[Action]] = {
     "ask_landmark": AskLandmark,
     "begin_closing": BeginClosing,
     "set_thresholds": SetThresholds,
+    "skip_closing": SkipClosing,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }

@@ -17,7 +17,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import Table, check_metres, parse_toml, read_text
+from skincal.model.tables import LENGTH_MAX, Table, check_metres, parse_toml, read_text
 
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
@@ -30,6 +30,8 @@ RISING = ("release_force", "touch_force", "force_min", "force_max")
 """Thresholds of a poke of which each is below the next."""
 JOINTS_MOST = 1000
 """Columns of a joint stream: a humanoid has some hundred."""
+DISTANCE_SD = (1e-5, 0.1)
+"""m, how well a distance may be known: no rule reads a hundredth of a millimetre on a soft skin."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -144,6 +146,20 @@ class Landmark:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownDistance:
+    """How far two modules lie apart, measured straight from point to point."""
+
+    ends: tuple[int, int]
+    """Ids of the modules, of which the origins are meant; or channels of taxels of two modules."""
+    of_taxels: bool
+    """Whether `ends` are channels."""
+    length: float
+    """m."""
+    sd: float
+    """m, how well it is known."""
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """What there is to calibrate."""
 
@@ -162,6 +178,7 @@ class Scene:
     path: Path
     """The scene file; relative paths in it start from its folder."""
     landmarks: tuple[Landmark, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()
     text: str = field(repr=False, default="")
     """The file's text, kept in every session."""
 
@@ -180,10 +197,11 @@ def load_scene(path: Path) -> Scene:
     wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
     if arm is not None and sensor is not None:
         raise InputError(f"{path}: [arm] and [sensor] exclude each other; the arm already places the sensor.")
+    spec = _read_skin(skin, path)
     scene = Scene(
         name=root.take("name", str),
         link=root.take("link", str),
-        skin=_read_skin(skin, path),
+        skin=spec,
         surface=None if surface is None else _read_surface(surface, path),
         arm=None if arm is None else _read_arm(arm),
         sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
@@ -192,6 +210,7 @@ def load_scene(path: Path) -> Scene:
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         landmarks=_read_landmarks(root, path),
+        distances=_read_distances(root, spec.layout),
         text=text,
     )
     # At the end, when everything known was asked for: what is left is misspelt.
@@ -278,6 +297,45 @@ def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
     return tuple(landmarks)
 
 
+def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, ...]:
+    distances: list[KnownDistance] = []
+    for table in root.tables("distances"):
+        given = [key for key in ("modules", "taxels") if key in table.keys]
+        if len(given) != 1:
+            raise InputError(f"{table.where}: expected either modules, two ids, or taxels, two channels.")
+        ends: FloatArray = table.array(given[0], (2,))
+        if (ends != np.rint(ends)).any():
+            raise InputError(f"{table.where}: {given[0]} is {ends.tolist()}; expected two whole numbers.")
+        length, sd = (table.take(key, float) * 1e-3 for key in ("mm", "sd_mm"))
+        if not 0 < length <= LENGTH_MAX or not DISTANCE_SD[0] <= sd <= DISTANCE_SD[1]:
+            least, most = (f"{limit * 1e3:g}" for limit in DISTANCE_SD)
+            raise InputError(
+                f"{table.where}: mm is {length * 1e3:g} and sd_mm {sd * 1e3:g}; expected a distance above 0 and up to "
+                f"{LENGTH_MAX * 1e3:g}, known to {least} to {most}."
+            )
+        table.done()
+        known = KnownDistance((int(ends[0]), int(ends[1])), given[0] == "taxels", length, sd)
+        check_distance(known, layout, table.where)
+        distances.append(known)
+    return tuple(distances)
+
+
+def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> None:
+    """Refuse a distance whose ends are not in two modules of a layout.
+
+    Raises InputError, whose sentence begins with `where`.
+    """
+    if layout is None:
+        raise InputError(f"{where}: a distance is between modules, and the scene has no layout; name one in [skin].")
+    owners: dict[int, int] = {module.id: index for index, module in enumerate(layout.modules)}
+    if known.of_taxels:
+        owners = {channel: int(layout.module_of[channel]) for channel in layout.channels.tolist()}
+    found = {owners.get(end, -1) for end in known.ends}
+    if -1 in found or len(found) < 2:
+        what = "channels of taxels of two modules" if known.of_taxels else "ids of two modules"
+        raise InputError(f"{where}: the ends are {list(known.ends)}; expected {what} of the layout.")
+
+
 def _read_sign(table: Table) -> int:
     sign = table.take("sign", int, 1)
     if sign not in (1, -1):
@@ -356,9 +414,12 @@ def with_thresholds(settings: ContactSettings, values: Mapping[str, float]) -> C
 def with_layout(scene: Scene, path: Path) -> Scene:
     """Return a scene with the layout of another file.
 
-    Raises InputError: the file is no layout, or its channels do not fit the skin.
+    Raises InputError: the file is no layout, or its channels do not fit the skin, or it lacks an end of a known distance.
     """
-    return replace(scene, skin=replace(scene.skin, layout=load_layout(path, scene.skin.channels)))
+    layout = load_layout(path, scene.skin.channels)
+    for known in scene.distances:
+        check_distance(known, layout, f"{path}: a distance of {scene.path.name}")
+    return replace(scene, skin=replace(scene.skin, layout=layout))
 
 
 def resource(name: str) -> Path:
