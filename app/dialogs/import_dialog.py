@@ -74,7 +74,7 @@ class ForceCurve(Painted):
         super().__init__()
         self._preview: RecordingPreview | None = None
         self.setAccessibleName("force of the recording")
-        self.setMinimumHeight(scaled(70))
+        self.setMinimumHeight(max(70, scaled(70)))
 
     def show_preview(self, preview: RecordingPreview | None) -> None:
         """Draw another recording, or nothing."""
@@ -189,6 +189,8 @@ class ImportDialog(QDialog):
             column.addWidget(widget)
         column.addStretch(1)
         area.setFrameShape(QScrollArea.Shape.NoFrame)
+        # It follows the focus of what stands in it.
+        area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         area.setWidgetResizable(True)
         area.setWidget(inner)
         self.objection.setWordWrap(True)
