@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
+from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import Landmark
@@ -76,6 +77,8 @@ class Snapshot:
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
     closings: tuple[ClosingRound, ...] = ()
     """The closing checks that began, the newest last."""
+    clocks: tuple[tuple[int, WallClock | None], ...] = ()
+    """Of each part of the session the last poke before it, and its clock; None where nobody knows that."""
     skips: tuple[SkipPoke | SkipLandmark, ...] = ()
     """What the operator did not want to be asked for, in that order."""
 

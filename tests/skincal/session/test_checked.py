@@ -17,6 +17,7 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.replay import replay, resume
 from skincal.taxels.result import Method
+from tests.approved import approved
 
 SAMPLE = str(resource("sessions/sample"))
 
