@@ -11,9 +11,19 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSettings, Qt, Signal
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from app.panels.widgets import AbstractWidget, plain_tip, quiet, short_box, theme_colours
+from app.panels.widgets import AbstractWidget, on_panel, plain_tip, quiet, short_box, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -31,8 +41,8 @@ DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
 
 
-class PlotPanel(QWidget, metaclass=AbstractWidget):
-    """The place of plots; subclasses say which, and draw them.
+class PlotPanel(QScrollArea, metaclass=AbstractWidget):
+    """The place of plots, which scrolls where letters are large; subclasses say which, and draw them.
 
     A panel that was never on the screen imports nothing.
     """
@@ -47,10 +57,12 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
         self._imported = False
         self._label = quiet("The curves are loading \N{HORIZONTAL ELLIPSIS}")
         self._label.setContentsMargins(GAP, GAP, GAP, GAP)
-        self._column = QVBoxLayout(self)
+        inner = on_panel(self)
+        self._column = QVBoxLayout(inner)
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(0)
         self._column.addWidget(self._label)
+        self.setWidget(inner)
 
     @abstractmethod
     def make(self) -> QWidget:
