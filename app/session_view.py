@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -38,7 +39,7 @@ from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
-from app.state.place_sets import PlaceOrigin, Source
+from app.state.place_sets import PlaceOrigin, Source, other_source
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
@@ -442,7 +443,6 @@ class SessionView(QObject):
             modules=self._modules_check.found,
             unsolved=tick.unsolved,
             simulated=simulated_words(self._controller.pace, self._controller.running) if self._controller.simulated else "",
-            opened_s=self._opened_s,
             costs=self.guide.costs,
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
@@ -697,18 +697,18 @@ class SessionView(QObject):
         """Ask for a file of places, and compare with it."""
         path, _ = QFileDialog.getOpenFileName(self.workspace, "Compare with a file", str(self._folder()), KINDS_OF_PLACES)
         if path:
-            self._controller.find_places(Path(path), self._take_places)
+            self._controller.find_places(Path(path), partial(self._take_places, Path(path)))
 
     def ask_session_places(self) -> None:
         """Ask for the folder of another session, and compare with it."""
         path = QFileDialog.getExistingDirectory(self.workspace, "Compare with a session", str(self._folder()))
         if path:
-            self._controller.find_places(Path(path), self._take_places)
+            self._controller.find_places(Path(path), partial(self._take_places, Path(path)))
 
-    def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
+    def _take_places(self, path: Path, sets: tuple[PlaceSet, ...]) -> None:
         """Offer sets of places in the panel that compares; the first is chosen."""
         for found in sets:
-            source = Source(PlaceOrigin.OTHER, name=found.name)
+            source = other_source(found.name, path, self.workspace.compare.others)
             self.workspace.compare.offer(source, found.places, choose=found is sets[0])
 
     def ask_reference(self, parent: QWidget) -> None:

@@ -38,6 +38,8 @@ PROGRAM = FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
 
 WHOLE = ("app", "skincal")
 """Packages of which every module is taken along: many are imported where they are needed, by name."""
+BY_NAME = ("matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+"""Modules that others import by a name which nobody sees: those that write the pictures of a report."""
 DATA = {
     "resources": "skincal/resources",
     "skincal/solver/solver.wasm": "skincal/solver",
@@ -96,6 +98,7 @@ def _build() -> None:
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
     options += [f"--collect-submodules={name}" for name in WHOLE]
+    options += [f"--hidden-import={name}" for name in BY_NAME]
     options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in UNUSED]

@@ -16,9 +16,19 @@ from typing import TYPE_CHECKING
 
 from PySide6 import QtCore, QtGui, QtWidgets
 from PySide6.QtCore import QSettings, Qt, QTimer, Signal
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from app.panels.widgets import AbstractWidget, plain_tip, quiet, short_box, theme_colours
+from app.panels.widgets import AbstractWidget, on_panel, plain_tip, quiet, short_box, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -38,8 +48,8 @@ TYPES_S = 0.005
 """s. Types of Qt are made for so long at once: all of them take 0.17 s."""
 
 
-class PlotPanel(QWidget, metaclass=AbstractWidget):
-    """The place of plots; subclasses say which, and draw them.
+class PlotPanel(QScrollArea, metaclass=AbstractWidget):
+    """The place of plots, which scrolls where letters are large; subclasses say which, and draw them.
 
     A panel that was never on the screen imports nothing.
     """
@@ -54,10 +64,12 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
         self._imported = False
         self._label = quiet("The curves are loading \N{HORIZONTAL ELLIPSIS}")
         self._label.setContentsMargins(GAP, GAP, GAP, GAP)
-        self._column = QVBoxLayout(self)
+        inner = on_panel(self)
+        self._column = QVBoxLayout(inner)
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(0)
         self._column.addWidget(self._label)
+        self.setWidget(inner)
 
     @abstractmethod
     def make(self) -> QWidget:

@@ -129,6 +129,18 @@ class Totals:
 
 
 @dataclass(frozen=True, slots=True)
+class WallClock:
+    """What time of day it was by a monotonic clock, which begins anew with each start of a machine."""
+
+    monotonic_s: float
+    unix_s: float
+
+    def at(self, monotonic_s: float) -> float:
+        """Return the time of day, seconds since 1970; NaN for what lies before: another clock was meant."""
+        return self.unix_s + monotonic_s - self.monotonic_s if monotonic_s >= self.monotonic_s else math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentMark:
     """Here a segment begins, as its writer described it."""
 
@@ -142,6 +154,8 @@ class SegmentMark:
     """Of the scene's folder; None where the format has none."""
     continues: bool
     """Nothing happened but that the segment before was long enough; else the session was opened here to go on."""
+    clock: WallClock | None = None
+    """Of the machine that wrote it; None where it does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +272,7 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
         scene=_text_of(body["scene"]),
         digest=None if body.get("scene_digest") is None else _text_of(body["scene_digest"]),
         continues=bool(body.get("continues", False)),
+        clock=_clock(body),
     )
 
 
@@ -274,6 +289,12 @@ def _links(documents: Sequence[Mapping[str, Any]]) -> tuple[LinkSpec, ...]:
         )
         for link in documents
     )
+
+
+def _clock(body: Mapping[str, Any]) -> WallClock | None:
+    if "unix_ns" not in body or "monotonic_ns" not in body:
+        return None
+    return WallClock(_whole(body["monotonic_ns"]) / 1e9, _whole(body["unix_ns"]) / 1e9)
 
 
 def link_to_json(link: LinkSpec) -> dict[str, Any]:

@@ -282,6 +282,11 @@ class JournalWriter:
         self._holds_lock = False
         return following
 
+    @property
+    def clock(self) -> documents.WallClock:
+        """What time of day it was when this began."""
+        return documents.WallClock(self._monotonic_ns / 1e9, self._unix_ns / 1e9)
+
     def unix_ns(self, host_ns: int) -> int:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
         # MCAP's times have no sign.

@@ -75,6 +75,7 @@ class Pipeline:
         self._earlier = Totals()
         self._now_ns = 0
         self._found_dead = False
+        self.session.set_clock(None if journal is None else journal.clock)
         self._connect(links)
 
     def _connect(self, links: Sequence[LinkSpec]) -> None:
@@ -192,6 +193,7 @@ class Pipeline:
         self.session.settle()
         self._connect(self.links if links is None else links)
         self.journal = journal
+        self.session.set_clock(None if journal is None else journal.clock)
         self.renew_detector()
 
     def renew_detector(self) -> None:

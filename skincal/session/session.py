@@ -17,6 +17,7 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
+from skincal.journal.documents import WallClock
 from skincal.model.actions import (
     Action,
     AddLandmark,
@@ -76,6 +77,9 @@ class Session:
 
     asked: AskPoke | None = None
     """The poke on the skin that the operator is asked for; None before anything was."""
+    _clocks: tuple[tuple[int, WallClock | None], ...] = ()
+    _closings: tuple[ClosingRound, ...] = ()
+    _skips: tuple[SkipPoke | SkipLandmark, ...] = ()
     _generation = 0
     _last: Snapshot | None = None
     _snapshot: Snapshot | None = None
@@ -105,8 +109,6 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
-        self._closings: tuple[ClosingRound, ...] = ()
-        self._skips: tuple[SkipPoke | SkipLandmark, ...] = ()
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
 
@@ -213,6 +215,10 @@ class Session:
         if was and not now:
             self._history.forget_poke(outcome.poke)
 
+    def set_clock(self, clock: WallClock | None) -> None:
+        """Take the clock by which pokes and actions from now on are dated; None where nobody knows it."""
+        self._clocks = (*self._clocks, (self.last_poke, clock))
+
     def settle(self) -> None:
         """Make every outcome final as it stands: what could have changed it will not come."""
         for outcome in [outcome for outcome in self._corrections.reported.values() if not outcome.final]:
@@ -266,8 +272,12 @@ class Session:
             if not self._history.redo():
                 raise InputError("There is nothing to redo: nothing was taken back, or something else was done since.")
         else:
-            self._history.do(action, at_s, found=isinstance(action, FoundAtLandmark))
+            self._history.do(action, self._wall_s(at_s), found=isinstance(action, FoundAtLandmark))
         self._changed()
+
+    def _wall_s(self, at_s: float) -> float:
+        clock = self._clocks[-1][1] if self._clocks else None
+        return math.nan if clock is None else clock.at(at_s)
 
     def _take_note(self, action: Action) -> None:
         """Take what was asked for, or found as an outcome is: it is no step of the operator's, and is not taken back."""
@@ -381,6 +391,7 @@ class Session:
             closings=self._closings,
             distances=self._solving.tried_distances,
             skips=self._skips,
+            clocks=self._clocks,
         )
         return self._snapshot
 

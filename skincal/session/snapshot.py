@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
+from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import ContactSettings, Landmark
@@ -84,6 +85,8 @@ class Snapshot:
     """The closing checks that began, the newest last."""
     distances: tuple[TriedDistance, ...] = ()
     """Of each known distance between modules of the scene, whether the modules method uses it."""
+    clocks: tuple[tuple[int, WallClock | None], ...] = ()
+    """Of each part of the session the last poke before it, and its clock; None where nobody knows that."""
     skips: tuple[SkipPoke | SkipLandmark, ...] = ()
     """What the operator did not want to be asked for, in that order."""
 
