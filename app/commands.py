@@ -42,6 +42,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("addresses", "Device addresses...", "A", "Another port or host for a device of this session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
+        ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
         ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
         ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
@@ -54,6 +55,12 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
         ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
+        (
+            "closing",
+            "Closing check again",
+            "A",
+            "Once it is enough: poke some of the first places once more; whether anything moved",
+        ),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
         ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
@@ -61,6 +68,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
+        ("thresholds", "Thresholds...", "Shift+H", "What a poke must pass to count; a change holds for pokes from then on"),
         (
             "landmark",
             "Add landmark...",
@@ -207,6 +215,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("apply", may.export),
             ("report", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),
@@ -214,6 +223,7 @@ class Commands(QObject):
             ("another", may.another),
             ("no landmarks", may.skip_landmarks),
             ("verdict", may.verdict),
+            ("closing", may.ends),
         ):
             self.actions[name].setEnabled(enabled)
 

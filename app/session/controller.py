@@ -334,7 +334,8 @@ class Controller(QObject):
         recording = self._recording
         if recording is None or self.running is not Running.STREAMING or guidance is None or guidance.closing is None:
             return
-        if recording.pipeline.session.closing_after is None:
+        # What is shown may be older than the session, in which it began meanwhile.
+        if len(recording.pipeline.session.closings) < guidance.closing.number:
             from skincal.model.actions import BeginClosing
 
             recording.pipeline.act(BeginClosing(), time.monotonic_ns())
@@ -617,6 +618,42 @@ class Controller(QObject):
             return write_calibration(calibration, format_, path, method)
 
         self.compute(write, done, failed)
+
+    def apply(
+        self,
+        address: str,
+        method: Method,
+        checked: tuple[RigAnswer | None, Mapping[Method, str]],
+        done: Callable[..., None],
+    ) -> None:
+        """Bring positions to a running robot in the background.
+
+        Parameters
+        ----------
+        checked : what landmark pokes say, None where nobody has looked, and by method what the session has come to
+        done : gets a sentence, every question with its answer, and `good`: whether all went well
+        """
+        if self._recording is None:
+            return
+        if self._recording.pipeline.session.unsolved > AT_ONCE:
+            done(STILL_SOLVING, (), good=False)
+            return
+        from skincal.session.checked import checked_calibration
+
+        calibration = checked_calibration(self._recording.pipeline.session, *checked)
+        folder = self._recording.storage.lasting or self._documents
+        lines: list[str] = []
+
+        def send() -> str:
+            from skincal.robot.skin_manager import ANSWER_S, applied_words, apply_positions, calibrated_positions
+
+            positions = calibrated_positions(calibration, method, None)
+            folder.mkdir(parents=True, exist_ok=True)
+            before = folder / f"before-{positions.part}.txt"
+            words = applied_words(apply_positions(address, positions, before, ANSWER_S, lines.append), positions.part)
+            return f"{words[:1].upper()}{words[1:]}."
+
+        self.compute(send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False))
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
         """Write the report of what is recorded, in a process of its own.

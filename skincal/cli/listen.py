@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import time
 from collections import Counter
+from dataclasses import asdict
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -90,7 +91,7 @@ class Watched:
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},
             "losses": {loss.value: count for loss, count in losses.items() if count},
-            "extras": dict(self._decoder.extras),
+            "beside": {name: asdict(found) for name, found in self._decoder.beside.items()},
             "note": self._decoder.note,
         }
 
@@ -114,12 +115,15 @@ def _numbers(values: list[float], digits: int) -> str:
 
 
 def _words(figures: dict[str, Any]) -> str:
+    from skincal.model.readings import SideReading
+    from skincal.sentences import beside_words
+
     parts = [] if figures["verdict"] == "good" else [figures["verdict"]]
     parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
     parts += [f"lost {count}: {why}" for why, count in figures["losses"].items()]
-    parts += [f"{name} {value:.1f}" for name, value in figures["extras"].items()]
+    parts += [beside_words({name: SideReading(**found) for name, found in figures["beside"].items()})]
     parts += [figures["note"]] if figures["note"] else []
-    return " | ".join(parts)
+    return " | ".join(filter(None, parts))
 
 
 def watch(

@@ -134,6 +134,22 @@ class Sample:
     """(joints,) float, radians, last streamed joint angles; None without a joint stream."""
 
 
+TEMPERATURE = "temperature, degC"
+
+
+@dataclass(frozen=True, slots=True)
+class SideReading:
+    """What a device measures beside its readings, such as its temperature; its name says the unit."""
+
+    least: float
+    most: float
+    now: float
+
+    def then(self, later: SideReading) -> SideReading:
+        """Return it with what was measured later."""
+        return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
+
+
 SILENT_S = 2.0
 """s. What has brought nothing for longer is silent. Joints at 1 Hz are slow, not silent."""
 
@@ -192,7 +208,14 @@ class LinkHealth:
     """Arrival of the last bytes; 0 before the first."""
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
     """Counted losses by reason."""
+    beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
+    """What else the device measured since the link was described, by name and unit."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     """What it is found to bring."""
     address: str = ""
     """Where it is read from."""
+
+
+def joined(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:
+    """Return what was measured beside readings, before and later."""
+    return {**before, **{name: before[name].then(found) if name in before else found for name, found in later.items()}}

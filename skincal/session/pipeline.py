@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, Stamped
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
+from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.landmark_pokes import LandmarkFinder
 from skincal.session.session import Session
@@ -122,6 +123,7 @@ class Pipeline:
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
+        self._detector.use_thresholds(self.session.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark):
@@ -199,6 +201,7 @@ class Pipeline:
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
+        self._detector.use_thresholds(session.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
 
@@ -297,7 +300,7 @@ class Pipeline:
         return name, link_from_sensor
 
     def _decoded_wrenches(self, host_ns: int) -> None:
-        """Hand the wrenches of the last half second to the journal, for other programs."""
+        """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
         if self.journal is None or host_ns - self._decoded_ns < DECODED_NS:
             return
         self._decoded_ns = host_ns
@@ -306,6 +309,9 @@ class Pipeline:
         if new < len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times[new:], wrenches[new:]))
+        for link in self._intake.health(host_ns):
+            if (found := link.beside.get(TEMPERATURE)) is not None:
+                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link.link, celsius=found.now))
 
     def sync(self) -> None:
         """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""

@@ -51,9 +51,11 @@ from skincal.model.readings import (
     LinkState,
     Loss,
     Sample,
+    SideReading,
     SkinBatch,
     Stream,
     WrenchBatch,
+    joined,
 )
 from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
@@ -431,6 +433,7 @@ class LinkIntake:
         self._decoder = self._new_decoder()
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
+        self._beside_before: dict[str, SideReading] = {}
         self._state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
@@ -463,6 +466,7 @@ class LinkIntake:
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
+            self._beside_before = self._beside()
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
@@ -498,9 +502,13 @@ class LinkIntake:
             rate,
             self._last_ns,
             losses,
+            self._beside(),
             verdict,
             spec.address,
         )
+
+    def _beside(self) -> dict[str, SideReading]:
+        return joined(self._beside_before, self._decoder.beside)
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading where that is less."""

@@ -25,7 +25,7 @@ needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform
 @contextmanager
 def sending(maker, stream):
     """A device that sends a hundred readings a second; its address."""
-    outlet, encoder, done = MakerOutlets().open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
+    outlet, encoder, done = MakerOutlets(64).open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
 
     def send():
         count = 0
@@ -61,7 +61,7 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
         assert main(["watch", f"bota:{address}", "--seconds", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[0])
     assert figures["format"] == "Bota gen0"
-    assert figures["extras"] == {"temperature, degC": 31.5}
+    assert figures["beside"] == {"temperature, degC": {"least": 31.5, "most": 31.5, "now": 31.5}}
     assert figures["rates"]["wrench"] > 30
     assert figures["losses"] == {}
 
@@ -159,5 +159,5 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
         (tmp_path / "yarp.conf").write_text(f"{host} {port} yarp\n", encoding="utf-8")
         assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm"]
+    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""
