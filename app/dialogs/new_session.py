@@ -85,14 +85,15 @@ class Curve(Painted):
         """Show values, the newest last."""
         if values != self._values:
             self._values = values
+            self.setAccessibleDescription(f"{values[-1]:.3g}" if values else "")
             self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
         """Paint them from the right."""
-        painter.setPen(QPen(QColor(colours.line), 1.0))
-        painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
         if len(self._values) < 2:
             return
+        painter.setPen(QPen(QColor(colours.line), 1.0))
+        painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
         low, high = min(self._values), max(self._values)
         room, step = self.height() - 6.0, (self.width() - 6.0) / (CURVE_POINTS - 1)
         span, right = high - low or 1.0, self.width() - 3.0
@@ -236,14 +237,13 @@ class NewSessionDialog(QDialog):
         if scene is not None:
             index = self.scene.findData(str(scene))
             self.scene.setCurrentIndex(index) if index >= 0 else self.scene.setEditText(str(scene))
-        self.browse_scene = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
         self.rows = {stream: StreamRow(stream) for stream in Stream}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label = QLabel("Arm &pose")
         self.pose = short_box("arm pose")
         self.pose_label.setBuddy(self.pose)
         self.folder = QLineEdit(str(folder))
-        self.browse_folder = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")
+        self.browse_scene, self.browse_folder = (QPushButton("Choose\N{HORIZONTAL ELLIPSIS}") for _ in range(2))
         self.swap = QPushButton(f"&Swap F/T sensor and skin  ({SWAP_KEY})")
         self.objection = QLabel()
         self.objection.setWordWrap(True)
@@ -274,7 +274,7 @@ class NewSessionDialog(QDialog):
             side = QHBoxLayout()
             side.addWidget(row.rate)
             side.addWidget(row.curve)
-            form.addLayout(side, at + 1, 3, Qt.AlignmentFlag.AlignRight)
+            form.addLayout(side, at + 1, 3, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
         at = form.rowCount()
         form.addWidget(self.swap, at, 1, 1, 3, Qt.AlignmentFlag.AlignLeft)
         form.addWidget(self.pose_label, at + 1, 0)

@@ -17,7 +17,7 @@ from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
-from skincal.model.readings import LinkHealth
+from skincal.model.readings import LinkAnswer, LinkHealth
 from skincal.sentences import link_verdict_words, state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
@@ -241,7 +241,8 @@ def link_detail(link: LinkHealth, at: ViewState) -> str:
 
 def preview_words(health: LinkHealth) -> str:
     """Return what is found of a link that is looked at before a session, and why it does not open."""
-    return ": ".join(filter(None, (link_verdict_words(health.verdict), health.text)))
+    words = link_verdict_words(health.verdict)
+    return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 
 
 def _last_words(health: LinkHealth, clock_offset: float) -> str:
