@@ -13,14 +13,17 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 
+from skincal.files.export import write_calibration
 from skincal.journal import mcap_file, writer
 from skincal.journal.documents import LineWriter
 from skincal.journal.mcap_file import is_closed
 from skincal.journal.reader import SessionLog, recover_session
 from skincal.journal.writer import create_session
-from skincal.model.errors import InputError
+from skincal.model.errors import InputError, plain_text
+from skincal.session.checked import checked_calibration
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
 
@@ -341,6 +344,21 @@ def test_events_and_notes_that_nobody_wrote_end_in_a_sentence(recorded, document
     with_documents(recorded, document)
     with pytest.raises(InputError):
         load(recorded)
+
+
+NAMED = "a\n\x1b[2J\u202e"
+
+
+@pytest.mark.parametrize("format_", ["icub", "csv", "ply"])
+def test_no_name_of_a_journal_brings_a_control_character_into_a_file(recorded, tmp_path, format_):
+    landmark = {"type": "action", "host_ns": 1, "do": "add_landmark", "name": NAMED, "x": 0.0, "y": 0.0, "z": 0.1}
+    poke = {"type": "taken", "host_ns": 1, "outcomes": [CONTACT | {"pose": NAMED, "poke": k} for k in (1, 2, 3)]}
+    with_documents(recorded, *(json.dumps(document).encode() for document in (landmark, poke)))
+    session = load(recorded).session
+    assert (session.contacts[0].pose, session.landmarks[-1].name) == (NAMED, NAMED)
+    write_calibration(checked_calibration(session, rig=None), format_, tmp_path / "out", Method.FREE)
+    written = (tmp_path / "out").read_text(encoding="utf-8").replace("\r\n", "\n")
+    assert all(plain_text(line) == line for line in written.split("\n"))
 
 
 def test_a_first_line_without_a_key_ends_in_a_sentence(recorded):

@@ -88,6 +88,22 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_read(tmp_path):
         assert str(most + 1) in text
 
 
+@pytest.mark.parametrize("at", ["[40, 0]", "[-50, -5]", "[1, 2]"])
+def test_a_layout_of_four_million_metres(tmp_path, at):
+    text = """[kinds.own]
+pads_mm = [[0, 0], [40, 0]]
+outline_mm = [[-50, -5], [5, -5], [0, 9]]
+centre_pad = 0
+[[modules]]
+id = 0
+kind = "own"
+first_channel = 0
+place_mm = [1, 2]
+"""
+    assert read_layout(text, tmp_path / "l.toml", 4)
+    assert "has a length of 4e+09" in sentence_of(read_layout, text.replace(at, "[4e9, 0]"), tmp_path / "l.toml", 4)
+
+
 OF_OTHERS = [r"\\h\a.stl", "//h/s/a.stl", r"\/h/a.stl", r"/\h/a.stl", r"\\.\pipe\a.stl", r"\??\UNC\h\a.stl", r"\\?\UNC\h\a.stl"]
 
 
