@@ -59,7 +59,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         (
             "closing",
             "Closing check again",
-            "Shift+F",
+            "A",
             "Once it is enough: poke some of the first places once more; whether anything moved",
         ),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
