@@ -16,6 +16,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Si
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
+    QDialog,
     QFileDialog,
     QLabel,
     QMainWindow,
@@ -40,12 +41,13 @@ from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
 from app.text.help_text import about_words
-from app.text.message import Message, connect_words, keep_question, look_words
+from app.text.message import NO_ADDRESSES, Message, connect_words, keep_question, look_words
 from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
     from app.dialogs.import_dialog import ImportDialog
+    from app.session.opening import Addresses
     from app.session_view import SessionView
     from skincal.session.importing import Imported
     from skincal.session.part import Part
@@ -182,6 +184,7 @@ class Window(QMainWindow):
             "new": self.ask_new,
             "open": self.ask_session,
             "import": self.ask_import,
+            "addresses": self.ask_addresses,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
             "apply": self._of_session(lambda view: view.ask_apply(self, self._settings)),
@@ -274,6 +277,7 @@ class Window(QMainWindow):
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
+        controller.skip_wanted.connect(self._of_session(lambda view: view.skip_target()))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)
@@ -417,8 +421,41 @@ class Window(QMainWindow):
 
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
-        dialog = NewSessionDialog(scene, folder, self)
+        paused = self._lend_devices()
+        dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
         dialog.request_chosen.connect(self.open)
+        self._open_page(dialog, paused=paused)
+
+    def ask_addresses(self) -> None:
+        """Ask where the devices of this session are now."""
+        from app.dialogs.new_session import NewSessionDialog
+        from app.session.opening import addresses_of
+
+        view = self.session_view
+        if view is None or self.controller.served or not self.controller.links:
+            self.tell(Message(NO_ADDRESSES, found=True))
+            return
+        present = addresses_of(self.controller.links), view.workspace.part.scene
+        paused = self._lend_devices()
+        dialog = NewSessionDialog(None, Path(), self, self._known_addresses(), present)
+        dialog.addresses_chosen.connect(self._use_addresses)
+        self._open_page(dialog, paused=paused)
+
+    def _use_addresses(self, addresses: Addresses) -> None:
+        self._remember({addresses.wrench, addresses.skin, addresses.joints} - {""})
+        self.controller.change_addresses(addresses)
+
+    def _lend_devices(self) -> bool:
+        """Let go of devices that a page will look at, since a port has one reader; return whether they were read."""
+        if self.controller.running is not Running.STREAMING or self.controller.served:
+            return False
+        self.controller.pause()
+        return True
+
+    def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
+        """Open a page that looks at devices; where it is left they are read again."""
+        if paused:
+            dialog.rejected.connect(self.controller.go_on)
         dialog.open()
 
     def ask_import(self, paths: Sequence[Path] = ()) -> None:
