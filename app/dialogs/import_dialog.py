@@ -352,18 +352,14 @@ class ImportDialog(QDialog):
 
     def _objections(self) -> tuple[str, ...]:
         """Return why nothing can be imported yet."""
-        preview, folder = self._preview, Path(self.folder.text().strip())
+        preview = self._preview
         pose = "" if self.fields[Stream.JOINTS].text().strip() else self.pose.currentText()
         self.pose.setEnabled(self.pose.count() > 1 and not self.fields[Stream.JOINTS].text().strip())
         try:
             found = (self._trouble,) if preview is None else preview.misfits(self._scene(), pose)
         except InputError as error:
             found = (str(error),)
-        if not self.folder.text().strip():
-            found = (*found, NO_FOLDER)
-        elif (folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*")):
-            found = (*found, HOLDS_SESSION)
-        return tuple(filter(None, found))
+        return (*filter(None, (*found, _folder_objection(self.folder.text().strip()))),)
 
     def _judge(self) -> None:
         """Say what is in the way, and enable the import where nothing is."""
@@ -441,6 +437,16 @@ class ImportDialog(QDialog):
         """End what is done beside the window, by force; of an import nothing is left behind."""
         self._watching.stop()
         self._jobs.close()
+
+
+def _folder_objection(text: str) -> str:
+    """Return why no session can be made in a folder; empty where nothing is known against it."""
+    folder = Path(text)
+    try:
+        taken = bool(text) and ((folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*")))
+    except (OSError, ValueError) as error:
+        return f"{text}: cannot be looked at ({error}); name another folder."
+    return HOLDS_SESSION if taken else "" if text else NO_FOLDER
 
 
 def _row(*widgets: QWidget) -> QHBoxLayout:

@@ -344,6 +344,8 @@ RATE_NS = 2_000_000_000
 """Nanoseconds over which a rate is counted."""
 RATE_STEP_NS = 100_000_000
 """Nanoseconds of readings counted together for the rate."""
+RECORDED = ("yarp", "yarp-tx-rx", "yarp-rx", "csv")
+"""Formats of recordings, whose files carry one stream each."""
 TOLD = ("rtde",)
 """Formats whose packets only the decoder of the wanted streams can read."""
 CLOCKLESS_LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MISSING)
@@ -427,7 +429,8 @@ class LinkIntake:
         self.stamper = Stamper()
         name = format_of(spec.address, spec.format)
         # A robot's packets hold what it was asked for, and say no word of that.
-        look = None if name in TOLD else lambda: LinkDecoder(name, None, tuple(Stream))
+        streams = spec.carries if name in RECORDED else tuple(Stream)
+        look = None if name in TOLD else lambda: LinkDecoder(name, None, streams)
         self.ear = LinkEar(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
         self._channels = channels
         self._decoder = self._new_decoder()

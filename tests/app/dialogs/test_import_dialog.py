@@ -133,6 +133,8 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     assert HOLDS_SESSION in dialog.objection.text()
     dialog.folder.setText(" ")
     assert NO_FOLDER in dialog.objection.text()
+    dialog.folder.setText(str(tmp_path / ("n" * 300)))
+    assert "cannot be looked at" in dialog.objection.text()
     dialog.folder.setText(str(tmp_path / "new"))
     assert dialog.start.isEnabled()
     (folder / "left_ft" / "data.log").write_text("nothing of a log\n")
