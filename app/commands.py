@@ -41,6 +41,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
+        ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
         ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
         ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
         ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
@@ -66,6 +67,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
+        ("thresholds", "Thresholds...", "Shift+H", "What a poke must pass to count; a change holds for pokes from then on"),
         (
             "landmark",
             "Add landmark...",
@@ -212,6 +214,7 @@ class Commands(QObject):
             self.actions[name].setText(text)
         for name, enabled in (
             ("export", may.export),
+            ("apply", may.export),
             ("report", may.export),
             ("method", may.switch_method),
             ("difference", may.switch_method),

@@ -20,9 +20,11 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import LAYERS, Commands
+from app.dialogs.apply_dialog import ApplyDialog
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
+from app.dialogs.thresholds_dialog import ThresholdsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel, LinkChips
@@ -69,6 +71,8 @@ from skincal.model.actions import (
     Undo,
 )
 from skincal.model.errors import InputError
+from skincal.model.scene import Scene
+from skincal.session.checked import words_of
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
 from skincal.session.part import Part
@@ -275,6 +279,10 @@ class SessionView(QObject):
     """The verdict of the demo came by itself."""
     _history: HistoryDialog | None = None
     """Made when it is first asked for."""
+    _thresholds: ThresholdsDialog | None = None
+    """Likewise."""
+    _scene: Scene | None = None
+    """With the thresholds that hold; None before the first tick."""
 
     def __init__(
         self,
@@ -396,8 +404,9 @@ class SessionView(QObject):
             QTimer.singleShot(VERDICT_MS, self.workspace, lambda: self.ask_verdict(self.workspace.window()))
         self.workspace.show_state(state)
         self.chips.show_state(state)
-        if self._history is not None:
-            self._history.show_state(state)
+        for dialog in (self._history, self._thresholds):
+            if dialog is not None:
+                dialog.show_state(state)
         if before is None or state.may is not before.may:
             self._enable(state.may)
 
@@ -428,7 +437,7 @@ class SessionView(QObject):
         return ViewState(
             snapshot=snapshot,
             live=tick.live,
-            scene=self.workspace.part.scene,
+            scene=self._scene_now(snapshot),
             names=self.workspace.names,
             method=self.method,
             selected=self.selected,
@@ -449,6 +458,12 @@ class SessionView(QObject):
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
         )
+
+    def _scene_now(self, snapshot: Snapshot) -> Scene:
+        """Return the scene with the thresholds that hold; the same object until they change."""
+        if self._scene is None or self._scene.contacts != snapshot.thresholds:
+            self._scene = replace(self.workspace.part.scene, contacts=snapshot.thresholds)
+        return self._scene
 
     def _diversity_of(self, tick: Tick) -> AxisDiversity | None:
         """Return what the contacts of the taxel that is looked at are like; the same object until something changes it."""
@@ -584,6 +599,16 @@ class SessionView(QObject):
         self._history.show()
         self._history.activateWindow()
 
+    def show_thresholds(self, parent: QWidget) -> None:
+        """Show what a poke must pass to count, beside the window, and let it be changed."""
+        if self._thresholds is None:
+            self._thresholds = ThresholdsDialog(self.workspace.part.scene.contacts, parent)
+            self._thresholds.thresholds_wanted.connect(self._controller.act)
+        if self.state is not None:
+            self._thresholds.show_state(self.state)
+        self._thresholds.show()
+        self._thresholds.activateWindow()
+
     def exclude_or_restore(self) -> None:
         """Take the selected pokes out, or in again where all of them are out."""
         if self.state is not None:
@@ -643,6 +668,23 @@ class SessionView(QObject):
             self._controller.export(format_, path, method, rig, done, dialog.show_failure)
 
         dialog.write_requested.connect(write)
+        dialog.open()
+
+    def ask_apply(self, parent: QWidget, settings: QSettings) -> None:
+        """Ask where positions are to be sent, send them and show what the robot answered."""
+        state = self.state
+        if state is None or self._tick is None:
+            return
+        rig = None if state.review is None else state.review.rig
+        evidence = self._tick.evidence
+        verdicts = {method: self.guide.verdict(state.snapshot, method, evidence, rig) for method in self.workspace.methods}
+        dialog = ApplyDialog(words_of(verdicts), self.method, str(settings.value("apply/address", "")), parent)
+
+        def send(address: str, method: Method) -> None:
+            settings.setValue("apply/address", address)
+            self._controller.apply(address, method, (rig, verdicts), dialog.show_end)
+
+        dialog.apply_requested.connect(send)
         dialog.open()
 
     def ask_report(self, parent: QWidget) -> None:
@@ -782,9 +824,10 @@ class SessionView(QObject):
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
         self.picking.stop()
-        if self._history is not None:
-            self._history.deleteLater()
-            self._history = None
+        for dialog in (self._history, self._thresholds):
+            if dialog is not None:
+                dialog.deleteLater()
+        self._history = self._thresholds = None
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []

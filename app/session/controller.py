@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -609,6 +609,42 @@ class Controller(QObject):
             return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
         self.compute(write, done, failed)
+
+    def apply(
+        self,
+        address: str,
+        method: Method,
+        found: tuple[RigAnswer | None, Mapping[Method, Verdict]],
+        done: Callable[..., None],
+    ) -> None:
+        """Bring positions to a running robot in the background.
+
+        Parameters
+        ----------
+        found : what landmark pokes say, None where nobody has looked, and by method what the session has come to
+        done : gets a sentence, every question with its answer, and `good`: whether all went well
+        """
+        if self._recording is None:
+            return
+        if self._recording.pipeline.session.unsolved > AT_ONCE:
+            done(STILL_SOLVING, (), good=False)
+            return
+        from skincal.session.checked import checked
+
+        calibration = checked(self._recording.pipeline.session.calibration(), *found)
+        folder = self._recording.storage.lasting or self._documents
+        lines: list[str] = []
+
+        def send() -> str:
+            from skincal.robot.skin_manager import ANSWER_S, applied_words, apply_positions, calibrated_positions
+
+            positions = calibrated_positions(calibration, method, None)
+            folder.mkdir(parents=True, exist_ok=True)
+            before = folder / f"before-{positions.part}.txt"
+            words = applied_words(apply_positions(address, positions, before, ANSWER_S, lines.append), positions.part)
+            return f"{words[:1].upper()}{words[1:]}."
+
+        self.compute(send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False))
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
         """Write the report of what is recorded, in a process of its own.

@@ -1,4 +1,4 @@
-"""The commands: `skincal solve | export | compare | report | simulate | devices | watch | record | import | landmarks | study`.
+"""The commands: `skincal solve | export | apply | compare | report | simulate | devices | watch | record | landmarks | ...`.
 
 Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
 2 the user's input is at fault (one sentence, no traceback), 1 ours.
@@ -47,9 +47,10 @@ def _options(
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import calibrate, compare, listen, name_pokes, record, simulate, study, write_report
+    from skincal.cli import apply, calibrate, compare, listen, name_pokes, record, simulate, study, write_report
 
     calibrate.add_to(app)
+    apply.add_to(app)
     compare.add_to(app)
     write_report.add_to(app)
     listen.add_to(app)

@@ -16,8 +16,10 @@ from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
+    from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
+    from skincal.modules.distances import TriedDistance
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
@@ -47,6 +49,16 @@ LayoutFile = Annotated[
     ),
 ]
 SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
+
+
+MethodOption = Annotated[
+    Method | None,
+    typer.Option(
+        help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
+        "know at least 95 % of the taxels that any one knows.",
+        show_default=False,
+    ),
+]
 
 
 def add_to(app: typer.Typer) -> None:
@@ -109,7 +121,7 @@ def solve(
     verdict = None if leads is None else _verdict(pipeline.session, Method(leads))
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
+    text += [*rig_lines, *_session_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in dead.items())]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -121,12 +133,20 @@ def solve(
         **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
+        "distances": [_distance(tried) for tried in snapshot.distances],
         **modules,
         "dead": dead,
         "files": files,
         "findings": findings,
     }
     report.print_result({**result, "text": text}, as_json)
+
+
+def _distance(tried: TriedDistance) -> dict[str, Any]:
+    """Return a known distance, and what pokes say of it, as JSON."""
+    lengths = {"told_mm": tried.told.length, "found_mm": tried.found, "sd_mm": tried.sd}
+    in_mm = {key: None if value is None else value * 1e3 for key, value in lengths.items()}
+    return {"taxels" if tried.told.of_taxels else "modules": tried.told.ends, "use": tried.use.value, **in_mm}
 
 
 def _opened(session: Path, from_bytes: bool, layout: Path | None) -> Pipeline:
@@ -176,13 +196,14 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     return {"misfits": misfits, "layout": layout}, lines
 
 
-def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
-    """Return whether anything moved since the session began, where that was checked."""
-    from skincal.sentences import closing_sentence, earlier_closings
+def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
+    """Return which known distances are used, and whether anything moved since the session began, where that was checked."""
+    from skincal.sentences import closing_sentence, distance_sentences, earlier_closings
     from skincal.session.closing_pokes import closings_of
 
     closings = closings_of(snapshot, scene.noise)
-    return [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
+    told = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
+    return [*distance_sentences(snapshot.distances), *told]
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
@@ -331,18 +352,30 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     return [folder / name for _, name, _ in names], list(findings)
 
 
+def calibration_of(
+    session: Path, replay: bool, layout: Path | None, correct: bool, method: Method | None
+) -> tuple[Pipeline, Calibration, Method]:
+    """Open a session, and return what a file is written from, and by which method where none is given."""
+    from skincal.methods import leading_method
+    from skincal.session.checked import checked_calibration
+
+    pipeline = _opened(session, replay, layout)
+    if correct:
+        _correct(pipeline.session)
+    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
+    chosen = method or leading_method(calibration.estimates) or pipeline.session.methods[-1]
+    if chosen not in calibration.estimates:
+        lacks = "surface" if chosen is Method.SURFACE else "layout"
+        known = " or ".join(method.value for method in calibration.estimates)
+        raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
+    return pipeline, calibration, chosen
+
+
 def export(
     session: SessionArgument,
     format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file; see above.")],
     out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak, .bak-2, ...")],
-    method: Annotated[
-        Method | None,
-        typer.Option(
-            help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
-            "know at least 95 % of the taxels that any one knows.",
-            show_default=False,
-        ),
-    ] = None,
+    method: MethodOption = None,
     layout: LayoutFile = None,
     correct: Correct = False,
     part: Part = None,
@@ -353,20 +386,11 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
-    from skincal.session.checked import checked_calibration
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
-    pipeline = _opened(session, replay, layout)
-    if correct:
-        _correct(pipeline.session)
-    calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
+    pipeline, calibration, chosen = calibration_of(session, replay, layout, correct, method)
     leads = leading_method(calibration.estimates)
-    chosen = method or leads or pipeline.session.methods[-1]
-    if chosen not in calibration.estimates:
-        lacks = "surface" if chosen is Method.SURFACE else "layout"
-        known = " or ".join(method.value for method in calibration.estimates)
-        raise InputError(f"{session}: its scene has no {lacks}; expected --method {known}.")
     findings = [*pipeline.findings, *write_calibration(calibration, format_.value, out, chosen, part)]
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}

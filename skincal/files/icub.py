@@ -94,16 +94,33 @@ def icub_text(calibration: Calibration, method: Method, part: str | None = None)
     rows = np.zeros((width, 6))
     rows[taxels.channels] = np.hstack([taxels.positions, taxels.normals])
     mapping = representatives(calibration.scene.skin.layout, width, taxels.channels)
+    comments = _comments(calibration, method, estimates)
+    return _text(skin_part(calibration, part), _word(calibration.scene.link), mapping, rows, comments)
+
+
+def rows_text(part: str, rows: FloatArray, comment: str) -> str:
+    """Return a position file of rows (n, 6), metres and normals, of which no more is known than their part."""
+    mapping = representatives(None, len(rows), np.flatnonzero(rows[:, :3].any(axis=1)))
+    return _text(part, "", mapping, rows, [comment])
+
+
+def _text(part: str, frame: str, mapping: IntArray, rows: FloatArray, comments: list[str]) -> str:
     lines = [
-        f"name               {skin_part(calibration, part)}",
-        f"frame              {_word(calibration.scene.link)}",
+        f"name               {part}",
+        *([f"frame              {frame}"] if frame else []),
         "spatial_sampling   taxel",
         f"taxel2Repr         ({' '.join(map(str, mapping.tolist()))})",
         "[calibration]",
         *(_format_row(row) for row in rows.tolist()),
-        *(f"# {line}" for line in _comments(calibration, method, estimates)),
+        *(f"# {line}" for line in comments),
     ]
     return "\n".join(lines) + "\n"
+
+
+def named_part(path: Path) -> str:
+    """Return the skin part that a position file is of; empty where it names none."""
+    found = re.search(r"^name\s+(\S+)", read_regular(path, TEXT_MOST).decode("utf-8", "replace"), re.MULTILINE)
+    return "" if found is None else found[1]
 
 
 def _format_row(row: list[float]) -> str:

@@ -162,6 +162,16 @@ class SkipClosing:
 
 
 @dataclass(frozen=True, slots=True)
+class SetThresholds:
+    """Judge pokes that begin from now on by these thresholds in place of the scene's; all others are the scene's."""
+
+    names: tuple[str, ...] = ()
+    """Fields of `ContactSettings`..."""
+    values: tuple[float, ...] = ()
+    """...and their values, SI units."""
+
+
+@dataclass(frozen=True, slots=True)
 class Correct:
     """Use a correction of what the rig reports, in place of one of its kind; the numbers travel with it, SI units."""
 
@@ -211,6 +221,7 @@ Action: TypeAlias = (
     | SkipPoke
     | SkipLandmark
     | BeginClosing
+    | SetThresholds
     | SkipClosing
     | Correct
     | Uncorrect
@@ -242,6 +253,7 @@ _KINDS: dict[str, type[Action]] = {
     "skip_poke": SkipPoke,
     "skip_landmark": SkipLandmark,
     "begin_closing": BeginClosing,
+    "set_thresholds": SetThresholds,
     "skip_closing": SkipClosing,
     "correct": Correct,
     "uncorrect": Uncorrect,

@@ -34,6 +34,7 @@ from skincal.model.actions import (
     Restore,
     Revive,
     SetPose,
+    SetThresholds,
     SkipClosing,
     SkipLandmark,
     SkipPoke,
@@ -41,7 +42,7 @@ from skincal.model.actions import (
     Undo,
 )
 from skincal.model.errors import InputError
-from skincal.model.scene import Landmark, Scene
+from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
@@ -89,6 +90,8 @@ class Session:
         """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
+        self.thresholds = scene.contacts
+        """Those by which pokes that begin now are judged."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
         self._records: dict[int, PokeRecord] = {}
         self._corrections = Corrections(self._correct_all)
@@ -330,14 +333,15 @@ class Session:
                 return self._choose_poke(action)
             case SetPose():
                 return self._choose_pose(action.name)
-            case AddLandmark():
-                return self._known.add(action)
-            case AtLandmark() | FoundAtLandmark():
-                return self._known.put(action, self.outcome(action.poke))
+            case AddLandmark() | AtLandmark() | FoundAtLandmark():
+                added = isinstance(action, AddLandmark)
+                return self._known.add(action) if added else self._known.put(action, self.outcome(action.poke))
             case Correct() | Uncorrect():
                 return self._corrections.act(action)
             case MarkDead() | Revive():
                 return self._choose_channel(action)
+            case SetThresholds():
+                return self._choose_thresholds(action)
             case BeginClosing():
                 return self._begin_closing()
             case _:
@@ -383,9 +387,11 @@ class Session:
             at_landmarks=self.at_landmarks,
             missed_landmarks=self._known.missed,
             corrections=self.corrections,
+            thresholds=self.thresholds,
             closings=self._closings,
             skips=self._skips,
             clocks=self._clocks,
+            distances=self._solving.tried_distances,
         )
         return self._snapshot
 
@@ -402,7 +408,7 @@ class Session:
         estimates = snapshot.estimates
         outcomes = [self._corrections.reported[poke] for poke in self._records]
         return Calibration(
-            scene=self.scene,
+            scene=replace(self.scene, contacts=self.thresholds),
             channels=self.channels,
             estimates=estimates,
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
@@ -491,6 +497,21 @@ class Session:
             self.pose = before
 
         return Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back)
+
+    def _choose_thresholds(self, action: SetThresholds) -> Step:
+        if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
+            numbers = f"{len(action.names)} names and {len(action.values)} values"
+            raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
+        before = self.thresholds
+        wanted = with_thresholds(self.scene.contacts, dict(zip(action.names, action.values, strict=True)))
+        if wanted == before:
+            raise InputError("These thresholds of a poke are in use already.")
+
+        def put(thresholds: ContactSettings) -> None:
+            self.thresholds = thresholds
+
+        put(wanted)
+        return Step("change of thresholds" if action.names else "return to the scene's thresholds", lambda: put(before))
 
     def _choose_channel(self, action: MarkDead | Revive) -> Step:
         channel, mark = action.channel, isinstance(action, MarkDead)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
 from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
 from skincal.model.readings import LinkHealth
-from skincal.model.scene import Landmark
+from skincal.model.scene import ContactSettings, Landmark
 from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +79,16 @@ class Snapshot:
     """Pokes that a landmark was asked for and that passed it too far, by their number."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
+    thresholds: ContactSettings = field(default_factory=ContactSettings)
+    """Those by which pokes that begin now are judged."""
     closings: tuple[ClosingRound, ...] = ()
     """The closing checks that began, the newest last."""
     clocks: tuple[tuple[int, WallClock | None], ...] = ()
     """Of each part of the session the last poke before it, and its clock; None where nobody knows that."""
     skips: tuple[SkipPoke | SkipLandmark, ...] = ()
     """What the operator did not want to be asked for, in that order."""
+    distances: tuple[TriedDistance, ...] = ()
+    """Of each known distance between modules of the scene, whether the modules method uses it."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

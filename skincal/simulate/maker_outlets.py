@@ -8,8 +8,10 @@ import struct
 from collections.abc import Callable
 from typing import TypeAlias
 
+import numpy as np
+
 from skincal.model.readings import Stream
-from skincal.simulate.makers import DeviceTalk, NameTalk, PageTalk, PlainTalk, RtdeTalk, XelaTalk, YarpTalk
+from skincal.simulate.makers import DeviceTalk, NameTalk, PageTalk, PlainTalk, RtdeTalk, SkinManagerTalk, XelaTalk, YarpTalk
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 
 RDT_RECORD = 36
@@ -52,25 +54,27 @@ class TalkOutlet(TcpOutlet):
 
 
 class YarpOutlet(TalkOutlet):
-    """A port of a YARP network, and its part in the name server that all of them share."""
+    """A port of a YARP network, and its part in the name server and the skinManager that all of them share."""
 
-    def __init__(self, stream: Stream, names: dict[str, int], server: TalkOutlet) -> None:
+    def __init__(self, stream: Stream, names: dict[str, int], shared: tuple[TalkOutlet, TalkOutlet]) -> None:
         super().__init__(lambda: YarpTalk(self.port), "{}")
+        self._shared = shared
         name = {Stream.WRENCH: "/icub/right_arm/analog:o", Stream.SKIN: "/icub/skin/right_forearm"}.get(
             stream, "/icub/right_arm/state:o"
         )
         names[name] = self.port
-        self._names = server
-        self.address = f"yarp://127.0.0.1:{server.port}{name}"
+        self.address = f"yarp://127.0.0.1:{shared[0].port}{name}"
 
     def poll(self) -> tuple[bool, bytes]:
         """See `TalkOutlet`."""
-        self._names.poll()
+        for outlet in self._shared:
+            outlet.poll()
         return super().poll()
 
     def close(self) -> None:
         """See `TalkOutlet`."""
-        self._names.close()
+        for outlet in self._shared:
+            outlet.close()
         super().close()
 
 
@@ -146,19 +150,35 @@ class SilentPtyOutlet(PtyOutlet):
 MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RobotiqOutlet | SilentPtyOutlet
 
 
-class MakerOutlets:
-    """Opens the outlets of one rig's devices; ports of a YARP network share one name server."""
+class SkinManagerOutlet(TalkOutlet):
+    """The RPC port of a skinManager that has no positions yet."""
 
-    def __init__(self) -> None:
+    def __init__(self, channels: int) -> None:
+        self.poses = np.zeros((channels, 7))
+        super().__init__(lambda: SkinManagerTalk(self.port, self.poses), "{}")
+
+
+class MakerOutlets:
+    """Opens the outlets of one rig's devices; ports of a YARP network share one name server.
+
+    Parameters
+    ----------
+    channels : of the skin, for the skinManager in that network
+    """
+
+    def __init__(self, channels: int) -> None:
         self._names: dict[str, int] = {}
-        self._server: TalkOutlet | None = None
+        self._channels = channels
+        self._shared: tuple[TalkOutlet, TalkOutlet] | None = None
 
     def open(self, maker: str, stream: Stream, *, tcp: bool) -> MakerOutlet:
         """Return the outlet of a maker's device; with `tcp` serial devices are behind a TCP port, too."""
         if maker == "yarp":
-            if self._server is None:
-                self._server = TalkOutlet(lambda: NameTalk(self._names), "{}")
-            return YarpOutlet(stream, self._names, self._server)
+            if self._shared is None:
+                manager = SkinManagerOutlet(self._channels)
+                self._shared = TalkOutlet(lambda: NameTalk(self._names), "{}"), manager
+                self._names["/skinManager/rpc"] = manager.port
+            return YarpOutlet(stream, self._names, self._shared)
         if maker == "netft":
             return RdtOutlet()
         talks: dict[str, tuple[Callable[[], DeviceTalk], str]] = {

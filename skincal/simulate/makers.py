@@ -260,6 +260,99 @@ class YarpTalk(PlainTalk):
         return b""
 
 
+class SkinManagerTalk(PlainTalk):
+    """The RPC port of a skinManager: one part, its poses and confidences, which all who ask share.
+
+    It answers as icub-main's `skinManager.cpp` does, messages as a port of YARP 3.12 frames them.
+    """
+
+    PART, NUMBER = "r_forearm", 5
+
+    def __init__(self, number: int, poses: FloatArray) -> None:
+        """Take the port's number and (width, 7) poses with their confidence, which questions change."""
+        super().__init__()
+        self.ready = False
+        self._number, self._poses = number, poses
+        self._greeted = False
+
+    def hear(self, data: bytes) -> bytes:
+        """See `DeviceTalk`."""
+        self.heard += data
+        out = b""
+        if not self._greeted and len(self.heard) >= 12:
+            length = int.from_bytes(self.heard[8:12], "little")
+            if len(self.heard) >= 12 + length:
+                self._greeted, self.heard = True, self.heard[12 + length :]
+                out = b"YA" + struct.pack("<i", self._number) + b"RP"
+        while self._greeted and len(self.heard) >= 30:
+            first, second = struct.unpack_from("<2i", self.heard, 18)
+            if len(self.heard) < 30 + first + second:
+                break
+            bottle, self.heard = self.heard[30 + first : 30 + first + second], self.heard[30 + first + second :]
+            answer = _rpc_bottle(self.answer(_rpc_values(bottle)))
+            out += b"YA\x0a\x00\x00\x00RP\x01\x01" + b"\xff" * 8 + struct.pack("<2i", len(answer), 0) + answer
+        return out
+
+    def answer(self, words: list[str | int | float]) -> list[str | int | float]:
+        """Return what skinManager answers."""
+        match words:
+            case ["get", "skin"]:
+                return [self.NUMBER, self.PART]
+            case ["get", "pose", self.NUMBER]:
+                return [*self._poses.ravel().tolist()]
+            case ["get", "pose", int()]:
+                return []
+            case ["set", "pose", int() as part, int() as taxel, *numbers]:
+                return self._change(part, taxel, numbers, slice(0, 6), (6,))
+            case ["set", "position", int() as part, int() as taxel, *numbers]:
+                return self._change(part, taxel, numbers, slice(0, 3), (3, 4))
+            case _:
+                return ["Unknown command. Input 'help' to get a list of the available commands."]
+
+    def _change(
+        self, part: int, taxel: int, numbers: list[str | int | float], where: slice, sizes: tuple[int, ...]
+    ) -> list[str | int | float]:
+        if part != self.NUMBER or not 0 <= taxel < len(self._poses) or len(numbers) not in sizes:
+            return [1, "ERROR: pose was not set" if sizes == (6,) else "ERROR: position was not set"]
+        self._poses[taxel, where] = numbers[: where.stop]
+        if len(numbers) == 4:
+            self._poses[taxel, 6] = numbers[3]
+        return [0]
+
+
+def _rpc_values(bottle: bytes) -> list[str | int | float]:
+    """Return what a question's bottle holds: words, whole numbers and floats."""
+    kind, count = struct.unpack_from("<2i", bottle)
+    values: list[str | int | float] = []
+    at = 8
+    for _ in range(count):
+        tag = kind & 255
+        if not tag:
+            (tag,) = struct.unpack_from("<i", bottle, at)
+            at += 4
+        if tag == 4:
+            (size,) = struct.unpack_from("<i", bottle, at)
+            values.append(bottle[at + 4 : at + 4 + size].decode())
+            at += 4 + size
+        else:
+            values += struct.unpack_from("<i" if tag == 1 else "<d", bottle, at)
+            at += 4 if tag == 1 else 8
+    return values
+
+
+def _rpc_bottle(values: list[str | int | float]) -> bytes:
+    """Return an answer's bottle, every value with its kind but where all of them are floats, as YARP writes it."""
+    if values and all(isinstance(value, float) for value in values):
+        return struct.pack(f"<2i{len(values)}d", 266, len(values), *values)
+    out = struct.pack("<2i", 256, len(values))
+    for value in values:
+        if isinstance(value, str):
+            out += struct.pack("<2i", 4, len(value)) + value.encode()
+        else:
+            out += struct.pack("<2i", 1, value) if isinstance(value, int) else struct.pack("<id", 10, value)
+    return out
+
+
 class NameTalk(PlainTalk):
     """A YARP name server: a line of its short form, or the lines of a connection."""
 

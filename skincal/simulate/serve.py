@@ -48,7 +48,7 @@ class Server:
     def _open_makers(self, speakers: Mapping[Stream, str], *, tcp: bool) -> None:
         from skincal.simulate.maker_outlets import MakerOutlets
 
-        makers = MakerOutlets()
+        makers = MakerOutlets(self._line.rig.scene.skin.channels)
         for name, stream in self._line.links.items():
             if stream in speakers:
                 self._outlets[name] = makers.open(speakers[stream], stream, tcp=tcp)

@@ -7,6 +7,9 @@ joined. The body begins with the port command, which may hold the envelope: sequ
 asked for on such a port: publishers that convert themselves on the way out can crash by it. Sources: robotology/yarp 3.0 to
 4.0 (`Protocol.cpp`, `PortCommand.cpp`, `BottleImpl.cpp`), and what a name server and ports of 3.12.3 sent.
 
+A port that answers (RPC) is spoken to over the same carrier, without asking to be a reader: a message whose port command is
+`d` and whose payload is a bottle; the answer is a message that is a bottle from its first byte.
+
 Angles of joint ports are degrees. Of `measures:o` the sixth group holds six-axis sensors, the ninth skin patches, each
 measure with a stamp of its own; of `stateExt:o` the first element is the joints' angles.
 """
@@ -16,6 +19,7 @@ from __future__ import annotations
 import math
 import re
 import struct
+from collections.abc import Iterator, Sequence
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -40,6 +44,7 @@ BLOCK_MAX = 1 << 24
 DEPTH_MAX = 8
 READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
+HELLO = YARP_INT.pack(b"YA", FAST_TCP, b"RP") + INT32.pack(len(READER_NAME)) + READER_NAME
 BECOME_READER = struct.pack("<2si2s2B8si4s4s", b"YA", MESSAGE, b"RP", 1, 1, b"\xff" * 8, 8, bytes(4), bytes(4)) + b"~r\x00\x01"
 MEASURES_WRENCH, MEASURES_SKIN, MEASURES_LISTS = 5, 8, 10
 """Places in the groups of `measures:o`, and how many groups older versions have; newer ones have 12."""
@@ -83,7 +88,7 @@ class YarpDialogue(Dialogue):
 
     def opening(self) -> bytes:
         """See `Dialogue`."""
-        return YARP_INT.pack(b"YA", FAST_TCP, b"RP") + INT32.pack(len(READER_NAME)) + READER_NAME
+        return HELLO
 
     def hear(self, data: bytes) -> bytes:
         """See `Dialogue`."""
@@ -239,6 +244,47 @@ def read_bottle(payload: bytes) -> Value:
     if not tag & (_LIST | _DICT):
         raise PortBottleError("a message is no list")
     return reader.value(tag)
+
+
+# ------------------------------------------------------------------ questions and answers
+
+
+def write_bottle(values: Sequence[str | int | float]) -> bytes:
+    """Return the bottle of some values; of values of one kind the short form, as YARP writes it."""
+    tags = [_STRING if isinstance(value, str) else 1 if isinstance(value, int) else 10 for value in values]
+    alike = tags[0] if len(set(tags)) == 1 else 0
+    pieces = [INT32.pack(_LIST | alike), INT32.pack(len(values))]
+    for tag, value in zip(tags, values, strict=True):
+        if not alike:
+            pieces.append(INT32.pack(tag))
+        if isinstance(value, str):
+            raw = value.encode()
+            pieces += [INT32.pack(len(raw)), raw]
+        else:
+            pieces.append(struct.pack("<i" if tag == 1 else "<d", value))
+    return b"".join(pieces)
+
+
+def write_question(values: Sequence[str | int | float]) -> bytes:
+    """Return the message that asks a port, and wants an answer."""
+    bottle = write_bottle(values)
+    head = struct.pack("<2si2s2B8s3i", b"YA", MESSAGE, b"RP", 2, 1, b"\xff" * 8, 8, len(bottle), 0)
+    return head + bytes(4) + b"~d\x00\x01" + bottle
+
+
+def read_answer(body: bytes) -> list[float | str]:
+    """Return the values of an answer's body, front to back, lists in it flattened. Raises PortBottleError."""
+    # Some versions put a port command in front; no bottle has these bytes there.
+    payload = split_envelope(body)[2] if body[4:5] == b"~" and body[6:8] == b"\x00\x01" else body
+    return list(_flat(read_bottle(payload)))
+
+
+def _flat(value: Value) -> Iterator[float | str]:
+    if isinstance(value, float | int | str):
+        yield value
+        return
+    for each in value.tolist() if isinstance(value, np.ndarray) else value:
+        yield from _flat(each)
 
 
 # ------------------------------------------------------------------ readings

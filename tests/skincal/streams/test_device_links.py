@@ -125,18 +125,18 @@ def lying(answer, form):
 
 
 def test_yarp_port_that_returns_under_another_number_is_found_again():
-    encoder, makers = YarpEncoder(), MakerOutlets()
+    encoder, makers = YarpEncoder(), MakerOutlets(64)
     first = makers.open("yarp", Stream.WRENCH, tcp=True)
-    names = first._names
-    with served(names), reading(first.address) as items:
+    shared = first._shared
+    with served(*shared), reading(first.address) as items:
         with served(first):
             next_event(items, LinkState.OPEN)
             readings_from(items, lambda: say(first, encoder._wrench(1, [1.0] * 6)))
-            first._names = TalkOutlet(PlainTalk, "{}")  # the name server outlives the port
+            first._shared = ()  # the name server outlives the port
         next_event(items, LinkState.LOST)
         second = makers.open("yarp", Stream.WRENCH, tcp=True)
         assert (second.address, second.port != first.port) == (first.address, True)
-        second._names = TalkOutlet(PlainTalk, "{}")
+        second._shared = ()
         with served(second):
             next_event(items, LinkState.OPEN)
             readings_from(items, lambda: say(second, encoder._wrench(2, [1.0] * 6)))
@@ -190,7 +190,7 @@ LIES = {
 
 @pytest.mark.parametrize("lie", LIES)
 def test_a_yarp_port_that_lies_costs_one_sentence(lie):
-    encoder, makers = YarpEncoder(), MakerOutlets()
+    encoder, makers = YarpEncoder(), MakerOutlets(64)
     outlet = makers.open("yarp", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
         next_event(items, LinkState.OPEN)
@@ -207,7 +207,7 @@ def test_a_yarp_port_that_lies_costs_one_sentence(lie):
 
 def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
     encoder = RdtEncoder()
-    outlet = MakerOutlets().open("netft", Stream.WRENCH, tcp=True)
+    outlet = MakerOutlets(64).open("netft", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
         intake = Intake(4, [spec(outlet.address)])
         readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
@@ -293,7 +293,7 @@ def test_the_address_says_the_format(address, form):
 @pytest.mark.parametrize(
     "address",
     [
-        "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://host",
+        "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://h/x",
         "rtde:", "xela:5000", "lines://host", "lines:", "netft://user@h", "bota:/dev/x?rate=1",
     ],
 )  # fmt: skip

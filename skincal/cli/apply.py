@@ -1,0 +1,93 @@
+"""`apply`: positions to a running robot, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from skincal.cli.calibrate import Correct, Json, LayoutFile, MethodOption, Part, Replay, calibration_of
+from skincal.cli.terminal import say
+from skincal.model.errors import InputError
+
+if TYPE_CHECKING:
+    from skincal.robot.skin_manager import Positions
+    from skincal.taxels.result import Method
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command(
+        epilog="Examples: skincal apply my-session --to yarp:/skinManager/rpc --dry-run; "
+        "skincal apply my-session/before-r_forearm.txt --to yarp:/skinManager/rpc brings the old positions again"
+    )(apply)
+
+
+def apply(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="SESSION|FILE", help="Folder of a session, or a position file of the iCub.", show_default=False),
+    ],
+    to: Annotated[
+        str,
+        typer.Option(help="RPC port of a running skinManager: yarp:/skinManager/rpc, or yarp://SERVER:PORT/skinManager/rpc."),
+    ],
+    method: MethodOption = None,
+    part: Part = None,
+    before: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for the positions that the robot has now; else before-PART.txt beside what is applied. An older one is "
+            "kept as .bak, .bak-2, ...",
+            show_default=False,
+        ),
+    ] = None,
+    timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds to wait for each answer.")] = 2.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be sent; nothing is opened.")] = False,
+    layout: LayoutFile = None,
+    correct: Correct = False,
+    replay: Replay = False,
+    as_json: Json = False,
+) -> None:
+    """Send positions to a running skinManager, one taxel after another, and show what it answers.
+
+    Only taxels that have a position, and that the robot has elsewhere, are sent; the others stay as they are. The robot's own
+    positions are read first and kept in a file, by which this command brings them again. At the first refusal it stops.
+    """
+    from skincal.cli import report
+    from skincal.robot.skin_manager import applied_words, apply_positions, question_words
+
+    positions, verdict = _positions(source, (method, part), layout, (correct, replay))
+    lines = [] if verdict is None else [f"{verdict}."]
+    if dry_run:
+        asked = [question_words(positions.question(channel)) for channel in positions.rows]
+        result = {"part": positions.part, "would_send": asked, "verdict": verdict}
+        report.print_result({**result, "text": [*lines, *asked, f"{len(asked)} taxels; nothing was sent"]}, as_json)
+        return
+    kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
+    applied = apply_positions(to, positions, kept, timeout, None if as_json else _say)
+    answers = [{"asked": asked, "answered": answered} for asked, answered in applied.asked]
+    result: dict[str, Any] = {"part": positions.part, "changed": applied.changed, "same": applied.same}
+    result |= {"before": applied.before, "verdict": verdict, "answers": answers}
+    report.print_result({**result, "text": [*lines, applied_words(applied, positions.part)]}, as_json)
+
+
+def _say(line: str) -> None:
+    say(line, err=True)
+
+
+def _positions(
+    source: Path, of: tuple[Method | None, str | None], layout: Path | None, ways: tuple[bool, bool]
+) -> tuple[Positions, str | None]:
+    """Return what to send, and what the session has come to; `of` method and part, `ways` whether to correct and to replay."""
+    from skincal.robot.skin_manager import calibrated_positions, file_positions
+
+    method, part = of
+    correct, replay = ways
+    if not source.is_file():
+        _, calibration, chosen = calibration_of(source, replay, layout, correct, method)
+        return calibrated_positions(calibration, chosen, part), calibration.verdicts[chosen]
+    if method is not None or layout is not None or correct or replay:
+        raise InputError(f"{source} is a file of positions; expected --part alone with it, since only a session is solved.")
+    return file_positions(source, part), None

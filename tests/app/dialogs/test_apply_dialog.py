@@ -1,0 +1,65 @@
+"""Positions go to a running robot from the window: it asks first, says what the session has come to, and shows the answers."""
+
+import shutil
+
+import numpy as np
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+
+from app.dialogs.apply_dialog import ApplyDialog
+from app.session.opening import OpenRequest
+from skincal.model.scene import resource
+from skincal.simulate.maker_outlets import SkinManagerOutlet
+from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
+from tests.skincal.robot.robot_support import robot
+
+CTRL_SHIFT = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier
+
+
+def asked(bench) -> ApplyDialog:
+    bench.key(Qt.Key.Key_A, CTRL_SHIFT)
+    dialog = bench.window.findChild(ApplyDialog)
+    assert dialog is not None
+    return dialog
+
+
+def ended(bench, dialog) -> str:
+    bench.until(dialog.apply.isEnabled, OPEN_MS)
+    return dialog.outcome.text()
+
+
+def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench, tmp_path):
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "mine")
+    bench.open(OpenRequest(session=folder))
+    bench.until_all_is_there()
+    manager = SkinManagerOutlet(384)
+    with robot(manager) as address:
+        dialog = asked(bench)
+        assert dialog.verdict.text().startswith(approved("verdict.not_enough_begin", done=78, count=84))
+        dialog.address.setText(address)
+        QTest.keyClick(dialog, Qt.Key.Key_Space)
+        QTest.keyClick(dialog, Qt.Key.Key_Return)
+        bench.until(lambda: not bench.window.findChildren(ApplyDialog), OPEN_MS)
+        assert not manager.poses.any(), "a key that goes on elsewhere does not change a robot"
+
+        dialog = asked(bench)
+        dialog.address.setText(address)
+        dialog.apply.click()
+        assert not dialog.apply.isEnabled()
+        dialog.reject()
+        assert approved("apply.changed", count=84, part="r_forearm") in ended(bench, dialog)
+        lines = [dialog.answers.item(row).text() for row in range(dialog.answers.count())]
+        assert sum(line.startswith("set pose 5 ") and line.endswith(": 0") for line in lines) == 84
+        assert any(f"{folder / 'before-r_forearm.txt'}: `skincal apply " in line for line in lines)
+        estimates = bench.snapshot.estimates[bench.window.session_view.method]
+        for each in estimates:
+            np.testing.assert_allclose(manager.poses[each.channel, :3], each.position, atol=1e-6)
+
+    # The robot is gone: the address is remembered, the sentence shown, the window lives.
+    dialog.apply.click()
+    assert ended(bench, dialog).endswith(approved("apply.unchanged"))
+    dialog.reject()
+    again = asked(bench)
+    assert again.address.text() == address
+    again.reject()
