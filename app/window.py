@@ -99,6 +99,10 @@ def style_sheet(colours: Colours) -> str:
     QTabBar::tab {{ padding: 6px 10px; border: none; color: {colours.muted}; background: transparent; }}
     QTabBar::tab:selected {{ color: {colours.text}; border-bottom: 2px solid {colours.accent}; }}
     QTabBar::tab:hover {{ color: {colours.text}; }}
+    QTabBar::tab:selected:focus {{ border: 1px solid {colours.accent}; border-bottom-width: 2px; padding: 5px 9px 6px 9px; }}
+    QTabBar {{ outline: none; }}
+    QScrollArea {{ border: 1px solid {colours.panel}; }}
+    QScrollArea:focus {{ border: 1px solid {colours.accent}; }}
     QHeaderView::section {{ color: {colours.muted}; background: {colours.panel}; border: none; padding: 4px 6px;
         border-bottom: 1px solid {colours.line}; }}
     QTableView {{ border: none; background: {colours.panel}; gridline-color: {colours.raised};

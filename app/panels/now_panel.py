@@ -312,7 +312,9 @@ class NowPanel(QFrame):
         self.dial.show_state(state)
         self.simulated.setText(state.simulated)
         progress, limits = state.live.progress, state.scene.contacts
-        self.gauge.set(float(np.linalg.norm(progress.force)), limits.force_min, limits.force_max)
+        # While no device is read the last reading is nobody's force.
+        force = float(np.linalg.norm(progress.force)) if state.connected else 0.0
+        self.gauge.set(force, limits.force_min, limits.force_max)
         self.say(now, progress.still)
 
     def say(self, now: Now, share: float = 0.0) -> None:

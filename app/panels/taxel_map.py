@@ -514,6 +514,9 @@ class TaxelMap(Painted):
             radius = max(TARGET_LEAST, self._radius() * TARGET_SHARE)
             self._ring(painter, self._target, radius, ((6.5, "black"), (2.5, "white")))
             self._draw_name(painter, self._target, radius, colours)
+        if self.hasFocus():
+            painter.setPen(QColor(colours.accent))
+            painter.drawRect(QRectF(self._above_legend()).adjusted(1.5, 0.5, -1.5, -0.5))
 
     def _above_legend(self) -> QRectF:
         return QRectF(0, 0, self.width(), self.height() - scaled(LEGEND_PX))

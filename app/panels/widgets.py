@@ -216,9 +216,8 @@ class TaxelList(QListWidget):
 
 
 def on_panel(area: QScrollArea) -> QWidget:
-    """Return the inside of a scroll area that has the colour of the panels, without a frame."""
+    """Return the inside of a scroll area that has the colour of the panels; its frame is seen while it has the focus."""
     area.setWidgetResizable(True)
-    area.setFrameShape(QScrollArea.Shape.NoFrame)
     area.setBackgroundRole(QPalette.ColorRole.Base)
     inner = QWidget()
     inner.setBackgroundRole(QPalette.ColorRole.Base)

@@ -31,10 +31,15 @@ def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: 
     return {method: guide.verdict(snapshot, method, evidence, rig) for method in methods}
 
 
+def words_of(verdicts: Mapping[Method, Verdict]) -> dict[Method, str]:
+    """Return verdicts in words, as `Calibration.verdicts` has them."""
+    return {method: verdict_sentence(verdict).rstrip(".") for method, verdict in verdicts.items()}
+
+
 def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:
     """Return what files are written from, with what landmark pokes say of a correction of the rig, and the verdicts."""
-    words = {method: verdict_sentence(verdict).rstrip(".") for method, verdict in verdicts.items()}
-    return replace(calibration, landmark_check=None if rig is None else landmark_check(rig), verdicts=words)
+    found = None if rig is None else landmark_check(rig)
+    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts))
 
 
 def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:

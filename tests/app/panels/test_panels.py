@@ -25,10 +25,11 @@ from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.session_view import RIGHT_PX
 from app.state.policies import Mark
+from app.state.running import Running
 from app.text.message import Message
 from app.theme import DARK, HUES, LIGHT, Choice, Colours
 from app.units import ChannelNames
-from app.window import Theme, qpalette
+from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
 from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
@@ -130,6 +131,33 @@ def test_now_says_what_happens_and_the_ring_fills(qtbot):
     assert panel.result.text().endswith(approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
     bad = QColor(DARK.bad).getRgb()[:3]
     assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
+
+
+def test_while_no_device_is_read_no_force_is_told(qtbot):
+    panel = shown(qtbot, NowPanel(), (900, 160))
+    pictures = []
+    for running, force in ((Running.STREAMING, 0.0), (Running.PAUSED, 8.0), (Running.STREAMING, 8.0)):
+        panel.show_state(frame(view=reading(PressPhase.STILL, force), running=running))
+        pictures.append(pixels(panel.gauge))
+    assert changed(pictures[0], pictures[1]) == 0
+    assert changed(pictures[1], pictures[2]) > 200
+
+
+def test_which_part_has_the_focus_is_seen(qtbot):
+    """Around the map and around a panel that scrolls."""
+    first = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    panel = shown(qtbot, InspectPanel(BOTH, NAMES))
+    panel.setStyleSheet(style_sheet(theme_colours()))
+    for view, other in ((first, panel), (panel, first)):
+        other.setFocus()
+        other.activateWindow()
+        qtbot.waitUntil(lambda view=view: not view.hasFocus())
+        before = pixels(view)
+        view.activateWindow()
+        view.setFocus()
+        qtbot.waitUntil(view.hasFocus)
+        qtbot.wait(20)
+        assert changed(before, pixels(view)) > 500
 
 
 def test_the_same_frame_draws_nothing(qtbot):

@@ -13,7 +13,7 @@ from skincal.files.export import json_text
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.verdict_words import figures
 from skincal.journal.writer import create_session
-from skincal.model.actions import BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo, from_json, to_json
+from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
 from skincal.sentences import closing_sentence
@@ -221,6 +221,12 @@ def test_made_again_the_last_one_counts_and_those_before_are_kept():
     verdict = it.verdict()
     first, second = verdict.closings
     assert (first.moved, second.moved, verdict.doubted) == (True, False, False)
+    for poke in range(first.after + 1, first.after + 4):
+        it.session.act(AtLandmark(poke, ""))
+    alone = it.verdict().closings[-1]
+    assert second.shift == pytest.approx(alone.shift, rel=1e-9), "as if those of the first check had not been made"
+    for _ in range(3):
+        it.session.act(Undo())
     assert first.after < second.after
     assert dict(figures(verdict))["Closing"].endswith(
         approved("closing.earlier", shift=f"{first.shift * 1e3:.1f}", poke=first.after)
