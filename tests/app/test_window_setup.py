@@ -115,6 +115,8 @@ def test_good_devices_are_said_to_be_with_their_rate_and_a_curve(qtbot, page, de
         before = row.curve.grab().toImage()
         qtbot.waitUntil(lambda row=row, before=before: row.curve.grab().toImage() != before, timeout=VERDICT_MS)
     assert page.rows[Stream.JOINTS].verdict.text() == ""
+    page.reject()
+    qtbot.waitUntil(lambda: not any(t.name.startswith("reader ") for t in threading.enumerate()), timeout=5000)
 
 
 def test_a_net_ft_over_udp_is_good(qtbot, page, device):
