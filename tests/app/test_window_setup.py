@@ -115,11 +115,13 @@ def test_good_devices_are_said_to_be_with_their_rate_and_a_curve(qtbot, page, de
         before = row.curve.grab().toImage()
         qtbot.waitUntil(lambda row=row, before=before: row.curve.grab().toImage() != before, timeout=VERDICT_MS)
     assert page.rows[Stream.JOINTS].verdict.text() == ""
+    page.reject()
+    qtbot.waitUntil(lambda: not any(t.name.startswith("reader ") for t in threading.enumerate()), timeout=5000)
 
 
 def test_a_net_ft_over_udp_is_good(qtbot, page, device):
     encoder, count, rng = MAKERS["netft"].encoder(), iter(range(10**9)), np.random.default_rng(1)
-    outlet = MakerOutlets().open("netft", Stream.WRENCH, tcp=False)
+    outlet = MakerOutlets(CHANNELS).open("netft", Stream.WRENCH, tcp=False)
     name(
         page,
         "wrench",
@@ -298,7 +300,7 @@ def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_
     wrench, skin, other = device(noisy(6)), device(noisy(20)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
     line_says(bench, "skin: ")
-    bench.key(Key.Key_A)
+    bench.key(Key.Key_A, Qt.KeyboardModifier.ShiftModifier)
     page = shown_page(bench)
     assert bench.controller.running is Running.PAUSED, "a serial port has one reader"
     says(qtbot, page, "wrench", "good")
@@ -328,7 +330,7 @@ def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
     wrench, skin = device(noisy(6)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
     bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
-    bench.key(Key.Key_A)
+    bench.key(Key.Key_A, Qt.KeyboardModifier.ShiftModifier)
     page = shown_page(bench)
     QTest.keyClick(page, Key.Key_Escape)
     bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
@@ -348,7 +350,7 @@ def test_the_addresses_of_a_stranger_are_shown_and_not_connected_before_enter(be
         )
         create_session(tmp_path / "theirs", load_scene(PATCH), links).close()
         bench.open(OpenRequest(session=tmp_path / "theirs"))
-        bench.key(Key.Key_A)
+        bench.key(Key.Key_A, Qt.KeyboardModifier.ShiftModifier)
         page = shown_page(bench)
         says(qtbot, page, "wrench", approved("links.not_agreed"))
         says(qtbot, page, "skin", approved("links.not_agreed"))
