@@ -54,6 +54,12 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
         ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
+        (
+            "closing",
+            "Closing check again",
+            "A",
+            "Once it is enough: poke some of the first places once more; whether anything moved",
+        ),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
         ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
         ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
@@ -61,6 +67,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
         ("last", "Select last poke", "L", "Show the newest poke in the list"),
         ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
+        ("thresholds", "Thresholds...", "Shift+H", "What a poke must pass to count; a change holds for pokes from then on"),
         (
             "landmark",
             "Add landmark...",
@@ -215,6 +222,7 @@ class Commands(QObject):
             ("another", may.another),
             ("no landmarks", may.skip_landmarks),
             ("verdict", may.verdict),
+            ("closing", may.ends),
         ):
             self.actions[name].setEnabled(enabled)
 

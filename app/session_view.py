@@ -23,6 +23,7 @@ from app.dialogs.apply_dialog import ApplyDialog
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
+from app.dialogs.thresholds_dialog import ThresholdsDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.panels.devices import DevicesPanel, LinkChips
@@ -43,7 +44,7 @@ from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
-from app.text.guidance_text import early_words
+from app.text.guidance_text import NOTHING_TO_CHECK, early_words
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -54,8 +55,21 @@ from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
-from skincal.model.actions import Action, AtLandmark, Exclude, MarkDead, Redo, Restore, Revive, SetPose, Uncorrect, Undo
+from skincal.model.actions import (
+    Action,
+    AtLandmark,
+    BeginClosing,
+    Exclude,
+    MarkDead,
+    Redo,
+    Restore,
+    Revive,
+    SetPose,
+    Uncorrect,
+    Undo,
+)
 from skincal.model.errors import InputError
+from skincal.model.scene import Scene
 from skincal.session.asking import first_method
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
@@ -255,6 +269,10 @@ class SessionView(QObject):
     """The verdict of the demo came by itself."""
     _history: HistoryDialog | None = None
     """Made when it is first asked for."""
+    _thresholds: ThresholdsDialog | None = None
+    """Likewise."""
+    _scene: Scene | None = None
+    """With the thresholds that hold; None before the first tick."""
 
     def __init__(
         self,
@@ -376,8 +394,9 @@ class SessionView(QObject):
             QTimer.singleShot(VERDICT_MS, self.workspace, lambda: self.ask_verdict(self.workspace.window()))
         self.workspace.show_state(state)
         self.chips.show_state(state)
-        if self._history is not None:
-            self._history.show_state(state)
+        for dialog in (self._history, self._thresholds):
+            if dialog is not None:
+                dialog.show_state(state)
         if before is None or state.may is not before.may:
             self._enable(state.may)
 
@@ -408,7 +427,7 @@ class SessionView(QObject):
         return ViewState(
             snapshot=snapshot,
             live=tick.live,
-            scene=self.workspace.part.scene,
+            scene=self._scene_now(snapshot),
             names=self.workspace.names,
             method=self.method,
             selected=self.selected,
@@ -430,6 +449,12 @@ class SessionView(QObject):
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
         )
+
+    def _scene_now(self, snapshot: Snapshot) -> Scene:
+        """Return the scene with the thresholds that hold; the same object until they change."""
+        if self._scene is None or self._scene.contacts != snapshot.thresholds:
+            self._scene = replace(self.workspace.part.scene, contacts=snapshot.thresholds)
+        return self._scene
 
     def _diversity_of(self, tick: Tick) -> AxisDiversity | None:
         """Return what the contacts of the taxel that is looked at are like; the same object until something changes it."""
@@ -491,12 +516,21 @@ class SessionView(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self.guide.skip()
-        self.follow_again()
+        self._act_and_follow(self.guide.skip())
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose, or end the closing check."""
-        self.guide.skip_landmarks()
+        self._act_and_follow(self.guide.skip_landmarks())
+
+    def check_again(self) -> None:
+        """Make the closing check once more."""
+        self._act_and_follow(BeginClosing(wanted=True))
+        if self._guidance is not None and self._guidance.closing is None:
+            self.said.emit(Message(NOTHING_TO_CHECK))
+
+    def _act_and_follow(self, action: Action | None) -> None:
+        if action is not None:
+            self._controller.act(action)
         self.follow_again()
 
     def recolour(self) -> None:
@@ -555,6 +589,16 @@ class SessionView(QObject):
             self._history.show_state(self.state)
         self._history.show()
         self._history.activateWindow()
+
+    def show_thresholds(self, parent: QWidget) -> None:
+        """Show what a poke must pass to count, beside the window, and let it be changed."""
+        if self._thresholds is None:
+            self._thresholds = ThresholdsDialog(self.workspace.part.scene.contacts, parent)
+            self._thresholds.thresholds_wanted.connect(self._controller.act)
+        if self.state is not None:
+            self._thresholds.show_state(self.state)
+        self._thresholds.show()
+        self._thresholds.activateWindow()
 
     def exclude_or_restore(self) -> None:
         """Take the selected pokes out, or in again where all of them are out."""
@@ -781,9 +825,10 @@ class SessionView(QObject):
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
         self.picking.stop()
-        if self._history is not None:
-            self._history.deleteLater()
-            self._history = None
+        for dialog in (self._history, self._thresholds):
+            if dialog is not None:
+                dialog.deleteLater()
+        self._history = self._thresholds = None
         for action in self._tab_actions:
             action.deleteLater()
         self._tab_actions = []

@@ -37,6 +37,7 @@ UNITS = {
     "N m": DisplayUnit(1e3, "N mm", 0),
     "rad": DisplayUnit(180.0 / math.pi, "\N{DEGREE SIGN}", 0),
     "s": DisplayUnit(1.0, "s", 2),
+    "1": DisplayUnit(100.0, "%", 1),
     "": DisplayUnit(1.0, "", 0),
 }
 

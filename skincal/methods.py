@@ -12,7 +12,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.estimate import estimate_modules
+from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import SharedRows, carried
@@ -72,9 +72,17 @@ def estimate_taxels(
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")
         modules = model.modules_of(channels)
+        # A distance joins modules that nobody asked for.
+        modules = list(range(len(model.pads))) if model.distances else modules
         begin = Method.FREE if surface is None else Method.SURFACE
         others = estimate_from(table, model.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
-        found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting, shared)
+        kept: dict[int, FittedModule] | None = {} if model.distances else None
+        found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting, shared, kept)
+        if kept:
+            # Imported only where a scene knows distances.
+            from skincal.modules.distances import refined
+
+            found |= refined(model, kept, found)[0]
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }
@@ -184,6 +192,8 @@ def average_over_poses(
         As for `estimate_taxels`; poses are distinguished by `Contact.pose`.
     """
     poses: dict[str, list[Contact]] = {}
+    # What distances say is the same in every pose, and would count once for each.
+    model = model if model is None or not model.distances else model.replanned(model.layout)
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
     # By name, so that the order in which the poses came does not matter. Without contacts every taxel is unseen.

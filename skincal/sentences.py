@@ -6,19 +6,24 @@ and degrees appear only in their text.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skincal.contacts.outcome import Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
 from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 MOST_NAMED = 4
 """Modules that one sentence names; of more the first."""
@@ -87,6 +92,12 @@ def state_sentence(reason: StateReason | None) -> str:
     )
 
 
+def beside_words(beside: Mapping[str, SideReading]) -> str:
+    """Return what a device measured beside its readings: the newest, and between what it was."""
+    named = ((*name.partition(", ")[::2], found) for name, found in beside.items())
+    return ", ".join(f"{what} {at.now:.1f} {unit} ({at.least:.1f} to {at.most:.1f})" for what, unit, at in named)
+
+
 def _coarse(metres: float) -> str:
     return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
 
@@ -98,7 +109,15 @@ def closing_sentence(closing: Closing) -> str:
     if not closing.moved:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
-    return f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and poke again."
+    return (
+        f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and check again."
+    )
+
+
+def earlier_closings(closings: Sequence[Closing]) -> list[str]:
+    """Return what the closing checks before the last one found, in a sentence; none where there was none."""
+    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{' (moved)' if each.moved else ''}" for each in closings[:-1]]
+    return [f"Checked before: {', '.join(found)}."] if found else []
 
 
 def rejection_words(outcome: Rejection) -> str:
@@ -199,6 +218,20 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     return (first, *doubted)
 
 
+def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
+    """Return how many known distances between modules are used, then of each other one why not; none where none is known."""
+    if not tried:
+        return []
+    said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
+    for each in (each for each in tried if not each.used):
+        kind, (one, other) = "taxels" if each.told.of_taxels else "modules", each.told.ends
+        found, told = "", f"{each.told.length * 1e3:.1f} mm"
+        if each.found is not None and each.sd is not None:
+            found = f" (pokes alone make it {each.found * 1e3:.1f} mm, and should lie within {2e3 * each.sd:.1f} mm of it)"
+        said.append(f"The distance between {kind} {one} and {other}, {told}, is not used: {each.use.value}{found}.")
+    return said
+
+
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
     """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square.
 
@@ -269,3 +302,40 @@ def _axes_words(axes: np.ndarray) -> str:
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
     return f"its axes are reported in another order: x, y, z are {', '.join(named)}"
+
+
+def silent_links(links: Sequence[LinkHealth]) -> str:
+    """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
+    # The device's own last words say more than what can be guessed from its bytes.
+    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
+    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
+
+
+def _seen(link: LinkHealth) -> str:
+    if not link.last_host_ns:
+        return "nothing arrived; check the device's power, its cable and its baud rate"
+    expected = " and ".join(stream.value for stream in link.carries)
+    return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"
+
+
+STREAM_NAMES = {Stream.WRENCH: "F/T sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints"}
+_HAS = {Stream.WRENCH: "a wrench has", Stream.SKIN: "the scene has", Stream.JOINTS: "the arm needs"}
+
+
+def link_verdict_words(verdict: LinkVerdict) -> str:
+    """Return what is found of a link, in few words; a sentence on why it does not open is the link's own."""
+    match verdict.answer:
+        case LinkAnswer.GOOD:
+            return "good; no value has changed yet, press the skin once" if verdict.unchanged else "good"
+        case LinkAnswer.NO_READING:
+            tried = f" (tried {', '.join(map(str, verdict.tried))})" if verdict.tried else " Another device?"
+            return f"bytes arrive but none is a reading: another baud rate?{tried}"
+        case LinkAnswer.OTHER_STREAM:
+            found = STREAM_NAMES[verdict.found or Stream.SKIN]
+            return f"this is the {found}: its lines have {verdict.width} values. Swap?"
+        case LinkAnswer.OTHER_WIDTH:
+            return f"{plural(verdict.width, 'value')} where {_HAS[verdict.stream or Stream.SKIN]} {verdict.expected}"
+        case LinkAnswer.FROZEN:
+            return "values never change: the sensor stopped, or its driver repeats one reading"
+        case LinkAnswer.LISTENING | LinkAnswer.NO_ANSWER:
+            return verdict.answer.value

@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 CHECKOUT = Path(__file__).resolve().parent.parent
 LOCKS = ("requirements.lock", "requirements-dev.lock")
 LINES_MAX = 900
-PACKAGE_OF = {"serial": "pyserial", "PySide6": "PySide6-Essentials", "vtkmodules": "vtk"}
+PACKAGE_OF = {"bota_driver": "bota-driver", "serial": "pyserial", "PySide6": "PySide6-Essentials", "vtkmodules": "vtk"}
 """Where the name that is imported is not the name that is installed."""
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 PLATFORMS = ("linux", "win32", "darwin")
@@ -203,7 +203,8 @@ def test_what_is_imported_is_declared_and_what_is_declared_is_imported() -> None
     imported = {name.partition(".")[0] for path in files for name in imports(path)}
     foreign = imported - set(sys.stdlib_module_names) - {"app", "skincal"}
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {Requirement(text).name for text in project["dependencies"]}
+    optional = [text for texts in project["optional-dependencies"].values() for text in texts]
+    declared = {Requirement(text).name for text in (*project["dependencies"], *optional)}
     assert {PACKAGE_OF.get(name, name) for name in foreign} == declared
 
 

@@ -9,7 +9,10 @@ that ships poke, and measures, without changing anything that the window does:
 - from the arrival of the reading that fills a poke's still window to the first sample of its sound in the hands of the sound
   device; where there is none, of the library's own that nobody hears;
 - how long the window does not answer: the lateness of a timer of 5 ms; and what of it its own thread works, by processor
-  time, which other programs on the machine do not change.
+  time, which other programs on the machine do not change;
+- how much memory the program takes, each ten seconds, on Linux; and what each link brought and lost.
+
+With `--wrench`, `--skin` and `--joints` the devices are those at these addresses, and not the simulated rig.
 """
 
 # ruff: noqa: E402 - what the imports take is part of what is measured.
@@ -25,7 +28,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -47,6 +50,7 @@ SETTLED_S = 5.0
 """s. Stalls from here on are those of work; before, those of start-up."""
 LONG_S = 0.1
 """s. A stall that a person sees."""
+MEMORY_MS = 10_000
 SHORT_S = 0.3
 """s. Pressing that is shorter is no measure of pictures a second."""
 
@@ -74,6 +78,11 @@ class Measure(QObject):
         self._beat.setInterval(BEAT_MS)
         self._beat.timeout.connect(self._take_beat)
         self._beat.start()
+        self.memory: list[tuple[float, float]] = []
+        """When, s, and how much, MB."""
+        self._look = QTimer(self)
+        self._look.timeout.connect(self._take_memory)
+        self._look.start(MEMORY_MS)
         window.installEventFilter(self)
 
     def watch(self) -> bool:
@@ -145,6 +154,24 @@ class Measure(QObject):
         self.stalls.append((now - STARTED, now - self._last_beat - BEAT_MS * 1e-3, worked - self._worked))
         self._last_beat, self._worked = now, worked
 
+    def _take_memory(self) -> None:
+        held = memory_mb()
+        if held is not None:
+            self.memory.append((time.monotonic() - STARTED, held))
+
+    def _links(self) -> dict[str, Any]:
+        """Return readings and losses of each link, as the window's newest state has them."""
+        view = self.window.session_view
+        state = None if view is None else view.state
+        links = () if state is None else state.live.links
+        return {
+            link.link: {
+                "readings": link.readings,
+                "lost": {loss.value: count for loss, count in link.losses.items() if count},
+            }
+            for link in links
+        }
+
     def result(self) -> dict[str, Any]:
         """Return the figures: seconds, and pictures a second."""
         self._beat.stop()
@@ -171,6 +198,8 @@ class Measure(QObject):
             "longest_stall_s": max((late for _, late, _ in later), default=None),
             "longest_work_s": max((work for _, _, work in later), default=None),
             "stalls_above_100_ms": sum(late > LONG_S for _, late, _ in later),
+            "memory_mb": self.memory,
+            "links": self._links(),
             "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
             "cpu_share": time.process_time() / (time.monotonic() - STARTED),
         }
@@ -241,16 +270,25 @@ def around(kind: type[Any], name: str, see: Callable[..., Any]) -> None:
     setattr(kind, name, lambda its, *arguments: see(call, its, *arguments))
 
 
+def memory_mb() -> float | None:
+    """Return how much memory this process holds; None where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
 def percentile(values: list[float], share: float) -> float | None:
     """Return the value that `share` percent do not exceed; None of nothing."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
-def measure(seconds: float, scene: Path | None) -> dict[str, Any]:
+def measure(seconds: float, scene: Path | None, addresses: Sequence[str] = ()) -> dict[str, Any]:
     """Run the window for so long and return its figures."""
     from app.run import run_window
-    from app.session.opening import OpenRequest, find_scene, server_command
+    from app.session.opening import Addresses, OpenRequest, find_scene, server_command
     from app.sound.player import Player
     from app.window import Window
 
@@ -274,7 +312,8 @@ def measure(seconds: float, scene: Path | None) -> dict[str, Any]:
 
     QTimer.singleShot(0, attach)
     path = None if scene is None else find_scene(scene)
-    run_window(OpenRequest(scene=path, server=server_command(path)), Player(sounds.open))
+    named = Addresses(*addresses)
+    run_window(OpenRequest(scene=path, addresses=named, server=() if named else server_command(path)), Player(sounds.open))
     return results
 
 
@@ -294,6 +333,8 @@ def main() -> int:
     parser = argparse.ArgumentParser("window_bench", description="Measure the window's live figures.")
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--scene", type=Path, help="scene file, or the name of one that ships")
+    for stream in ("wrench", "skin", "joints"):
+        parser.add_argument(f"--{stream}", default="", help="address of the device")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     reason = no_display() or objection()
@@ -304,7 +345,7 @@ def main() -> int:
         # The operator's own settings and log stay as they are.
         QStandardPaths.setTestModeEnabled(True)
         QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
-        result = measure(options.seconds, options.scene)
+        result = measure(options.seconds, options.scene, (options.wrench, options.skin, options.joints))
     print(json.dumps(result, indent=1) if options.json else table(result))
     return 0
 

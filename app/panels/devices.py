@@ -14,6 +14,7 @@ from app.text_size import scaled, set_font
 from app.theme import GAP
 from app.units import count
 from skincal.model.readings import LinkHealth
+from skincal.sentences import beside_words
 
 BEHIND_SAID_S = 0.6
 """s. A shorter delay is not said: a hand does not notice it."""
@@ -84,7 +85,9 @@ class LinkCard(QFrame):
         self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
-        self.losses.setText(f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost"))
+        beside = beside_words(health.beside)
+        said = f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost")
+        self.losses.setText(f"{beside}\n{said}" if beside else said)
 
 
 class DevicesPanel(QScrollArea):

@@ -304,7 +304,6 @@ class TaxelMap(Painted):
         self._zoom, self._dragged = 1.0, QPointF()
         self._middle: FloatArray = self._plan.bounds.mean(axis=0)
         """(2,) float, of the plan: what is looked at, where the map is zoomed."""
-        self._settings = scene.contacts
         self._width = scene.skin.channels
         self._names = names
         owners = [names.module_index(int(channel)) for channel in channels]
@@ -361,7 +360,7 @@ class TaxelMap(Painted):
             self.update()
         if len(state.live.skin) == self._width:
             self._answers = state.live.skin
-            levels = answer_levels(state.live.skin, self._settings)
+            levels = answer_levels(state.live.skin, state.scene.contacts)
             if not np.array_equal(levels, self._levels):
                 self._levels = levels
                 self.update()

@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.copying import make_copyable
-from app.text_size import set_font, text_scale
+from app.text_size import scaled, set_font, text_scale
 from app.theme import DARK, LIGHT, Colours
 
 Made = TypeVar("Made")
@@ -233,6 +233,16 @@ def short_box(name: str) -> QComboBox:
     box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
     box.setMinimumContentsLength(12)
     return box
+
+
+def fit_to_screen(window: QWidget, size: tuple[int, int]) -> None:
+    """Give a window a size, pixels at 100 % for its width, as far as the screen has room, and bring all of it there."""
+    room = window.screen().availableGeometry()
+    window.resize(QSize(scaled(size[0]), size[1]).boundedTo(room.size()))
+    frame = window.frameGeometry()
+    frame.moveRight(min(frame.right(), room.right()))
+    frame.moveBottom(min(frame.bottom(), room.bottom()))
+    window.move(max(frame.left(), room.left()), max(frame.top(), room.top()))
 
 
 def plain_buttons(box: QDialogButtonBox) -> None:

@@ -59,8 +59,10 @@ def gain_words(gain: Gain | None) -> str:
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return by which method the guide asks, what the poke is for, and how far the session is."""
     if guidance.closing is not None:
-        done, every = guidance.closing
-        return f"closing check {done + 1} of {every}: shows whether anything moved since the start{BETWEEN}Shift+N ends it"
+        at = guidance.closing
+        return (
+            f"closing check {at.done + 1} of {at.places}: shows whether anything moved since the start{BETWEEN}Shift+N ends it"
+        )
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
     reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"
@@ -108,6 +110,11 @@ def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Return that nothing more is asked for: `"enough: 84 of 84 taxels are done"`."""
     done, total = _done(guidance, dead)
     return f"enough: {done} of {count(total, 'taxel')} are done" if total else "no taxel is used"
+
+
+NOTHING_TO_CHECK = (
+    "The closing check needs two places that were poked in this arm pose before; expected landmarks or known taxels."
+)
 
 
 def early_words(guidance: Guidance, dead: Collection[int]) -> str:

@@ -12,7 +12,7 @@ from app.state.policies import Offer
 from app.units import DASH, cell, millimetres
 from skincal.model.actions import Correct
 from skincal.rig.correction import RIG, UsedCorrection
-from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
+from skincal.sentences import correction_sentence, distance_sentences, frame_sentence, rig_sentences
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
@@ -70,7 +70,7 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
     elif not rig.used:
         said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
     moved = moved_words(review, method, estimates)
-    return tuple(filter(None, (*said, moved, *found[1:])))
+    return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.distances))))
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:

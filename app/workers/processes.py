@@ -13,7 +13,7 @@ import signal
 import threading
 import uuid
 from collections.abc import Callable, Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
 
+    from skincal.files.importers.overview import RecordingFiles, RecordingPreview
     from skincal.files.reference import PlaceSet
+    from skincal.session.importing import Imported, ImportRequest
     from skincal.taxels.result import Method
 
 T = TypeVar("T")
@@ -75,7 +77,7 @@ class ProcessService:
             self._newest.value = self._ticket
         return self._ticket
 
-    def ask(self, ticket: int, work: Callable[..., Any], *arguments: Any) -> Any:
+    def ask(self, ticket: int, work: Callable[..., Any], *arguments: Any, watch: Watch | None = None) -> Any:
         """Return what `work(*arguments, wanted)` returns in the process; blocks, so call it in a thread.
 
         Where the process ends meanwhile another takes its place, and is asked the same once. It knows nothing of what the first
@@ -85,6 +87,7 @@ class ProcessService:
         ----------
         ticket : from `ticket`; `wanted` is a function that returns whether it is the newest
         work : a function of a module, which the process imports; raises whatever it raises there
+        watch : hears of the work, in this thread
 
         Raises
         ------
@@ -96,9 +99,11 @@ class ProcessService:
                 try:
                     connection = self._connection or self._start()
                     connection.send((ticket, work, arguments))
-                    result, error = connection.recv()
+                    result, error = _answer(connection, watch)
                 except (EOFError, OSError) as lost:
                     code = self._bury()
+                    if watch is not None:
+                        watch.lost()
                     if last or self._closed:
                         raise ProcessLostError(f"its process ended (code {code})") from lost
                     LOG.warning("a process ended (code %s) while it was asked; another takes its place", code)
@@ -151,6 +156,55 @@ class ProcessService:
         return process.exitcode
 
 
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Hears of work in a process, in the thread that waits for it."""
+
+    told: Callable[[float], object] = lambda _: None
+    """Gets what share of it is done."""
+    lost: Callable[[], object] = lambda: None
+    """Called where the process ended in the middle of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """What share of the work is done; on its way from the process."""
+
+    value: float
+
+
+class Wanted:
+    """Given to work in the process: whether it is still wanted, and a way to say how far it is.
+
+    Parameters
+    ----------
+    newest : shared memory whose `value` is the newest ticket
+    """
+
+    def __init__(self, connection: Connection[Any, Any], ticket: int, newest: Any) -> None:
+        self._connection, self._ticket, self._newest = connection, ticket, newest
+
+    def __call__(self) -> bool:
+        """Return whether it is still wanted."""
+        return self._newest.value == self._ticket
+
+    def tell(self, share: float) -> bool:
+        """Say what share of the work is done; return whether the rest is still wanted: it is not where the window is gone."""
+        try:
+            self._connection.send(Share(share))
+        except OSError:
+            return False
+        return self()
+
+
+def _answer(connection: Connection[Any, Any], watch: Watch | None) -> tuple[Any, Exception | None]:
+    """Return the answer that comes, and have shares of the work heard until then."""
+    while isinstance(answer := connection.recv(), Share):
+        if watch is not None:
+            watch.told(answer.value)
+    return answer
+
+
 def serve(connection: Connection[Any, Any], newest: Any) -> None:
     """Do what comes, in the process, until the window's end of the connection is closed, however the window ended.
 
@@ -167,7 +221,7 @@ def serve(connection: Connection[Any, Any], newest: Any) -> None:
         except (EOFError, OSError):
             return
         try:
-            answer = work(*arguments, lambda ticket=ticket: newest.value == ticket), None
+            answer = work(*arguments, Wanted(connection, ticket, newest)), None
         except Exception as error:  # noqa: BLE001 - it is raised where the answer is waited for
             answer = None, error
         try:
@@ -184,11 +238,16 @@ class JobService:
 
     def __init__(self, owner: QObject) -> None:
         self._threads = ThreadService("jobs", owner)
-        self._process: ProcessService | None = None
-        self._closed = False
+        self._waiting: list[ProcessService] = []
+        """Of each job that is not done yet, the first in work."""
 
     def submit(
-        self, job: Callable[..., T], arguments: tuple[Any, ...], done: Callable[[T], None], failed: Callable[[str], None]
+        self,
+        job: Callable[..., T],
+        arguments: tuple[Any, ...],
+        done: Callable[[T], None],
+        failed: Callable[[str], None],
+        watch: Watch | None = None,
     ) -> None:
         """Do `job(*arguments)` in a process; returns at once.
 
@@ -197,8 +256,25 @@ class JobService:
         job : a function of a module, which the process imports
         done : gets its answer, in the window's thread; nothing where something else was opened meanwhile (`renew`)
         failed : gets why there is none, in a sentence
+        watch : hears of the job in its thread; the job then gets a `Wanted` as its last argument
         """
-        self._threads.submit(partial(self._do, job, arguments), done, failed)
+        # With its ticket, so that it can be interrupted before its process is there.
+        process = ProcessService()
+        self._waiting.append(process)
+        asked = (do_job, job, arguments) if watch is None else (job, *arguments)
+        work = partial(process.ask, process.ticket(), *asked, watch=watch)
+        self._threads.submit(partial(self._do, process, work), done, failed)
+
+    def interrupt(self) -> None:
+        """Let what is done know that it is not wanted any more; it ends in its own way, and says so."""
+        for process in tuple(self._waiting):
+            process.ticket()
+
+    def drop(self) -> None:
+        """End what is done, by force; no answer comes."""
+        self.renew()
+        for process in tuple(self._waiting):
+            process.close()
 
     def renew(self) -> None:
         """Begin anew: answers to what was asked before come too late, though what it writes is written."""
@@ -206,18 +282,13 @@ class JobService:
 
     def close(self) -> None:
         """End what is done, by force, and do nothing any more."""
-        self._closed = True
-        if self._process is not None:
-            self._process.close()
+        self.drop()
         self._threads.close()
 
-    def _do(self, job: Callable[..., T], arguments: tuple[Any, ...]) -> T:
+    def _do(self, process: ProcessService, ask: Callable[[], Any]) -> Any:
         """Do a job; in a thread. InputError where it cannot be done, whatever the reason is."""
-        self._process = process = ProcessService()
         try:
-            if self._closed:
-                raise ProcessLostError("the window closed")
-            return process.ask(process.ticket(), do_job, job, arguments)
+            return ask()
         except InputError:
             raise
         except ProcessLostError as lost:
@@ -227,6 +298,7 @@ class JobService:
             raise InputError(f"It is not done: {error!r}; details are in the log.") from error
         finally:
             process.close()
+            self._waiting.remove(process)
 
 
 def do_job(job: Callable[..., T], arguments: tuple[Any, ...], _wanted: Callable[[], bool]) -> T:
@@ -246,6 +318,20 @@ def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceS
     from skincal.session.named_places import places_for
 
     return places_for(path, link, channels)
+
+
+def look_job(files: RecordingFiles, wanted: Wanted) -> RecordingPreview:
+    """Look at a recording of another program."""
+    from skincal.files.importers.overview import look
+
+    return look(files, wanted)
+
+
+def import_job(request: ImportRequest, wanted: Wanted) -> Imported:
+    """Make a session of a recording of another program."""
+    from skincal.session.importing import import_recording
+
+    return import_recording(request, wanted.tell)
 
 
 SKIN = 10

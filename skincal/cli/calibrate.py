@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from skincal.files.calibration import Calibration
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
+    from skincal.modules.distances import TriedDistance
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
@@ -120,7 +121,7 @@ def solve(
     verdict = None if leads is None else _verdict(pipeline.session, Method(leads))
     text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
     dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *_closing_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
+    text += [*rig_lines, *_session_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
     text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in dead.items())]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
     result = {
@@ -132,12 +133,20 @@ def solve(
         **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
+        "distances": [_distance(tried) for tried in snapshot.distances],
         **modules,
         "dead": dead,
         "files": files,
         "findings": findings,
     }
     report.print_result({**result, "text": text}, as_json)
+
+
+def _distance(tried: TriedDistance) -> dict[str, Any]:
+    """Return a known distance, and what pokes say of it, as JSON."""
+    lengths = {"told_mm": tried.told.length, "found_mm": tried.found, "sd_mm": tried.sd}
+    in_mm = {key: None if value is None else value * 1e3 for key, value in lengths.items()}
+    return {"taxels" if tried.told.of_taxels else "modules": tried.told.ends, "use": tried.use.value, **in_mm}
 
 
 def _opened(session: Path, from_bytes: bool, layout: Path | None) -> Pipeline:
@@ -187,13 +196,14 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     return {"misfits": misfits, "layout": layout}, lines
 
 
-def _closing_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
-    """Return whether anything moved since the session began, where that was checked."""
-    from skincal.sentences import closing_sentence
-    from skincal.session.closing_pokes import closing_of
+def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
+    """Return which known distances are used, and whether anything moved since the session began, where that was checked."""
+    from skincal.sentences import closing_sentence, distance_sentences, earlier_closings
+    from skincal.session.closing_pokes import closings_of
 
-    closing = closing_of(snapshot, scene.noise)
-    return [] if closing is None else [closing_sentence(closing)]
+    closings = closings_of(snapshot, scene.noise)
+    told = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
+    return [*distance_sentences(snapshot.distances), *told]
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:

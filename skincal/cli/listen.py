@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import time
 from collections import Counter
+from dataclasses import asdict
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,7 @@ LISTEN_S = 3.0
 """s on each serial port: three baud rates."""
 SAY_S = 1.0
 """s between two lines of `watch`."""
+WRENCH_VALUES = 6
 PORTS_SHOWN = 200
 
 
@@ -47,7 +49,13 @@ class Watched:
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
         from skincal.streams.decoders.detect import AUTO, LinkDecoder
         from skincal.streams.device_address import format_of
+        from skincal.streams.verdicts import LinkEar
 
+        # Without the width of a skin everything fits: who names one stream hears of another in its place.
+        named = carries if len(carries) == 1 else ()
+        self._ear = LinkEar(
+            named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, tuple(Stream))
+        )
         self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
         self._decoder: LinkDecoder = self._make()
         self._began_s = time.monotonic()
@@ -57,27 +65,34 @@ class Watched:
     def take(self, item: Chunk | LinkEvent) -> None:
         """Take what the reader brought."""
         if isinstance(item, LinkEvent):
+            self._ear.follow(item)
             if item.state is LinkState.OPEN:
                 self._decoder = self._make()
             return
-        for _, batch in self._decoder.feed(item.data, item.host_ns):
+        batches = [batch for _, batch in self._decoder.feed(item.data, item.host_ns)]
+        if item.data:
+            self._ear.hear(item.data, item.host_ns, batches)
+        for batch in batches:
             stream, words = _newest(batch)
             self.readings[stream] += len(batch.seq)
             self.newest[stream] = words
 
     def figures(self) -> dict[str, Any]:
-        """Return format, rates since the last call, newest readings, losses and what the device says."""
+        """Return the verdict, format, rates since the last call, newest readings, losses and what the device says."""
+        from skincal.sentences import link_verdict_words
+
         now_s = time.monotonic()
         passed_s, self._began_s = max(now_s - self._began_s, 1e-3), now_s
         rates = {stream.value: round(count / passed_s, 1) for stream, count in self.readings.items()}
         self.readings.clear()
         losses: Counter[Loss] = self._decoder.counts
         return {
+            "verdict": link_verdict_words(self._ear.judge(time.monotonic_ns())),
             "format": self._decoder.name,
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},
             "losses": {loss.value: count for loss, count in losses.items() if count},
-            "extras": dict(self._decoder.extras),
+            "beside": {name: asdict(found) for name, found in self._decoder.beside.items()},
             "note": self._decoder.note,
         }
 
@@ -101,11 +116,15 @@ def _numbers(values: list[float], digits: int) -> str:
 
 
 def _words(figures: dict[str, Any]) -> str:
-    parts = [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
+    from skincal.model.readings import SideReading
+    from skincal.sentences import beside_words
+
+    parts = [] if figures["verdict"] == "good" else [figures["verdict"]]
+    parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
     parts += [f"lost {count}: {why}" for why, count in figures["losses"].items()]
-    parts += [f"{name} {value:.1f}" for name, value in figures["extras"].items()]
+    parts += [beside_words({name: SideReading(**found) for name, found in figures["beside"].items()})]
     parts += [figures["note"]] if figures["note"] else []
-    return " | ".join(parts) or "nothing that is a reading yet"
+    return " | ".join(filter(None, parts))
 
 
 def watch(
@@ -184,11 +203,15 @@ def _on_port(name: str, description: str) -> dict[str, str]:
     except LinkFailure as failure:
         return {"address": name, "what": f"{description}: {failure}"}
     came, end_s = 0, time.monotonic() + LISTEN_S
+    tried: tuple[int, ...] = ()
     try:
         while time.monotonic() < end_s:
             data = link.read(0.1)
             came += len(data)
             watched.take(Chunk("link", time.monotonic_ns(), data))
+            if isinstance(link, SearchingLink) and link.tried != tried:
+                tried = link.tried
+                watched.take(LinkEvent("link", time.monotonic_ns(), LinkState.OPEN, tried=tried))
     except LinkFailure as failure:
         return {"address": name, "what": f"{description}: {failure}"}
     finally:
@@ -197,7 +220,7 @@ def _on_port(name: str, description: str) -> dict[str, str]:
     if figures["newest"] and isinstance(link, SearchingLink) and link.found:
         return {"address": f"{name}@{link.baud}", "what": f"{description}: {figures['format']}, {_words(figures)}"}
     if came:
-        return {"address": name, "what": f"{description}: bytes come, and none is a reading; another baud rate (@BAUD)?"}
+        return {"address": name, "what": f"{description}: {figures['verdict']}"}
     return {"address": name, "what": f"{description}: silent; one that must be started? robotiq:{name}, bota:{name}"}
 
 

@@ -9,12 +9,11 @@ import contextlib
 import json
 import math
 import queue
-import shutil
 import signal
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
@@ -30,12 +29,13 @@ from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
+    from skincal.files.importers.recorded_lines import OpenRecording
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.robot.target_server import TargetServer
     from skincal.session.asking import RobotGuide
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import Inbox, LinkSpec, Reader
+    from skincal.streams.links import Inbox, Reader
 
 
 SceneOption = Annotated[
@@ -78,45 +78,6 @@ def find_scene(path: Path) -> Scene:
     return load_scene(scene_file(path))
 
 
-class KeptError(InputError):
-    """A recording is at fault, but something was recorded, and stays."""
-
-
-@contextlib.contextmanager
-def new_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Generator[Pipeline]:
-    """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
-
-    What was there before stays, and what another program makes there meanwhile.
-    """
-    from skincal.journal.writer import SCENE_FOLDER, create_session
-    from skincal.session.part import load_scene_surface
-    from skincal.session.pipeline import Pipeline
-
-    # What is not there yet: nothing else is taken away again.
-    missing = [place for place in (folder, *folder.parents) if not place.exists()]
-    journal = None
-    try:
-        surface, findings = load_scene_surface(scene)
-        for finding in findings:
-            say(f"{scene.surface.path.name if scene.surface else ''}: {finding}", err=True)
-        journal = create_session(folder, scene, links)
-        yield Pipeline(scene, links, surface, journal)
-    except KeptError:
-        raise
-    except InputError:
-        # Nobody else's session is ever taken away.
-        if journal is not None:
-            shutil.rmtree(folder / SCENE_FOLDER, ignore_errors=True)
-            for ending in ("mcap", "jsonl"):
-                for segment in folder.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
-                    segment.unlink()
-        for place in missing:
-            # A folder that is not empty is in use by others.
-            with contextlib.suppress(OSError):
-                place.rmdir()
-        raise
-
-
 def record(
     wrench: LinkOption,
     skin: LinkOption,
@@ -146,6 +107,7 @@ def record(
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
+    from skincal.session.importing import new_session
     from skincal.streams.links import Inbox, Reader, describe_links
 
     loaded = find_scene(scene)
@@ -154,7 +116,7 @@ def record(
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     items = Inbox()
-    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links) as pipeline:
+    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, _warn) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
@@ -386,6 +348,8 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import report
+    from skincal.sentences import silent_links
+    from skincal.session.importing import KeptError
 
     snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)
@@ -394,7 +358,7 @@ def finish(
     methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
     found = [*findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
-    silent = report.silent_links(live.links)
+    silent = silent_links(live.links)
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
@@ -423,10 +387,10 @@ def import_yarp(
     as_json: Json = False,
 ) -> None:
     """Make a session from `yarpdatadumper` folders of one recording."""
-    from skincal.files.importers.yarp_folder import read_yarp
+    from skincal.files.importers.yarp_folder import open_yarp
 
     _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
-    _import(loaded, out, pose, as_json, read_yarp(wrench, skin, joints))
+    _import(loaded, out, pose, as_json, open_yarp(wrench, skin, joints))
 
 
 def import_csv(
@@ -439,28 +403,19 @@ def import_csv(
     as_json: Json = False,
 ) -> None:
     """Make a session from CSV files of one recording."""
-    from skincal.files.importers.csv_log import read_csv
+    from skincal.files.importers.csv_log import open_csv
 
     _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
-    _import(loaded, out, pose, as_json, read_csv(wrench, skin, joints))
+    _import(loaded, out, pose, as_json, open_csv(wrench, skin, joints))
 
 
-def _import(
-    scene: Scene,
-    out: Path,
-    pose: str | None,
-    as_json: bool,
-    recording: tuple[Sequence[LinkSpec], Iterable[Chunk], Sequence[str]],
-) -> None:
-    links, chunks, findings = recording
-    with new_session(out, scene, links) as pipeline:
-        try:
-            _choose_pose(pipeline, pose)
-            for chunk in chunks:
-                pipeline.feed(chunk)
-                pipeline.tick(chunk.host_ns)
-                if pipeline.journal_failure:
-                    break
-        finally:
-            pipeline.close()
-        finish(pipeline, out, as_json, findings, imported=True)
+def _import(scene: Scene, out: Path, pose: str | None, as_json: bool, recording: OpenRecording) -> None:
+    from skincal.session.importing import new_session, play_recording
+
+    with new_session(out, scene, recording.links, _warn) as pipeline:
+        play_recording(pipeline, recording, pose)
+        finish(pipeline, out, as_json, recording.findings, imported=True)
+
+
+def _warn(sentence: str) -> None:
+    say(sentence, err=True)

@@ -6,6 +6,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,10 @@ from skincal.files.reference import error_summary
 from skincal.geometry import FloatArray
 from skincal.journal.documents import LinkTotals
 from skincal.methods import leading_method
-from skincal.model.readings import LinkHealth, LinkState
+from skincal.model.readings import LinkHealth, LinkState, SideReading
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
+from skincal.sentences import beside_words
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
@@ -94,6 +96,7 @@ def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict
             "format": link.format,
             "readings": link.readings,
             "lost": {loss.value: count for loss, count in link.losses.items() if count},
+            "beside": {name: asdict(found) for name, found in link.beside.items()},
         }
         for link in links
     }
@@ -149,24 +152,11 @@ def loss_lines(losses: Mapping[str, Any]) -> list[str]:
     for name, link in losses["links"].items():
         lost = ", ".join(f"{count} {reason}" for reason, count in link["lost"].items())
         of = f" of {link['format']}" if link["format"] else ""
-        lines.append(f"{name}: {link['readings']} readings{of}; lost: {lost or 'none'}")
+        beside = beside_words({name: SideReading(**found) for name, found in link["beside"].items()})
+        lines.append(f"{name}: {link['readings']} readings{of}; lost: {lost or 'none'}" + (f"; {beside}" if beside else ""))
     return lines
 
 
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
     """Return what the devices of open links got wrong or said last."""
     return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
-
-
-def silent_links(links: Sequence[LinkHealth]) -> str:
-    """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
-    # The device's own last words say more than what can be guessed from its bytes.
-    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
-    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
-
-
-def _seen(link: LinkHealth) -> str:
-    if not link.last_host_ns:
-        return "nothing arrived; check the device's power, its cable and its baud rate"
-    expected = " and ".join(stream.value for stream in link.carries)
-    return f"bytes arrived, but none of them {expected} readings; check the baud rate and what the device sends"

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
 
+FLICKER = 2e-6
+"""N m. A served sensor without noise would look frozen: the last digits that most formats have."""
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 
@@ -129,7 +131,7 @@ def simulate(
     rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
-    settings = DeviceSettings(speakers=_speakers(speak_as, loaded))
+    settings = DeviceSettings(speakers=_speakers(speak_as, loaded), flicker=FLICKER)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})

@@ -42,7 +42,7 @@ from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.model.readings import Sample
-from skincal.model.scene import Scene
+from skincal.model.scene import ContactSettings, Scene
 
 NO_NUMBER_S = 2.0
 """s. A channel that gives no number for so long is dead: a hundred frames at 50 Hz."""
@@ -243,6 +243,7 @@ class ContactDetector:
         known = known or Known()
         layout = scene.skin.layout
         self._scene = scene
+        self._thresholds = scene.contacts
         self._candidates: IntArray = np.arange(scene.skin.channels) if layout is None else layout.channels
         self._tares = TareKeeper(scene.contacts, scene.skin.channels)
         self._health = ChannelHealth(scene, self._candidates, known.dead)
@@ -309,6 +310,11 @@ class ContactDetector:
         self._last = None
         return outcomes
 
+    def use_thresholds(self, thresholds: ContactSettings) -> None:
+        """Detect and judge pokes that begin from now on by these; what began before keeps those that held then."""
+        self._thresholds = thresholds
+        self._tares.quiet_s = thresholds.quiet_s
+
     def use_all_but(self, channels: Set[int]) -> list[Outcome]:
         """Leave out the answers of `channels` from now on, instead of those found to be dead.
 
@@ -355,7 +361,7 @@ class ContactDetector:
             return PressPhase.READY
         if press.held:
             return PressPhase.HELD
-        hard = float(np.linalg.norm(press.force)) >= self._scene.contacts.force_min
+        hard = float(np.linalg.norm(press.force)) >= press.settings.force_min
         # Two samples are always alike enough; a quarter of the window says something.
         return PressPhase.STILL if hard and press.still >= 0.25 else PressPhase.PRESSING
 
@@ -390,7 +396,7 @@ class ContactDetector:
             self._tares.interrupt()
             return outcomes
         tare = self._tares.tare
-        if tare is not None and _force(sample, tare) >= self._scene.contacts.touch_force:
+        if tare is not None and _force(sample, tare) >= self._thresholds.touch_force:
             self._touch(sample, pose)
             return outcomes
         if tare is None and self._leaning(sample):
@@ -407,7 +413,7 @@ class ContactDetector:
         assert before is not None
         self._tares.interrupt()
         # With the pose of the tare: an arm that turned since then turned under the poke.
-        self._press = Press(self._scene.contacts, before, sample, self._tare_pose or pose, self._period_s)
+        self._press = Press(self._thresholds, before, sample, self._tare_pose or pose, self._period_s)
         self._press.add(sample, pose)
 
     def _pressing(self, press: Press, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
@@ -418,7 +424,7 @@ class ContactDetector:
             outcomes = [*self._end(press), *self._settle(None)]
             self._drop_tare(sample.host_s)
             return outcomes
-        if not sample.saturated and _force(sample, press.tare) < self._scene.contacts.release_force:
+        if not sample.saturated and _force(sample, press.tare) < press.settings.release_force:
             outcomes = self._end(press)
             # The sample that shows the release is the first of the quiet time after it.
             self._tares.feed(sample, self._period_s)
@@ -427,7 +433,7 @@ class ContactDetector:
         if press.steady and sample.host_s - press.start_s > TARE_AGE_MAX_S:
             return self._give_up(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
         if press.steady and not self._rest_seen and self._lifted(press, sample):
-            outcomes = self._give_up(press, sample, 0.0, self._scene.contacts.quiet_s)
+            outcomes = self._give_up(press, sample, 0.0, self._thresholds.quiet_s)
             self._tares.resting = None
             # What was still just now is the quiet that was wanted.
             for item, its_pose in press.latest:
@@ -438,7 +444,7 @@ class ContactDetector:
     def _lifted(self, press: Press, sample: Sample) -> bool:
         """Return whether skin lies below its baseline and none above: what was tared away has left."""
         response = (self._scene.skin.polarity * (sample.skin - press.tare.skin))[self._candidates]
-        limit = answer_limit(self._scene, self._tares.noise)[self._candidates]
+        limit = answer_limit(self._thresholds, self._tares.noise)[self._candidates]
         return bool((response < -limit).any()) and not (response > limit).any()
 
     def _give_up(self, press: Press, sample: Sample, value: float, limit: float) -> list[Outcome]:
@@ -523,7 +529,7 @@ class ContactDetector:
 
     def _answering(self, responses: FloatArray) -> IntArray:
         """Return the channels in use whose response, (channels,), is above their limit; NaN is not."""
-        above = (responses > answer_limit(self._scene, self._tares.noise))[self._candidates]
+        above = (responses > answer_limit(self._thresholds, self._tares.noise))[self._candidates]
         unused = self._left_out()
         return np.array([channel for channel in self._candidates[above].tolist() if channel not in unused], dtype=np.int64)
 

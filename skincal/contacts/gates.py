@@ -19,7 +19,7 @@ from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.contacts.press import Press, StillWindow
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, mean_time, wrench_baseline
 from skincal.geometry import FloatArray, IntArray, pitch
-from skincal.model.scene import Scene
+from skincal.model.scene import ContactSettings, Scene
 
 GAP_PERIODS = 3.0
 """Periods of the skin. A longer hole between two samples of a poke means that readings were lost; one missing frame is not."""
@@ -71,6 +71,8 @@ class FinishedPress:
     """Raw units above the baseline, of the channel that came nearest to answering; NaN where some answered..."""
     needed: float = math.nan
     """...and what it takes to answer."""
+    thresholds: ContactSettings | None = None
+    """Those that held as it began; None for the scene's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ def _objections(
     channels : (k,) those that answered and are used
     tare_change : N; NaN while unknown
     """
-    mean, contacts, arm, layout = press.still, scene.contacts, scene.arm, scene.skin.layout
+    mean, contacts, arm, layout = press.still, press.thresholds or scene.contacts, scene.arm, scene.skin.layout
     size = press.peak if wrench is None else float(np.linalg.norm(wrench[:3]))
     # What the devices did.
     yield _at_most(Reason.SATURATED, press.saturated, 0, "")
@@ -156,7 +158,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
     best = press.best
     channels, responses, largest, needed = np.empty(0, dtype=np.int64), np.empty(0), math.nan, math.nan
     if best is not None:
-        response, limit = _response(best, press.tare, scene), answer_limit(scene, noise)
+        response, limit = _response(best, press.tare, scene), answer_limit(press.settings, noise)
         # NaN is not above.
         channels = candidates[(response > limit)[candidates]]
         responses = response[channels]
@@ -177,6 +179,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
         responses=responses,
         largest=largest,
         needed=needed,
+        thresholds=None if press.settings == scene.contacts else press.settings,
     )
 
 
@@ -196,9 +199,9 @@ def _means(window: StillWindow) -> StillMean:
     )
 
 
-def answer_limit(scene: Scene, noise: FloatArray) -> FloatArray:
+def answer_limit(contacts: ContactSettings, noise: FloatArray) -> FloatArray:
     """Return the response above which each channel answers, raw units: the threshold delta."""
-    return np.maximum(scene.contacts.response_min, scene.contacts.response_noises * noise)
+    return np.maximum(contacts.response_min, contacts.response_noises * noise)
 
 
 def _response(window: StillWindow, tare: Tare, scene: Scene) -> FloatArray:

@@ -139,7 +139,8 @@ class StillWindow:
 class Press:
     """A poke from its touch to its release.
 
-    `start` is the first sample above `touch_force`, and `pose` the arm's there; samples are `period_s` apart.
+    `start` is the first sample above `touch_force`, and `pose` the arm's there; samples are `period_s` apart. It is judged by
+    the `settings` that hold as it begins, whatever is changed later.
     """
 
     def __init__(self, settings: ContactSettings, tare: Tare, start: Sample, pose: ArmPose, period_s: float) -> None:
@@ -159,7 +160,7 @@ class Press:
         self.still = 0.0
         """Share of the still window that is filled, 0 to 1."""
         self.force = np.zeros(3)
-        self._settings = settings
+        self.settings = settings
         self._length = window_length(settings.still_s, period_s)
         self._window: deque[tuple[Sample, ArmPose]] = deque(maxlen=self._length)
 
@@ -191,7 +192,7 @@ class Press:
         wrench = np.array([item.wrench for item, _ in self._window]) - self.tare.wrench
         self.force = wrench[-1, :3]
         self.peak = max(self.peak, float(np.linalg.norm(self.force)))
-        self.still = still_share(wrench[:, :3], self._settings.still_change) / self._length
+        self.still = still_share(wrench[:, :3], self.settings.still_change) / self._length
         if len(self._window) == self._length:
             self._weigh(wrench)
 
@@ -202,7 +203,7 @@ class Press:
 
     def _weigh(self, wrench: FloatArray) -> None:
         """Keep the window that ends now if it is better than the best so far."""
-        settings = self._settings
+        settings = self.settings
         force = wrench[:, :3]
         size = float(np.linalg.norm(force.mean(axis=0)))
         outside = max(0.0, settings.force_min - size, size - settings.force_max)

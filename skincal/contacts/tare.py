@@ -112,7 +112,8 @@ class TareKeeper:
     """Watches the time between pokes for quiet windows and keeps the newest tares; a skin frame has `channels` values."""
 
     def __init__(self, settings: ContactSettings, channels: int) -> None:
-        self._quiet_s = settings.quiet_s
+        self.quiet_s = settings.quiet_s
+        """s, length of a quiet window."""
         self._run: deque[Sample] = deque()
         # Tares follow one another by half a window and more: eight reach back beyond `ONSET_S`.
         self._recent: deque[Tare] = deque(maxlen=8)
@@ -149,7 +150,7 @@ class TareKeeper:
 
     def feed(self, sample: Sample, period_s: float) -> Tare | None:
         """Take one sample without a touch; return the new tare if it completes a quiet window."""
-        quiet = window_length(self._quiet_s, period_s)
+        quiet = window_length(self.quiet_s, period_s)
         guard = max(1, quiet // 2)
         self._run.append(sample)
         while len(self._run) > quiet + guard:

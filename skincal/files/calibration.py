@@ -64,8 +64,8 @@ class Calibration:
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
     """What they say about a correction of the rig, used or not; None where none was searched for."""
-    closing: Closing | None = None
-    """Whether anything moved since the session began; None where that was not checked."""
+    closings: tuple[Closing, ...] = ()
+    """Whether anything moved since the session began, each time that was checked; the last one counts."""
     verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
     """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
 

@@ -37,6 +37,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
 from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
+from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.sentences import correction_words, state_sentence
 from skincal.taxels.gains import TaxelGain
@@ -275,7 +276,9 @@ LANDMARK_KEYS = {
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
 CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
-CLOSING_KEYS = {"names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved"}
+CLOSING_KEYS = {
+    "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
+}  # fmt: skip
 ESTIMATE_KEYS = {
     "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",
     "weakest": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
@@ -288,7 +291,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
     """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
     scene = calibration.scene
     layout = scene.skin.layout
-    check, closing = calibration.landmark_check, calibration.closing
+    check, closings = calibration.landmark_check, [_closing(closing) for closing in calibration.closings]
     document = {
         "format": JSON_FORMAT,
         "skincal_version": calibration.version,
@@ -309,7 +312,8 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "corrections": [_correction(used) for used in calibration.corrections],
         "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
         "landmark_check": None if check is None else _written(check, CHECK_KEYS),
-        "closing_check": None if closing is None else {"at": closing.at.value, **_written(closing, CLOSING_KEYS)},
+        "closing_check": closings[-1] if closings else None,
+        "closing_checks_before": closings[:-1],
         "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
         "excluded_pokes": [int(poke) for poke in calibration.excluded],
         "contacts": [_written(contact, CONTACT_KEYS) for contact in calibration.contacts],
@@ -322,6 +326,10 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         },
     }
     return _dump(document)
+
+
+def _closing(closing: Closing) -> dict[str, Any]:
+    return {"at": closing.at.value, **_written(closing, CLOSING_KEYS)}
 
 
 def _dump(document: dict[str, Any]) -> str:

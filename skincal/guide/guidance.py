@@ -23,6 +23,7 @@ from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress
 from skincal.geometry import FloatArray, IntArray, axis_point
 from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.model.scene import Landmark, NoiseSettings
+from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
 from skincal.rig.expected_gain import Gain
@@ -195,6 +196,20 @@ class Target:
     """Name of the landmark that is asked for; empty for a poke on the skin."""
 
 
+@dataclass(frozen=True, slots=True)
+class ClosingStep:
+    """How far the closing check is."""
+
+    place: ClosingPlace
+    """That is asked for."""
+    done: int
+    """Places that were poked once more..."""
+    places: int
+    """...of so many."""
+    number: int
+    """Of this check, from 1."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Guidance:
     """What the guide says at one moment, of n taxels."""
@@ -228,8 +243,8 @@ class Guidance:
     gain: Gain | None = None
     """What the landmarks of this arm pose are worth; None where none is asked for, or where it is unknown."""
 
-    closing: tuple[int, int] | None = None
-    """How many of how many places were poked once more in the closing check; None while none is asked for."""
+    closing: ClosingStep | None = None
+    """None while no place of the closing check is asked for."""
 
     @property
     def enough(self) -> bool:

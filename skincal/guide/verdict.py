@@ -257,14 +257,18 @@ class Verdict:
     """Accepted, and not taken out."""
     seconds: float
     """s, from the first of these pokes to the end of the last, without pauses."""
-    closing: Closing | None = None
-    """Whether anything moved since the session began; None where that was not checked."""
+    closings: tuple[Closing, ...] = ()
+    """Whether anything moved since the session began, each time that was checked; the last one counts."""
 
     @property
     def doubted(self) -> bool:
         """Whether anything speaks against the predicted errors."""
-        moved = self.closing is not None and self.closing.moved
-        return moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+        return self.moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+
+    @property
+    def moved(self) -> bool:
+        """Whether something has moved by the last closing check."""
+        return bool(self.closings) and self.closings[-1].moved
 
     @property
     def believed(self) -> bool:

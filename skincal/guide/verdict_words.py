@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import closing_sentence
+from skincal.sentences import closing_sentence, earlier_closings
 from skincal.taxels.result import Method
 
 
@@ -31,7 +33,7 @@ def verdict_sentence(verdict: Verdict) -> str:
 
 def _agreement(verdict: Verdict) -> str:
     check, landmarks = verdict.check, verdict.landmarks
-    if verdict.closing is not None and verdict.closing.moved:
+    if verdict.moved:
         return ", but something has moved since the start"
     if not check.believed:
         return ", but the held-out pokes speak against it"
@@ -53,7 +55,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Needs", done_words(verdict.method, verdict.wanted)),
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
-        ("Closing", closing_words(verdict.closing)),
+        ("Closing", closing_words(verdict.closings)),
         ("Predicted", predicted_words(verdict)),
         ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
     )
@@ -97,11 +99,11 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
 
 
-def closing_words(closing: Closing | None) -> str:
-    """Return whether anything moved since the start."""
-    return (
-        "not checked: at the end some of the first places are poked once more" if closing is None else closing_sentence(closing)
-    )
+def closing_words(closings: Sequence[Closing]) -> str:
+    """Return whether anything moved since the start, by the last check, and what those before it found."""
+    if not closings:
+        return "not checked: at the end some of the first places are poked once more"
+    return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
 def predicted_words(verdict: Verdict) -> str:

@@ -42,8 +42,10 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json, read_regular
-from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, Stream
+from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, SideReading, Stream, joined
+from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
+from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
 _END = b"]\n"
@@ -57,7 +59,7 @@ FORMAT = 3
 FORMAT_WITH_NOTES = 2
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
-_MISSING = ("still", "link_from_sensor", "after", "force", "moment")
+_MISSING = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")
 """What may be missing; elsewhere null is a float that is none."""
 SECONDS_MAX = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
@@ -75,6 +77,7 @@ SCHEMAS: dict[str, str] = {
         f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
     ),
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nuint64 device_time_us\nfloat32[] values\n{_HEADER}",
+    "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
     "sensor_msgs/msg/JointState": (
         f"std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n{_HEADER}"
     ),
@@ -100,6 +103,8 @@ class LinkTotals:
     """Name of the format found last; empty while unknown."""
     readings: int
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
+    beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
+    """What else the device measured, by name and unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +121,8 @@ class Totals:
         for new in health:
             old = links.get(new.link, LinkTotals(new.link, "", 0))
             losses = Counter(old.losses) + Counter(new.losses)
-            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses)
+            beside = joined(old.beside, new.beside)
+            links[new.link] = LinkTotals(new.link, new.format or old.format, old.readings + new.readings, losses, beside)
         return Totals(tuple(links.values()), self.unpaired + unpaired)
 
 
@@ -152,7 +158,7 @@ def event_to_json(event: LinkEvent | Stamped | Ending) -> dict[str, Any]:
     """Return an event as a JSON object."""
     if isinstance(event, LinkEvent):
         body = {"type": "link", "link": event.link, "state": event.state.value, "text": event.text}
-        body |= {"dropped": event.dropped} if event.dropped else {}
+        body |= {key: value for key, value in (("dropped", event.dropped), ("tried", event.tried)) if value}
     elif isinstance(event, Ending):
         body = {"type": "end"}
     else:
@@ -168,6 +174,7 @@ def note_to_json(note: Note) -> dict[str, Any]:
                 "format": link.format,
                 "readings": link.readings,
                 "lost": {loss.name: count for loss, count in link.losses.items() if count},
+                **({"beside": {name: _to_json(found) for name, found in link.beside.items()}} if link.beside else {}),
             }
             for link in note.links
         }
@@ -234,9 +241,8 @@ def _text_of(value: object) -> str:
 
 
 def _link_event(host_ns: int, body: Mapping[str, Any]) -> LinkEvent:
-    return LinkEvent(
-        _text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), _whole(body.get("dropped", 0))
-    )
+    dropped, tried = _whole(body.get("dropped", 0)), tuple(map(_whole, body.get("tried", ())))
+    return LinkEvent(_text_of(body["link"]), host_ns, LinkState(body["state"]), _text_of(body["text"]), dropped, tried)
 
 
 def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
@@ -246,7 +252,12 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
         number=_whole(body["segment"]),
         host_ns=host_ns,
         links=tuple(
-            LinkSpec(_text_of(link["name"]), _text_of(link["address"]), tuple(map(Stream, link["carries"])), link["format"])
+            LinkSpec(
+                _text_of(link["name"]),
+                label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
+                tuple(map(Stream, link["carries"])),
+                link["format"],
+            )
             for link in body["links"]
         ),
         format=body["format"],
@@ -259,7 +270,7 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
 def link_to_json(link: LinkSpec) -> dict[str, Any]:
     """Return what a link is as a JSON object."""
     carries = [stream.value for stream in link.carries]
-    return {"name": link.name, "address": link.address, "carries": carries, "format": link.format}
+    return {"name": link.name, "address": label_of(link.address), "carries": carries, "format": link.format}
 
 
 def _taken_from_json(document: Mapping[str, Any]) -> Taken:
@@ -358,6 +369,8 @@ def _doubt(document: Mapping[str, Any] | None) -> Doubt | None:
     before = _tare(document["poke"]["before"])
     assert before is not None
     values |= {"before": before, "still": None if still is None else _checked(StillMean(**_values(still)))}
+    if values.get("thresholds") is not None:
+        values["thresholds"] = with_thresholds(ContactSettings(), values["thresholds"])
     return Doubt(_checked(FinishedPress(**values)), _tare(document["after"]))
 
 
@@ -401,9 +414,14 @@ def _value(key: str, value: Any) -> Any:
 def _totals_from_json(document: Mapping[str, Any]) -> Totals:
     def read(name: str, link: Mapping[str, Any]) -> LinkTotals:
         losses = {Loss[loss]: _whole(count) for loss, count in link["lost"].items()}
-        return LinkTotals(name, _text_of(link["format"]), _whole(link["readings"]), losses)
+        beside = {_text_of(key): _side_reading(found) for key, found in link.get("beside", {}).items()}
+        return LinkTotals(name, _text_of(link["format"]), _whole(link["readings"]), losses, beside)
 
     return Totals(tuple(read(name, link) for name, link in document["links"].items()), _whole(document["unpaired"]))
+
+
+def _side_reading(document: Mapping[str, Any]) -> SideReading:
+    return SideReading(*(_number(document[item.name]) for item in fields(SideReading)))
 
 
 _READERS: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
@@ -464,6 +482,12 @@ def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: Floa
     if len(angles):
         body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
     return _PREFIX + body + struct.pack("<II", 0, 0)
+
+
+def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
+    """Return a `sensor_msgs/msg/Temperature`, degC, its variance 0, which stands for unknown."""
+    body = _stamped(unix_ns, frame)
+    return _PREFIX + body + bytes(-len(body) % 8) + struct.pack("<dd", celsius, 0.0)
 
 
 def _stamped(unix_ns: int, frame: str) -> bytes:

@@ -7,7 +7,8 @@ and little has to be written anew after a kill.
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
 what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
-`/joints`), which skincal does not read back. The other file holds events and notes alone, a line each: see `documents`.
+`/joints`, `/temperature`), which skincal does not read back. The other file holds events and notes alone, a line each: see
+`documents`.
 
 Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
 vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
@@ -73,6 +74,7 @@ _DECODED = {
     "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
+    "/temperature": "sensor_msgs/msg/Temperature",
 }
 CHUNK_BYTES = 16 << 20
 """More than half a second brings, so that MCAP's writer never parts an item from its notes."""
@@ -225,6 +227,12 @@ class JournalWriter:
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
         for unix_ns, message in zip(at.tolist(), documents.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
             self._add("/wrench", unix_ns, message.tobytes())
+
+    @_guarded
+    def write_temperature(self, host_ns: int, link: str, celsius: float) -> None:
+        """Append the temperature that a link's device says, for other programs."""
+        at = self.unix_ns(host_ns)
+        self._add("/temperature", at, documents.encode_temperature(at, link, celsius))
 
     @_guarded
     def tick(self, now_ns: int) -> None:

@@ -114,6 +114,28 @@ class AskLandmark:
 class BeginClosing:
     """Ask for some of the first places once more: pokes from now on show whether anything moved (`skincal.rig.closing`)."""
 
+    wanted: bool = False
+    """The operator wants it, who can take that back; else it began by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkipClosing:
+    """Ask for a place of the closing check no more, or end the check."""
+
+    at: str
+    """A value of `ClosingPlaces`; empty to end it."""
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetThresholds:
+    """Judge pokes that begin from now on by these thresholds in place of the scene's; all others are the scene's."""
+
+    names: tuple[str, ...] = ()
+    """Fields of `ContactSettings`..."""
+    values: tuple[float, ...] = ()
+    """...and their values, SI units."""
+
 
 @dataclass(frozen=True, slots=True)
 class Correct:
@@ -162,6 +184,8 @@ Action: TypeAlias = (
     | MissedLandmark
     | AskLandmark
     | BeginClosing
+    | SetThresholds
+    | SkipClosing
     | Correct
     | Uncorrect
 )
@@ -189,6 +213,8 @@ _KINDS: dict[str, type[Action]] = {
     "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
     "begin_closing": BeginClosing,
+    "set_thresholds": SetThresholds,
+    "skip_closing": SkipClosing,
     "correct": Correct,
     "uncorrect": Uncorrect,
 }

@@ -73,6 +73,8 @@ class LinkEvent:
     """A sentence for the operator: what happened and what to do."""
     dropped: int = 0
     """Bytes that came before it faster than they could be worked on, and were dropped."""
+    tried: tuple[int, ...] = ()
+    """Baud rates at which a serial port was listened to, where they are searched: one was added."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +134,22 @@ class Sample:
     """(joints,) float, radians, last streamed joint angles; None without a joint stream."""
 
 
+TEMPERATURE = "temperature, degC"
+
+
+@dataclass(frozen=True, slots=True)
+class SideReading:
+    """What a device measures beside its readings, such as its temperature; its name says the unit."""
+
+    least: float
+    most: float
+    now: float
+
+    def then(self, later: SideReading) -> SideReading:
+        """Return it with what was measured later."""
+        return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
+
+
 SILENT_S = 2.0
 """s. What has brought nothing for longer is silent. Joints at 1 Hz are slow, not silent."""
 
@@ -139,6 +157,37 @@ SILENT_S = 2.0
 def is_silent(last_s: float, now_s: float) -> bool:
     """Return whether a link, or the frames of a skin, are silent at `now_s`; the newest came at `last_s` of the same clock."""
     return now_s - last_s > SILENT_S
+
+
+class LinkAnswer(Enum):
+    """What a link is found to bring."""
+
+    LISTENING = "listening"
+    GOOD = "good"
+    NO_ANSWER = "no answer"
+    NO_READING = "no reading"
+    OTHER_STREAM = "another stream"
+    OTHER_WIDTH = "another number of values"
+    FROZEN = "frozen"
+
+
+@dataclass(frozen=True, slots=True)
+class LinkVerdict:
+    """What is found of a link: numbers and states; its words are in `skincal.sentences`."""
+
+    answer: LinkAnswer
+    stream: Stream | None = None
+    """The stream that is wanted and does not come as it should; None where all do."""
+    found: Stream | None = None
+    """What comes instead: `OTHER_STREAM` alone."""
+    width: int = 0
+    """Number of values that arrive: `OTHER_STREAM` and `OTHER_WIDTH` alone."""
+    expected: int = 0
+    """Number of values that are expected: `OTHER_WIDTH` alone."""
+    tried: tuple[int, ...] = ()
+    """Baud rates that were listened to, where they are searched."""
+    unchanged: bool = False
+    """A good skin has not changed one value yet, as thresholded ones do not while nothing touches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,3 +208,14 @@ class LinkHealth:
     """Arrival of the last bytes; 0 before the first."""
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
     """Counted losses by reason."""
+    beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
+    """What else the device measured since the link was described, by name and unit."""
+    verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
+    """What it is found to bring."""
+    address: str = ""
+    """Where it is read from."""
+
+
+def joined(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:
+    """Return what was measured beside readings, before and later."""
+    return {**before, **{name: before[name].then(found) if name in before else found for name, found in later.items()}}

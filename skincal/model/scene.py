@@ -6,6 +6,7 @@ The file's lengths are metres and its angles degrees unless the key ends in a un
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import Table, check_metres, parse_toml, read_text
+from skincal.model.tables import LENGTH_MAX, Table, check_metres, parse_toml, read_text
 
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
@@ -25,8 +26,12 @@ SETTING_LEAST, SETTING_MOST = 1e-9, 1e6
 inverse square leaves others no digits; raw units of a device of 20 bits end at a million, all else before."""
 SECONDS_MOST = 60.0
 """s. Nobody holds still, or keeps the hands off, for a minute at each poke."""
+RISING = ("release_force", "touch_force", "force_min", "force_max")
+"""Thresholds of a poke of which each is below the next."""
 JOINTS_MOST = 1000
 """Columns of a joint stream: a humanoid has some hundred."""
+DISTANCE_SD = (1e-5, 0.1)
+"""m, how well a distance may be known: no rule reads a hundredth of a millimetre on a soft skin."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -141,6 +146,20 @@ class Landmark:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownDistance:
+    """How far two modules lie apart, measured straight from point to point."""
+
+    ends: tuple[int, int]
+    """Ids of the modules, of which the origins are meant; or channels of taxels of two modules."""
+    of_taxels: bool
+    """Whether `ends` are channels."""
+    length: float
+    """m."""
+    sd: float
+    """m, how well it is known."""
+
+
+@dataclass(frozen=True, slots=True)
 class Scene:
     """What there is to calibrate."""
 
@@ -159,6 +178,7 @@ class Scene:
     path: Path
     """The scene file; relative paths in it start from its folder."""
     landmarks: tuple[Landmark, ...] = ()
+    distances: tuple[KnownDistance, ...] = ()
     text: str = field(repr=False, default="")
     """The file's text, kept in every session."""
 
@@ -177,10 +197,11 @@ def load_scene(path: Path) -> Scene:
     wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
     if arm is not None and sensor is not None:
         raise InputError(f"{path}: [arm] and [sensor] exclude each other; the arm already places the sensor.")
+    spec = _read_skin(skin, path)
     scene = Scene(
         name=root.take("name", str),
         link=root.take("link", str),
-        skin=_read_skin(skin, path),
+        skin=spec,
         surface=None if surface is None else _read_surface(surface, path),
         arm=None if arm is None else _read_arm(arm),
         sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
@@ -189,6 +210,7 @@ def load_scene(path: Path) -> Scene:
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         landmarks=_read_landmarks(root, path),
+        distances=_read_distances(root, spec.layout),
         text=text,
     )
     # At the end, when everything known was asked for: what is left is misspelt.
@@ -275,6 +297,45 @@ def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
     return tuple(landmarks)
 
 
+def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, ...]:
+    distances: list[KnownDistance] = []
+    for table in root.tables("distances"):
+        given = [key for key in ("modules", "taxels") if key in table.keys]
+        if len(given) != 1:
+            raise InputError(f"{table.where}: expected either modules, two ids, or taxels, two channels.")
+        ends: FloatArray = table.array(given[0], (2,))
+        if (ends != np.rint(ends)).any():
+            raise InputError(f"{table.where}: {given[0]} is {ends.tolist()}; expected two whole numbers.")
+        length, sd = (table.take(key, float) * 1e-3 for key in ("mm", "sd_mm"))
+        if not 0 < length <= LENGTH_MAX or not DISTANCE_SD[0] <= sd <= DISTANCE_SD[1]:
+            least, most = (f"{limit * 1e3:g}" for limit in DISTANCE_SD)
+            raise InputError(
+                f"{table.where}: mm is {length * 1e3:g} and sd_mm {sd * 1e3:g}; expected a distance above 0 and up to "
+                f"{LENGTH_MAX * 1e3:g}, known to {least} to {most}."
+            )
+        table.done()
+        known = KnownDistance((int(ends[0]), int(ends[1])), given[0] == "taxels", length, sd)
+        check_distance(known, layout, table.where)
+        distances.append(known)
+    return tuple(distances)
+
+
+def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> None:
+    """Refuse a distance whose ends are not in two modules of a layout.
+
+    Raises InputError, whose sentence begins with `where`.
+    """
+    if layout is None:
+        raise InputError(f"{where}: a distance is between modules, and the scene has no layout; name one in [skin].")
+    owners: dict[int, int] = {module.id: index for index, module in enumerate(layout.modules)}
+    if known.of_taxels:
+        owners = {channel: int(layout.module_of[channel]) for channel in layout.channels.tolist()}
+    found = {owners.get(end, -1) for end in known.ends}
+    if -1 in found or len(found) < 2:
+        what = "channels of taxels of two modules" if known.of_taxels else "ids of two modules"
+        raise InputError(f"{where}: the ends are {list(known.ends)}; expected {what} of the layout.")
+
+
 def _read_sign(table: Table) -> int:
     sign = table.take("sign", int, 1)
     if sign not in (1, -1):
@@ -292,37 +353,73 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
         # The type of the default says which kind of number is expected.
         key = _IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
-        # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
-        off = default == 0 or key == "skin"
-        if not (value > 0 or (off and value == 0)):
-            expected = "0 or a number above" if off else "a number above 0"
-            raise InputError(f"{table.where}: {key} is {value}; expected {expected}.")
-        most = SECONDS_MOST if key.endswith("_s") else SETTING_MOST
-        if value not in (0, default) and not SETTING_LEAST <= value <= most:
-            raise InputError(f"{table.where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
+        _check_setting(table.where, key, value, default)
         given[item.name] = value if key == item.name else float(np.radians(value))
     return kind(**given)
 
 
+def _check_setting(where: str, key: str, value: float, default: float) -> None:
+    # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
+    off = default == 0 or key == "skin"
+    if not (value > 0 or (off and value == 0)):
+        expected = "0 or a number above" if off else "a number above 0"
+        raise InputError(f"{where}: {key} is {value}; expected {expected}.")
+    most = most_of(key)
+    if value not in (0, default) and not SETTING_LEAST <= value <= most:
+        raise InputError(f"{where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
+
+
+def most_of(key: str) -> float:
+    """Return the largest value that a threshold or a noise may have, in its unit."""
+    return SECONDS_MOST if key.endswith("_s") else SETTING_MOST
+
+
 def _read_contacts(table: Table | None) -> ContactSettings:
     settings: ContactSettings = _read_settings(table, ContactSettings)
-    rising = ("release_force", "touch_force", "force_min", "force_max")
-    for low, high in pairwise(rising):
+    _check_rising("" if table is None else table.where, settings)
+    return settings
+
+
+def _check_rising(where: str, settings: ContactSettings) -> None:
+    for low, high in pairwise(RISING):
         if not getattr(settings, low) < getattr(settings, high):
-            where = "" if table is None else table.where
             raise InputError(
                 f"{where}: {low} is {getattr(settings, low):g} and {high} is {getattr(settings, high):g} (N); "
-                f"they were expected to rise: {' < '.join(rising)}."
+                f"they were expected to rise: {' < '.join(RISING)}."
             )
-    return settings
+
+
+def with_thresholds(settings: ContactSettings, values: Mapping[str, float]) -> ContactSettings:
+    """Return settings with some thresholds in place of theirs, in SI units, by their names.
+
+    Raises InputError: a name is not known, a value is none that a rig has or no whole number where a count is expected, or the
+    forces do not rise.
+    """
+    where = "thresholds of a poke"
+    known: dict[str, Any] = {item.name: item.default for item in fields(ContactSettings)}
+    given: dict[str, float] = {}
+    for name, value in values.items():
+        if name not in known:
+            raise InputError(f"{where}: {name!r} is none; expected one of {', '.join(known)}.")
+        _check_setting(where, name, value, known[name])
+        whole = isinstance(known[name], int)
+        if whole and value != round(value):
+            raise InputError(f"{where}: {name} is {value:g}; expected a whole number.")
+        given[name] = round(value) if whole else float(value)
+    changed = replace(settings, **given)
+    _check_rising(where, changed)
+    return changed
 
 
 def with_layout(scene: Scene, path: Path) -> Scene:
     """Return a scene with the layout of another file.
 
-    Raises InputError: the file is no layout, or its channels do not fit the skin.
+    Raises InputError: the file is no layout, or its channels do not fit the skin, or it lacks an end of a known distance.
     """
-    return replace(scene, skin=replace(scene.skin, layout=load_layout(path, scene.skin.channels)))
+    layout = load_layout(path, scene.skin.channels)
+    for known in scene.distances:
+        check_distance(known, layout, f"{path}: a distance of {scene.path.name}")
+    return replace(scene, skin=replace(scene.skin, layout=layout))
 
 
 def resource(name: str) -> Path:

@@ -20,15 +20,16 @@ beside the middle of its pads is in the noise. The others' trust is what it is w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.modules.off_surface import off_surface_variances
-from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import NO_RANK, Fitted, Touches, fit_poked, whitened
+from skincal.modules.pose import ModuleModel, ModulePoses
+from skincal.modules.pose_fit import NO_RANK, Fitted, ModuleRows, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import Pulls, SharedRows, variance_factors, with_shared
@@ -44,6 +45,30 @@ OTHERS = 2
 """Other pokes of its module that a poke needs: one predicts nothing of how a module is turned."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedModule:
+    """A module as its m pokes put it, with d unknowns, and n errors that all pokes share: `skincal.modules.distances`."""
+
+    pose: ModulePoses
+    """One."""
+    covariance: FloatArray
+    """(d, d) float, m^2, of its unknowns, without what all pokes share."""
+    moves: FloatArray
+    """(d, n) float, metres: how the shared errors move them."""
+    height: float
+    """m^2, variance of how far it lies off its surface."""
+    factor: float
+    """Of `variance_factors`."""
+    slopes: FloatArray
+    """(m, 2, d) float, 1/m: as in `ModuleRows`, as are the misses."""
+    misses: FloatArray
+    """(m, 2) float, in standard deviations."""
+    trust: FloatArray
+    """(m,) float, 0 to 1."""
+    shared: FloatArray
+    """(m, 2, n) float: how the shared errors change the misses, in standard deviations."""
+
+
 def estimate_modules(
     table: ContactTable,
     model: ModuleModel,
@@ -53,8 +78,9 @@ def estimate_modules(
     dead: Mapping[int, str],
     doubting: bool = True,
     shared: SharedRows | None = None,
+    kept: MutableMapping[int, FittedModule] | None = None,
 ) -> dict[int, Estimate]:
-    """Estimate all taxels of `modules`.
+    """Estimate all taxels of `modules`, each from its own pokes.
 
     Parameters
     ----------
@@ -63,6 +89,7 @@ def estimate_modules(
     dead : channels that are not used, with the reason
     doubting : whether pokes far off what a module's others say count less for it
     shared : errors that all pokes share, to be carried into the covariances
+    kept : takes the modules that are placed, by index, and loses those that are not
 
     Returns
     -------
@@ -73,9 +100,12 @@ def estimate_modules(
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     found = {channel: _without(channel, counts.get(channel, 0), dead) for channel in channels}
     fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
+    if kept is not None:
+        for module in modules:
+            kept.pop(module, None)
     if fit is not None:
         estimates = list(_estimates(*fit, counts, dead))
-        found.update((estimate.channel, estimate) for estimate in _carried(*fit, noise, estimates, shared))
+        found.update((estimate.channel, estimate) for estimate in _carried(*fit, noise, estimates, shared, kept))
     return found
 
 
@@ -156,24 +186,24 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
 
 
 def _carried(
-    touches: Touches, fitted: Fitted, noise: NoiseSettings, estimates: Sequence[Estimate], shared: SharedRows | None
+    touches: Touches,
+    fitted: Fitted,
+    noise: NoiseSettings,
+    estimates: Sequence[Estimate],
+    shared: SharedRows | None,
+    kept: MutableMapping[int, FittedModule] | None,
 ) -> list[Estimate]:
-    """Return the estimates with what shared errors add: `shared_errors`, with the unknowns of a module for those of a place."""
-    evidence = touches.evidence
-    order = np.lexsort((evidence.pokes[touches.rows], touches.of))
-    at, rows = touches.rows[order], whitened(touches, fitted.pads, noise)
-    pairs, places = evidence.pairs[at], touches.middles(fitted.pads)[0][order]
-    slopes, whiten = rows.slopes[order], rows.whiten[order]
-    weighted = fitted.trust[order][:, None, None] * slopes.transpose(0, 2, 1)
-    begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ whiten
-    held = np.add.reduceat(weighted @ slopes, begins)
-    misses = fitted.trust[order, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
-    pokes = evidence.pokes[at]
-    ordered = Pulls(begins, pokes, evidence.poses[at], pairs, misses, pulls, held, rows.normals[order])
-    squares = np.sum(rows.misses[order] ** 2, axis=1)
-    factors = variance_factors(squares, fitted.trust[order], begins, slopes.shape[2])
-    added, gradients = ordered.covariances(noise.skin), fitted.pads.gradients
-    errors = None if shared is None else shared(pokes, places, pairs)
+    """Return the estimates with what shared errors add: `shared_errors`, with the unknowns of a module for those of a place.
+
+    `kept` is as for `estimate_modules`.
+    """
+    order = np.lexsort((touches.evidence.pokes[touches.rows], touches.of))
+    rows, trust = whitened(touches, fitted.pads, noise), fitted.trust[order]
+    ordered, places = _pulls(touches, fitted, rows, order)
+    squares, gradients = np.sum(rows.misses[order] ** 2, axis=1), fitted.pads.gradients
+    factors = variance_factors(squares, trust, ordered.starts, gradients.shape[2])
+    added = ordered.covariances(noise.skin)
+    errors = None if shared is None else shared(ordered.pokes, places, ordered.pairs)
     moves: FloatArray | None = None
     if errors is not None:
         moves, of_poses = ordered.moves(*errors)
@@ -183,12 +213,66 @@ def _carried(
     pads = np.array([pad_of[estimate.channel] for estimate in known], dtype=np.int64)
     of, gradient = fitted.of[pads], gradients[pads]
     more = gradient @ added[of] @ gradient.transpose(0, 2, 1)
+    heights = np.zeros(len(factors))
     if gradients.shape[2] == ON_SURFACE:
-        beside = off_surface_variances(ordered, rows, order, fitted.trust[order], factors, noise.skin, errors)[of, None, None]
+        heights = off_surface_variances(ordered, rows, order, trust, factors, noise.skin, errors)
         outward = fitted.pads.normals[pads]
-        more = more + beside * outward[:, :, None] * outward[:, None]
+        more = more + heights[of, None, None] * outward[:, :, None] * outward[:, None]
+    if kept is not None:
+        of_shared = None if errors is None else rows.whiten[order] @ errors[0]
+        own = factors[:, None, None] * fitted.covariances + added, moves, heights, factors
+        kept.update(_fitted_modules(touches, fitted, rows, order, own, of_shared))
     found = with_shared(known, factors[of], more, None if moves is None else gradient @ moves[of]) if known else []
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
+
+
+def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray) -> tuple[Pulls, FloatArray]:
+    """Return how the pokes, in this order, hold their modules, and the places (m, 3), metres, that they touched."""
+    evidence, at, trust = touches.evidence, touches.rows[order], fitted.trust[order]
+    pairs, places, slopes = evidence.pairs[at], touches.middles(fitted.pads)[0][order], rows.slopes[order]
+    weighted = trust[:, None, None] * slopes.transpose(0, 2, 1)
+    begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ rows.whiten[order]
+    held = np.add.reduceat(weighted @ slopes, begins)
+    misses = trust[:, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
+    return Pulls(begins, evidence.pokes[at], evidence.poses[at], pairs, misses, pulls, held, rows.normals[order]), places
+
+
+def _fitted_modules(
+    touches: Touches,
+    fitted: Fitted,
+    rows: ModuleRows,
+    order: IntArray,
+    found: tuple[FloatArray, FloatArray | None, FloatArray, FloatArray],
+    of_shared: FloatArray | None,
+) -> Iterator[tuple[int, FittedModule]]:
+    """Yield the modules that have a pose, by their index.
+
+    Parameters
+    ----------
+    order : of the pokes, by module
+    found : covariances, moves, heights and factors of all modules
+    of_shared : `FittedModule.shared` of the pokes in that order
+    """
+    covariances, moves, heights, factors = found
+    for b, module in enumerate(touches.modules.tolist()):
+        if _trouble(touches, fitted, b) is not None or fitted.blind[b].any():
+            continue
+        here = touches.of[order] == b
+        own = order[here]
+        yield (
+            module,
+            FittedModule(
+                pose=fitted.poses.take(np.array([b])),
+                covariance=covariances[b],
+                moves=np.zeros((len(covariances[b]), 0)) if moves is None else moves[b],
+                height=float(heights[b]),
+                factor=float(factors[b]),
+                slopes=rows.slopes[own],
+                misses=rows.misses[own],
+                trust=fitted.trust[own],
+                shared=np.zeros((len(own), 2, 0)) if of_shared is None else of_shared[here],
+            ),
+        )
 
 
 def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:

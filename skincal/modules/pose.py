@@ -26,6 +26,7 @@ from skincal.model.skin import Anchor, Layout, Module
 if TYPE_CHECKING:
     from skincal.mesh.geodesics import Footing
     from skincal.mesh.surface import Surface
+    from skincal.model.scene import KnownDistance
 
 LEVER = 0.010
 """m: a turn is counted as the way of a point this far from the module's origin, about as far as its outer pads."""
@@ -156,10 +157,14 @@ class ModuleModel:
     ----------
     layout, anchor : of the scene; without an anchor the plan does not say where
     surface : None where there is none
+    distances : known between its modules
     """
 
-    def __init__(self, layout: Layout, anchor: Anchor | None, surface: Surface | None) -> None:
+    def __init__(
+        self, layout: Layout, anchor: Anchor | None, surface: Surface | None, distances: Sequence[KnownDistance] = ()
+    ) -> None:
         self.layout = layout
+        self.distances = tuple(distances)
         self.ground: ModuleGround = ModulesInSpace() if surface is None else ModulesOnSurface(surface)
         self.pads: list[FloatArray] = [module_pads(module) for module in layout.modules]
         """Of each module, `module_pads`."""
@@ -173,7 +178,7 @@ class ModuleModel:
         self._planned: dict[int, FloatArray] = {}
 
     def replanned(self, layout: Layout) -> ModuleModel:
-        """Return the model of another layout of these modules on the same part."""
+        """Return the model of another layout of these modules on the same part, without known distances."""
         model = ModuleModel(layout, self._anchor, self._surface)
         pairs = zip(self.layout.modules, layout.modules, strict=True)
         # Laying a module out on a mesh costs milliseconds: a plan that is the same is not made anew.

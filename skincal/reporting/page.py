@@ -23,7 +23,9 @@ from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides,
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
 from skincal.rig.correction import RIG
 from skincal.sentences import (
+    beside_words,
     correction_sentence,
+    distance_sentences,
     frame_sentence,
     left_sentences,
     misfit_sentence,
@@ -313,6 +315,7 @@ def _rig(facts: SessionFacts) -> ReportSection:
     said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
     said += [] if off is None else [unchecked_sentence(off, poked)]
+    said += distance_sentences(facts.snapshot.distances)
     rows = [
         (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
         for mark in facts.snapshot.landmarks
@@ -356,9 +359,10 @@ def _devices(facts: SessionFacts) -> ReportSection:
         of, carries = totals.get(link.name), ", ".join(stream.value for stream in link.carries)
         lost = "" if of is None else ", ".join(f"{count} {loss.value}" for loss, count in of.losses.items() if count)
         told = ("", "0") if of is None else (of.format, str(of.readings))
-        rows.append((link.name, link.address, carries, *told, lost or "none"))
+        beside = "" if of is None else beside_words(of.beside)
+        rows.append((link.name, link.address, carries, *told, lost or "none", beside or DASH))
     said = f"{plural(facts.totals.unpaired, 'skin frame')} found no wrench."
-    headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost")
+    headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Beside them")
     return ReportSection("Devices", (said,), tables=(ReportTable(headings, rows),))
 
 
@@ -375,8 +379,10 @@ def _settings(facts: SessionFacts) -> ReportSection:
         ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),
     ]  # fmt: skip
     tables = [ReportTable(("", ""), what, "Scene")]
+    changed = facts.snapshot.thresholds != scene.contacts
+    thresholds = "Thresholds of a poke" + (", as they were changed in the session" if changed else "")
     for caption, settings, units in (
-        ("Thresholds of a poke", scene.contacts, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
+        (thresholds, facts.snapshot.thresholds, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
         ("What the guide wants", GuideSettings(), GUIDE_UNITS),
     ):  # fmt: skip
         tables.append(ReportTable(("Setting", "Value", "Unit"), list(_setting_rows(settings, units)), caption))

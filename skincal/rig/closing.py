@@ -46,6 +46,15 @@ class ClosingPlaces(Enum):
     TAXELS = "taxels"
 
 
+@dataclass(frozen=True, slots=True)
+class ClosingPlace:
+    """A place of the closing check."""
+
+    at: ClosingPlaces
+    name: str
+    """Of the landmark; of a taxel its channel."""
+
+
 _OFF = {ClosingPlaces.LANDMARKS: 0.002, ClosingPlaces.TAXELS: 0.020}
 """m, sd of how far a place lies off what is believed, each direction: a drawing, and a taxel before anything is known."""
 
@@ -63,6 +72,8 @@ class Closing:
     """m, how far it seems to, in that direction, where nothing moved: 99 times of 100 less."""
     chance: float
     """Of so large a shift where nothing moved, 0 to 1."""
+    after: int = 0
+    """Number of the last poke before the check."""
 
     @property
     def moved(self) -> bool:

@@ -55,7 +55,10 @@ def act_on(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -> None:
     name = "" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name
     if name != pipeline.asked_landmark:
         pipeline.act(AskLandmark(name), now_ns)
-    if guidance is not None and guidance.closing is not None and pipeline.session.closing_after is None:
+    if guidance is None or guidance.closing is None:
+        return
+    # What is shown may be older than the session, in which it began meanwhile.
+    if len(pipeline.session.closings) < guidance.closing.number:
         pipeline.act(BeginClosing(), now_ns)
 
 

@@ -45,6 +45,10 @@ class Corrections:
         self.framed: dict[int, Outcome] = {}
         """The same in the right frame, with the rig's small errors: what these are found from."""
 
+    def act(self, action: Correct | Uncorrect) -> Step:
+        """Use a correction, or use it no more; see `use` and `drop`."""
+        return self.use(action) if isinstance(action, Correct) else self.drop(action)
+
     def use(self, action: Correct) -> Step:
         """Use a correction; return how it is taken back.
 

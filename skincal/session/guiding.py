@@ -13,22 +13,31 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, Target, rig_moves
+from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, Target, rig_moves
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.guide.verdict_words import verdict_sentence
+from skincal.model.actions import SkipClosing
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
-from skincal.rig.closing import FEWEST, PLACES
+from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
-from skincal.session.closing_pokes import TRIES, at_landmarks, at_taxels, closing_of, first_names
+from skincal.session.closing_pokes import (
+    at_landmarks,
+    at_taxels,
+    closing_pokes,
+    closings_of,
+    first_names,
+    is_due,
+    is_over,
+)
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
-from skincal.session.snapshot import Snapshot
+from skincal.session.snapshot import ClosingRound, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
@@ -90,7 +99,7 @@ class SessionGuide:
             self._followed = revision, method
         assert self._skin_guidance is not None
         before = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
-        self._guidance = self.closing.after_skin(before, snapshot, self.landmarks.normal)
+        self._guidance = self.closing.after_skin(before, snapshot, self.landmarks)
         return self._guidance
 
     def of_skin(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
@@ -132,7 +141,7 @@ class SessionGuide:
             landmarks,
             unchecked_of(used, landmarks, estimates, snapshot.contacts, self.landmarks.made(snapshot), noise),
         )
-        return replace(verdict, closing=closing_of(snapshot, noise))
+        return replace(verdict, closings=closings_of(snapshot, noise))
 
     def verdicts(
         self,
@@ -157,22 +166,24 @@ class SessionGuide:
             return None
         return self._guides[self._followed[1]].axis_diversity(channel, evidence)
 
-    def skip(self) -> None:
-        """Ask for another poke than the one that was asked for last."""
-        if self._guidance is not None and self._guidance.phase is GuidePhase.CLOSING:
-            self.closing.skip()
-        elif self._guidance is not None and self._guidance.landmark is not None:
+    def skip(self) -> SkipClosing | None:
+        """Ask for another poke than the one that was asked for last; where the session is to know it, return the action."""
+        if self._guidance is not None and self._guidance.closing is not None:
+            place = self._guidance.closing.place
+            return SkipClosing(place.at.value, place.name)
+        if self._guidance is not None and self._guidance.landmark is not None:
             self.landmarks.skip()
         elif self._followed is not None:
             self._guides[self._followed[1]].skip()
             self._followed = None
+        return None
 
-    def skip_landmarks(self) -> None:
-        """Ask for no landmarks in this arm pose, or end the closing check."""
-        if self._guidance is not None and self._guidance.phase is GuidePhase.CLOSING:
-            self.closing.leave_out()
-        else:
-            self.landmarks.skip(all_of_pose=True)
+    def skip_landmarks(self) -> SkipClosing | None:
+        """Ask for no landmarks in this arm pose, or end the closing check; as `skip`."""
+        if self._guidance is not None and self._guidance.closing is not None:
+            return SkipClosing("", "")
+        self.landmarks.skip(all_of_pose=True)
+        return None
 
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
@@ -221,7 +232,7 @@ class LandmarkGuide:
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
         """Return the guidance of the skin with a landmark before it, where one is asked for; `now_s` as for `SessionGuide`."""
-        here = self._key(snapshot.pose, snapshot.link_from_sensor)
+        here = self.stance_of(snapshot.pose, snapshot.link_from_sensor)
         if here != self._stance:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.
             self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
@@ -238,13 +249,14 @@ class LandmarkGuide:
         """Return whether the scene knows that arm pose; streamed joints pass through others that have no name of their own."""
         return self._scene.arm is None or pose in self._scene.arm.poses
 
-    def _key(self, pose: str, link_from_sensor: FloatArray | None) -> str:
+    def stance_of(self, pose: str, link_from_sensor: FloatArray | None) -> str:
+        """Return the name of an arm pose; one that is nearly an earlier one has its name, unless the scene names it."""
         return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
 
     def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
         if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
             return []
-        poked = [(self._key(poke.pose, poke.link_from_sensor), poke.name) for poke in self.made(snapshot)]
+        poked = [(self.stance_of(poke.pose, poke.link_from_sensor), poke.name) for poke in self.made(snapshot)]
         return self._round.plan(snapshot.landmarks, poked, self._stance)
 
     def made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
@@ -292,55 +304,59 @@ class LandmarkGuide:
 
 
 class ClosingGuide:
-    """Asks for some of the first places once more, when nothing else is asked for: three landmarks, or three taxels."""
+    """Asks for some of the first places once more, when nothing else is asked for: three landmarks, or three taxels.
+
+    What it asks for follows from the session alone.
+    """
 
     def __init__(self) -> None:
-        self._skipped = set[str]()
-        self._left_out = False
-        self._asked = ""
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
-    def skip(self) -> None:
-        """Ask for that place no more."""
-        self._skipped.add(self._asked)
-        self._known = ()
-
-    def leave_out(self) -> None:
-        """Ask for none of them."""
-        self._left_out, self._known = True, ()
-
-    def after_skin(self, guidance: Guidance, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> Guidance:
-        """Return the guidance, with a place to poke once more where it is enough.
-
-        `normal` gives what is outward at a landmark.
-        """
-        known = guidance, snapshot.pokes, snapshot.at_landmarks, snapshot.closing_after, snapshot.pose
+    def after_skin(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance:
+        """Return the guidance, with a place to poke once more where it is enough."""
+        known = guidance, snapshot.pokes, snapshot.at_landmarks, snapshot.closings, snapshot.pose
         if len(known) != len(self._known) or any(a is not b for a, b in zip(known, self._known, strict=True)):
-            self._known, self._shown = known, self._closing(guidance, snapshot, normal)
+            self._known, self._shown = known, self._closing(guidance, snapshot, landmarks)
         return self._shown or guidance
 
-    def _closing(self, guidance: Guidance, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> Guidance | None:
-        after = snapshot.closing_after
-        tried = 0 if after is None else sum(record.outcome.poke > after for record in snapshot.pokes)
-        # Who pokes elsewhere again and again is not asked for ever.
-        if guidance.phase is not GuidePhase.ENOUGH or self._left_out or tried >= TRIES * PLACES:
+    def _closing(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
+        if guidance.phase is not GuidePhase.ENOUGH:
             return None
-        pokes, targets = at_landmarks(snapshot), self._landmarks(snapshot, normal)
-        names = [name for name in first_names(pokes, snapshot.pose, after, PLACES) if name in targets]
-        if len(names) < FEWEST:
-            pokes, targets = at_taxels(snapshot), _taxel_targets(guidance, snapshot)
-            names = [name for name in first_names(pokes, snapshot.pose, after, PLACES) if name in targets]
-        again = {poke.name for poke in pokes if after is not None and poke.poke > after}
-        open_ = [name for name in names if name not in again | self._skipped]
-        if len(names) < FEWEST or not open_:
-            return None
-        self._asked = open_[0]
-        target = targets[self._asked]
-        done = len(again & set(names))
-        marks = {landmark.name: landmark for landmark in snapshot.landmarks}
-        mark = LandmarkTarget(marks[target.landmark], done, len(names)) if target.landmark else None
-        return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=(done, len(names)))
+        number, asked = len(snapshot.closings), None
+        if number and not is_over(snapshot):
+            asked = self._next(snapshot.closings[-1], number, guidance, snapshot, landmarks)
+        if asked is None and is_due(snapshot):
+            last = max((record.outcome.poke for record in snapshot.pokes), default=0)
+            asked = self._next(ClosingRound(last), number + 1, guidance, snapshot, landmarks)
+        return asked
+
+    def _next(
+        self, begun: ClosingRound, number: int, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide
+    ) -> Guidance | None:
+        """Return the guidance with the next place of a check; None where it has no more."""
+        made = [closing_pokes(snapshot, each)[0] for each in range(len(snapshot.closings))]
+        before, now = frozenset[int]().union(*made[: number - 1]), frozenset[int]().union(*made[number - 1 :])
+        stance = landmarks.stance_of(snapshot.pose, snapshot.link_from_sensor)
+        for at, pokes, targets in (
+            (ClosingPlaces.LANDMARKS, at_landmarks(snapshot), self._landmarks(snapshot, landmarks.normal)),
+            (ClosingPlaces.TAXELS, at_taxels(snapshot), _taxel_targets(guidance, snapshot)),
+        ):
+            early = [poke for poke in pokes if poke.poke <= begun.after and poke.poke not in before]
+            names = [name for name in first_names(early, stance, landmarks.stance_of, PLACES) if name in targets]
+            if len(names) < FEWEST:
+                continue
+            again = {poke.name for poke in pokes if poke.poke in now}
+            places = [ClosingPlace(at, name) for name in names if name not in again]
+            open_ = [place for place in places if place not in begun.skipped]
+            if not open_:
+                return None
+            step = ClosingStep(open_[0], len(again & set(names)), len(names), number)
+            target = targets[open_[0].name]
+            marks = {landmark.name: landmark for landmark in snapshot.landmarks}
+            mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
+            return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=step)
+        return None
 
     def _landmarks(self, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> dict[str, Target]:
         return {mark.name: _straight(None, mark.place, normal(mark), mark.name) for mark in snapshot.landmarks}

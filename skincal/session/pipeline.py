@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +23,7 @@ from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, Stamped
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
+from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.landmark_pokes import LandmarkFinder
 from skincal.session.session import Session
@@ -79,7 +80,9 @@ class Pipeline:
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         """Begin with what comes from these links; nothing is known of what came from others."""
         self.links = tuple(links)
-        self._intake = Intake(self.scene.skin.channels, links)
+        arm = self.scene.arm
+        self._intake = Intake(self.scene.skin.channels, links, 0 if arm is None else max(arm.arm.joints, default=-1) + 1)
+        self._frozen = frozenset[str]()
         self._poses = _Poses(self.scene)
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
@@ -94,7 +97,7 @@ class Pipeline:
         try:
             for sample in self._intake.feed(item):
                 outcomes += self._take(sample)
-            if isinstance(item, LinkEvent) and self._breaks(item):
+            if self._breaks(item):
                 outcomes += self._detector.reset(item.host_ns * 1e-9)
         finally:
             self._settle_item(item, outcomes)  # also where the work fails: these bytes are worth keeping
@@ -120,6 +123,7 @@ class Pipeline:
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
         self._show_pose(None)
+        self._detector.use_thresholds(self.session.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark):
@@ -197,6 +201,7 @@ class Pipeline:
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
+        self._detector.use_thresholds(session.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
 
@@ -273,8 +278,13 @@ class Pipeline:
         self._totals_ns = item.host_ns
         return True
 
-    def _breaks(self, event: LinkEvent) -> bool:
-        """Return whether an event interrupts the samples: a needed link vanished, or the last of a recording ended."""
+    def _breaks(self, item: Chunk | LinkEvent) -> bool:
+        """Return whether an item interrupts the samples: a sensor froze or lives again, or an event says so."""
+        before, self._frozen = self._frozen, self._intake.frozen
+        return self._frozen != before or (isinstance(item, LinkEvent) and self._ends_samples(item))
+
+    def _ends_samples(self, event: LinkEvent) -> bool:
+        """Return whether a needed link vanished, or the last of a recording ended."""
         needed = {link.name for link in self.links if {Stream.WRENCH, Stream.SKIN} & set(link.carries)}
         if event.link not in needed:
             return False
@@ -290,7 +300,7 @@ class Pipeline:
         return name, link_from_sensor
 
     def _decoded_wrenches(self, host_ns: int) -> None:
-        """Hand the wrenches of the last half second to the journal, for other programs."""
+        """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
         if self.journal is None or host_ns - self._decoded_ns < DECODED_NS:
             return
         self._decoded_ns = host_ns
@@ -299,6 +309,9 @@ class Pipeline:
         if new < len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times[new:], wrenches[new:]))
+        for link in self._intake.health(host_ns):
+            if (found := link.beside.get(TEMPERATURE)) is not None:
+                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link.link, celsius=found.now))
 
     def sync(self) -> None:
         """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""

@@ -123,7 +123,7 @@ class Reviewer:
         self._scene, self._surface = scene, surface
         self._methods = methods_of(scene, surface)
         layout = scene.skin.layout
-        self._module_model = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface)
+        self._module_model = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
         self._pokes: dict[int, Outcome] = {}
         self._newest: Change | None = None
 

@@ -32,16 +32,19 @@ from skincal.model.actions import (
     Restore,
     Revive,
     SetPose,
+    SetThresholds,
+    SkipClosing,
     Uncorrect,
     Undo,
 )
 from skincal.model.errors import InputError
-from skincal.model.scene import Landmark, Scene
+from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
+from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
 from skincal.session.landmark_pokes import LandmarkTries, SessionLandmarks
-from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.session.snapshot import ClosingRound, PokeRecord, Snapshot
 from skincal.session.solving import Solving
 from skincal.session.undo import Entry, History, Step
 from skincal.taxels.result import Method
@@ -74,6 +77,8 @@ class Session:
         """The modules; None where their method is not solved."""
         self.pose = ""
         """Name of the chosen arm pose; empty where none was chosen: the joint stream says it, if there is one."""
+        self.thresholds = scene.contacts
+        """Those by which pokes that begin now are judged."""
         # In the order of their numbers, so that a snapshot copies them and makes nothing anew.
         self._records: dict[int, PokeRecord] = {}
         self._corrections = Corrections(self._correct_all)
@@ -87,7 +92,7 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
-        self._closing_after: int | None = None
+        self._closings: tuple[ClosingRound, ...] = ()
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
         self._generation = 0
@@ -155,9 +160,9 @@ class Session:
         return self._history.can_undo
 
     @property
-    def closing_after(self) -> int | None:
-        """Number of the last poke before the closing check began; None where it has not."""
-        return self._closing_after
+    def closings(self) -> tuple[ClosingRound, ...]:
+        """The closing checks that began, the newest last."""
+        return self._closings
 
     @property
     def history(self) -> tuple[Entry, ...]:
@@ -239,7 +244,8 @@ class Session:
         InputError
             There is no such poke, pose, landmark or channel, or nothing to undo or redo; the session is as it was.
         """
-        if isinstance(action, AskLandmark | MissedLandmark | BeginClosing):
+        # A closing check that the operator wants is a step; one that began by itself would begin again once taken back.
+        if isinstance(action, AskLandmark | MissedLandmark | SkipClosing) or action == BeginClosing():
             self._take_note(action)
             return
         if isinstance(action, Undo):
@@ -252,7 +258,7 @@ class Session:
             self._history.do(action, at_s, found=isinstance(action, FoundAtLandmark))
         self._changed()
 
-    def _take_note(self, action: AskLandmark | MissedLandmark | BeginClosing) -> None:
+    def _take_note(self, action: Action) -> None:
         """Take what was asked for, or found as an outcome is: it is no step of the operator's, and is not taken back."""
         if isinstance(action, AskLandmark):
             # It changes nothing of what is known.
@@ -260,9 +266,30 @@ class Session:
             return
         if isinstance(action, MissedLandmark):
             self._known.miss(action)
-        elif self._closing_after is None:
-            self._closing_after = self.last_poke
+        elif isinstance(action, SkipClosing):
+            self._skip_closing(action)
+        else:
+            self._begin_closing()
         self._changed()
+
+    def _begin_closing(self) -> Step:
+        at = len(self._closings)
+        self._closings = (*self._closings, ClosingRound(self.last_poke))
+
+        def take_back() -> None:
+            self._closings = (*self._closings[:at], *self._closings[at + 1 :])
+
+        return Step("closing check", take_back)
+
+    def _skip_closing(self, action: SkipClosing) -> None:
+        if action.at and action.at not in (places.value for places in ClosingPlaces):
+            expected = " or ".join(places.value for places in ClosingPlaces)
+            raise InputError(f"The closing check has no places {action.at!r}; expected {expected}.")
+        if not self._closings:
+            self._begin_closing()
+        *before, now = self._closings
+        skipped = now.skipped | {ClosingPlace(ClosingPlaces(action.at), action.name)} if action.at else now.skipped
+        self._closings = (*before, replace(now, skipped=skipped, ended=now.ended or not action.at))
 
     def _done(self, action: Action) -> Step:
         """Do an action; return how it is taken back."""
@@ -271,16 +298,17 @@ class Session:
                 return self._choose_poke(action)
             case SetPose():
                 return self._choose_pose(action.name)
-            case AddLandmark():
-                return self._known.add(action)
-            case AtLandmark() | FoundAtLandmark():
-                return self._known.put(action, self.outcome(action.poke))
-            case Correct():
-                return self._corrections.use(action)
-            case Uncorrect():
-                return self._corrections.drop(action)
+            case AddLandmark() | AtLandmark() | FoundAtLandmark():
+                added = isinstance(action, AddLandmark)
+                return self._known.add(action) if added else self._known.put(action, self.outcome(action.poke))
+            case Correct() | Uncorrect():
+                return self._corrections.act(action)
             case MarkDead() | Revive():
                 return self._choose_channel(action)
+            case SetThresholds():
+                return self._choose_thresholds(action)
+            case BeginClosing():
+                return self._begin_closing()
             case _:
                 raise TypeError(action)
 
@@ -324,7 +352,9 @@ class Session:
             at_landmarks=self.at_landmarks,
             missed_landmarks=self._known.missed,
             corrections=self.corrections,
-            closing_after=self._closing_after,
+            thresholds=self.thresholds,
+            closings=self._closings,
+            distances=self._solving.tried_distances,
         )
         return self._snapshot
 
@@ -335,13 +365,13 @@ class Session:
     def calibration(self) -> Calibration:
         """Return what the calibration files are written from."""
         from skincal.files.calibration import Calibration
-        from skincal.session.closing_pokes import closing_of
+        from skincal.session.closing_pokes import closings_of
 
         snapshot = self.snapshot()
         estimates = snapshot.estimates
         outcomes = [self._corrections.reported[poke] for poke in self._records]
         return Calibration(
-            scene=self.scene,
+            scene=replace(self.scene, contacts=self.thresholds),
             channels=self.channels,
             estimates=estimates,
             contacts=tuple(outcome for outcome in outcomes if isinstance(outcome, Contact)),
@@ -351,7 +381,7 @@ class Session:
             dead=self.dead,
             corrections=tuple(self.corrections.values()),
             landmark_pokes=self._known.pokes(outcomes),
-            closing=closing_of(snapshot, self.scene.noise),
+            closings=closings_of(snapshot, self.scene.noise),
         )
 
     def _kept(self, pokes: Iterable[int]) -> list[Contact]:
@@ -430,6 +460,21 @@ class Session:
             self.pose = before
 
         return Step(f"choice of pose {name}" if name else "choice of the streamed pose", take_back)
+
+    def _choose_thresholds(self, action: SetThresholds) -> Step:
+        if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
+            numbers = f"{len(action.names)} names and {len(action.values)} values"
+            raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
+        before = self.thresholds
+        wanted = with_thresholds(self.scene.contacts, dict(zip(action.names, action.values, strict=True)))
+        if wanted == before:
+            raise InputError("These thresholds of a poke are in use already.")
+
+        def put(thresholds: ContactSettings) -> None:
+            self.thresholds = thresholds
+
+        put(wanted)
+        return Step("change of thresholds" if action.names else "return to the scene's thresholds", lambda: put(before))
 
     def _choose_channel(self, action: MarkDead | Revive) -> Step:
         channel, mark = action.channel, isinstance(action, MarkDead)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkHealth
-from skincal.model.scene import Landmark
+from skincal.model.scene import ContactSettings, Landmark
+from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import UsedCorrection
 from skincal.session.undo import Deed, Entry
 from skincal.taxels.result import Estimate, Method
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +27,18 @@ class PokeRecord:
     outcome: Outcome
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClosingRound:
+    """One closing check as it was asked for."""
+
+    after: int
+    """Number of the last poke before it began."""
+    skipped: frozenset[ClosingPlace] = frozenset()
+    """Places that are asked for no more in it."""
+    ended: bool = False
+    """The operator ended it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +76,12 @@ class Snapshot:
     """Pokes that a landmark was asked for and that passed it too far, by their number."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
     """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
-    closing_after: int | None = None
-    """Number of the last poke before the closing check began; None where it has not."""
+    thresholds: ContactSettings = field(default_factory=ContactSettings)
+    """Those by which pokes that begin now are judged."""
+    closings: tuple[ClosingRound, ...] = ()
+    """The closing checks that began, the newest last."""
+    distances: tuple[TriedDistance, ...] = ()
+    """Of each known distance between modules of the scene, whether the modules method uses it."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

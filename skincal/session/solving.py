@@ -13,7 +13,7 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import IntArray
 from skincal.methods import estimate_from
 from skincal.model.scene import Scene
-from skincal.modules.estimate import estimate_modules
+from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
@@ -21,6 +21,7 @@ from skincal.taxels.shared_errors import SharedRows, carried
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
+    from skincal.modules.distances import TriedDistance
     from skincal.taxels.contact_table import Evidence
 
 MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
@@ -40,8 +41,15 @@ class Solving:
         self.methods = tuple(method for method in methods_of(scene, surface) if methods is None or method in methods)
         layout = scene.skin.layout
         solved = Method.MODULES in self.methods
-        self.module_model = ModuleModel(layout, scene.skin.anchor, surface) if layout is not None and solved else None
+        self.module_model: ModuleModel | None = None
         """The modules; None where their method is not solved."""
+        if layout is not None and solved:
+            self.module_model = ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
+        self._apart: dict[int, Estimate] = {}
+        """By the modules method, before known distances count; empty where there are none."""
+        self._fitted: dict[int, FittedModule] | None = {} if self.module_model and self.module_model.distances else None
+        self.tried_distances: tuple[TriedDistance, ...] = ()
+        """Of each known distance, whether it is used."""
         self._noise, self._surface = scene.noise, surface
         self.shared: SharedRows | None = None
         """Errors that all pokes share, which the covariances carry."""
@@ -105,6 +113,18 @@ class Solving:
                 break
         if not self._channels:
             self._shown = self._table
+            if parts and self._fitted is not None:
+                self._refine()
+
+    def _refine(self) -> None:
+        """Let known distances count; each module's own fit stays as it is."""
+        # Imported only where a scene knows distances.
+        from skincal.modules.distances import refined
+
+        assert self.module_model is not None
+        assert self._fitted is not None
+        moved, self.tried_distances = refined(self.module_model, self._fitted, self._apart)
+        self._estimates[Method.MODULES].update({**self._apart, **moved})
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
         """Return for each method one estimate a channel; all of them were solved once."""
@@ -141,5 +161,10 @@ class Solving:
             modules = self.module_model.modules_of(channels)
             # The surface method's first, where there are any: the search for a module begins with the best.
             others = [self._alike[method] for method in reversed(self._alone)]
-            found = estimate_modules(self._table, self.module_model, modules, self._noise, others, dead, shared=self.shared)
+            table, kept = self._table, self._fitted
+            found = estimate_modules(
+                table, self.module_model, modules, self._noise, others, dead, shared=self.shared, kept=kept
+            )
             self._estimates[Method.MODULES].update(found)
+            if kept is not None:
+                self._apart.update(found)

@@ -52,6 +52,8 @@ class DeviceSettings:
     """Hz. The paper's taxels (section III-B)."""
     joints_hz: float = 100.0
     """Hz. The iCub's controllers."""
+    flicker: float = 0.0
+    """N m, by which the last moment comes and goes: the last digit of a sensor without noise."""
     block_s: float = 0.010
     """s. Readings computed and sent together: a USB poll's worth."""
     header_s: float = 2.0
@@ -226,7 +228,9 @@ class DeviceTimeline:
         for action in self._actions:
             if isinstance(action, HandPress) and action.begin < end and action.end > begin:
                 total += self._press_wrench(action, times)
-        return rig.scene.wrench_sign * (rig.read_wrenches(total) + rig.offset + self._noise.block(times, begin, end))
+        read = rig.read_wrenches(total) + rig.offset + self._noise.block(times, begin, end)
+        read[:, 5] += self.settings.flicker * np.sin(1000.0 * times)
+        return rig.scene.wrench_sign * read
 
     def _press_wrench(self, press: HandPress, times: FloatArray) -> FloatArray:
         load, travel = press.load(times)[:, None], press.travel(times)

@@ -33,6 +33,8 @@ class SearchingLink:
         self._port, self._carries = port, carries
         self.write, self.close = port.write, port.close
         self.baud = BAUDS[0]
+        self.tried = (self.baud,)
+        """Rates that were listened to, each once."""
         self.found = False
         self._begin()
 
@@ -56,5 +58,6 @@ class SearchingLink:
             self.found = True
         elif now_s - self._since_s > TRIAL_S:
             self.baud = BAUDS[(BAUDS.index(self.baud) + 1) % len(BAUDS)]
+            self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)
             self._begin()

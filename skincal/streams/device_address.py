@@ -1,14 +1,17 @@
 """Addresses of devices that are spoken to, and what each says of its device: nothing is opened here.
 
-`SCHEME://HOST:PORT/PATH?key=value`, or `SCHEME:PORT` for a serial port that needs more than its name.
+`SCHEME://HOST:PORT/PATH?key=value`, or `SCHEME:PORT` for a serial port that needs more than its name. `run:COMMAND` is what a
+command prints. It is the operator's own word alone: a session keeps it as `ran:COMMAND` (`label_of`), which is never opened,
+since a stranger's session would else run what it names.
 """
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from skincal.model.errors import InputError
 from skincal.streams.decoders.detect import AUTO
@@ -33,16 +36,23 @@ class Scheme:
     """Whether it has hosts."""
 
 
+RUN, RAN = "run:", "ran:"
+DRIVER_OPTIONS = ("mode", "submode", "baud", "product", "serial")
+
+
 SCHEMES: Mapping[str, Scheme] = MappingProxyType(
     {
         "netft": Scheme("netft://192.168.1.1", 49152, "rdt", options=("cpf", "cpt", "device", "page")),
         "yarp": Scheme("yarp:/icub/right_arm/analog:o or yarp://SERVER:10000/icub/right_arm/analog:o", 10000, "yarp-port"),
-        "bota": Scheme("bota:/dev/ttyUSB0", format="bota", baud=460800, serial_format="bota", host=False),
+        "bota": Scheme(
+            "bota:/dev/ttyUSB0, bota://192.168.0.45 or bota:///dev/ttyACM0", 0, "bota", 460800, "bota", DRIVER_OPTIONS
+        ),
         "robotiq": Scheme("robotiq:/dev/ttyUSB0 or robotiq://192.168.1.2", 63351, "robotiq-text", 19200, "robotiq"),
         "rtde": Scheme("rtde://192.168.1.2", 30004, "rtde"),
         "xela": Scheme("xela://127.0.0.1:5000", 5000, "xela"),
         "papillarray": Scheme("papillarray:/dev/ttyACM0", baud=115200, serial_format="papillarray", host=False),
         "lines": Scheme("lines://127.0.0.1:7000"),
+        "run": Scheme("run:./my_sensor --rate 100", host=False),
     }
 )
 """By the word before the colon."""
@@ -59,7 +69,7 @@ class DeviceAddress:
     """Empty: a serial port, or a server to be looked up."""
     port: int = 0
     path: str = ""
-    """Of a serial port, or of the port of a YARP network, with its slash."""
+    """Of a serial port, or of the port of a YARP network, with its slash; the command of `run:`."""
     baud: int = 0
     options: Mapping[str, str] = field(default_factory=dict[str, str])
 
@@ -72,6 +82,11 @@ def parse_device(address: str) -> DeviceAddress | None:
     InputError
         It begins so, and goes on otherwise.
     """
+    if address.startswith(RAN):
+        raise InputError(
+            f"{address}: was recorded from a command, and a session starts none; type {RUN}{address.removeprefix(RAN)} "
+            "if you know it, or another address."
+        )
     name, colon, rest = address.partition(":")
     scheme = SCHEMES.get(name)
     if scheme is None or not colon:
@@ -91,6 +106,8 @@ def parse_device(address: str) -> DeviceAddress | None:
 
 def _host_form(address: str, name: str, scheme: Scheme) -> DeviceAddress | None:
     parts = urlsplit(address)
+    if name == "bota":
+        return _driver_form(address, parts)
     port = scheme.port if parts.port is None else parts.port
     wants_path = name == "yarp"
     if not scheme.host or not parts.hostname or not port or wants_path != (len(parts.path) > 1) or parts.username is not None:
@@ -98,7 +115,20 @@ def _host_form(address: str, name: str, scheme: Scheme) -> DeviceAddress | None:
     return DeviceAddress(address, name, scheme.format, parts.hostname, port, parts.path, 0, dict(parse_qsl(parts.query)))
 
 
+def _driver_form(address: str, parts: SplitResult) -> DeviceAddress | None:
+    """Return what is read by the maker's driver: a host, or a serial port behind the third slash."""
+    host, path, options = parts.hostname or "", parts.path, dict(parse_qsl(parts.query))
+    if bool(host) == (len(path) > 1) or parts.port is not None or parts.username is not None:
+        return None
+    if not all(options[key].isascii() and options[key].isdigit() for key in ("mode", "submode", "baud") if key in options):
+        return None
+    port = path if path.count("/") > 1 else path.removeprefix("/")  # /dev/ttyACM0, but COM7
+    return DeviceAddress(address, "bota-driver", "bota", host, path=port, options=options)
+
+
 def _place_form(address: str, name: str, scheme: Scheme, rest: str) -> DeviceAddress | None:
+    if name == "run":
+        return DeviceAddress(address, name, scheme.format, path=rest) if shlex.split(rest) else None
     place, _, query = rest.partition("?")
     options = dict(parse_qsl(query))
     if name == "yarp":
@@ -106,6 +136,11 @@ def _place_form(address: str, name: str, scheme: Scheme, rest: str) -> DeviceAdd
     if not place or not scheme.baud:
         return None
     return DeviceAddress(address, name, scheme.serial_format, path=place, baud=scheme.baud, options=options)
+
+
+def label_of(address: str) -> str:
+    """Return an address as a session keeps it: a command is no longer one."""
+    return RAN + address.removeprefix(RUN) if address.startswith(RUN) else address
 
 
 def format_of(address: str, given: str) -> str:

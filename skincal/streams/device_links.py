@@ -6,17 +6,24 @@ Imported when a device's address is opened, and each device's own modules when i
 from __future__ import annotations
 
 import contextlib
+import json
 import os
+import queue
 import re
 import select
+import shlex
+import signal
 import socket
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
@@ -503,14 +510,164 @@ def _open_xela(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports)
     return WebsocketLink(device.text, transport, device.host, device.port, MESSAGE_MAX)
 
 
+# ------------------------------------------------------------------ commands
+
+
+LINE_MAX = 300
+"""Bytes kept of what a command says of its end."""
+WAITING_CHUNKS = 64
+"""Reads that wait; a command that prints faster waits itself."""
+END_S = 1.0
+"""s that a command has to end, once it is told to."""
+
+
+class CommandLink:
+    """What a command prints; it runs as long as the link is open.
+
+    Parameters
+    ----------
+    command : its words; on Windows its line
+    ready_s : how long the constructor waits for the first bytes
+    after : what its end means for the link
+    who : what a sentence calls it
+    """
+
+    def __init__(self, address: str, command: Sequence[str] | str, ready_s: float, after: FailureKind, who: str) -> None:
+        self._address, self._after, self._who = address, after, f"{address}: {who}"
+        # A pipe: without this a script in Python would hand its lines on by eight thousand bytes.
+        surroundings = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        try:
+            self._process = subprocess.Popen(command, bufsize=0, start_new_session=True, env=surroundings, **streams)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise LinkFailure(FailureKind.ADDRESS, f"{address}: cannot be started: {reason}; check the command.") from error
+        self._brought: queue.Queue[bytes] = queue.Queue(WAITING_CHUNKS)
+        self._said = b""
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._bring, self._listen)]
+        for thread in self._threads:
+            thread.start()
+        self._early = b""
+        try:
+            self._early = self.read(ready_s)
+        except LinkFailure as failure:
+            self.close()
+            raise LinkFailure(FailureKind.ADDRESS if after is FailureKind.ENDED else after, str(failure)) from failure
+
+    def _bring(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            while data := stream.read(1 << 16):
+                self._brought.put(data)
+        self._brought.put(b"")
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        with self._process.stderr as stream:
+            while data := stream.read(1 << 12):
+                self._said = (self._said + data)[-LINE_MAX * 10 :]
+
+    @property
+    def spoke(self) -> bool:
+        """Whether bytes came by now."""
+        return bool(self._early)
+
+    def read(self, timeout_s: float) -> bytes:
+        """See `Link`."""
+        if self._early:
+            early, self._early = self._early, b""
+            return early
+        try:
+            data = self._brought.get(timeout=timeout_s)
+        except queue.Empty:
+            return b""
+        if not data:
+            self._brought.put(b"")
+            raise LinkFailure(self._after, self._ending())
+        return data
+
+    def _ending(self) -> str:
+        try:
+            code = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            return f"{self._who} has closed its output."
+        self._threads[1].join(END_S)
+        if code == 0:
+            return f"{self._who} has ended."
+        said = self._said.decode("utf-8", "replace").strip().splitlines()
+        why = f": {said[-1][-LINE_MAX:].rstrip('.')}" if said else ""
+        return f"{self._who} has ended with code {code}{why}."
+
+    def write(self, data: bytes) -> None:
+        """Do nothing: a command is told nothing."""
+
+    def close(self) -> None:
+        """See `Link`; ends the command, and what it started."""
+        self._end(signal.SIGTERM)
+        until_s = time.monotonic() + END_S
+        while self._threads[0].is_alive() and time.monotonic() < until_s:
+            # The thread may wait for room.
+            with contextlib.suppress(queue.Empty):
+                self._brought.get(timeout=0.02)
+        if self._process.poll() is None:
+            self._end(getattr(signal, "SIGKILL", signal.SIGTERM))
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(END_S)
+
+    def _end(self, number: int) -> None:
+        with contextlib.suppress(OSError):
+            if sys.platform == "win32":
+                self._process.terminate()
+            else:
+                os.killpg(self._process.pid, number)
+
+
+def _open_run(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    del carries, ports
+    # No shell. Windows has no words of a command, only its line.
+    command = device.path if sys.platform == "win32" else shlex.split(device.path)
+    return CommandLink(device.text, command, READY_S, FailureKind.ENDED, "the command")
+
+
+DRIVER_S = 10.0
+"""s for the maker's driver to find its sensor: one on a serial port starts anew for three seconds."""
+
+
+def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
+    del carries, ports
+    if find_spec("bota_driver") is None:
+        sentence = (
+            f"{device.text}: newer Bota sensors are read by the maker's driver, which is not installed; "
+            "python -m pip install bota-driver (the extra bota of skincal) installs it."
+        )
+        raise LinkFailure(FailureKind.ADDRESS, sentence)
+    kind = "dummy" if device.host == "dummy" else "socket" if device.host else "binary"
+    numbers = {key: int(value) for key, value in device.options.items() if value.isdigit()}
+    settings = {"kind": kind, "place": device.host or device.path, **device.options, **numbers}
+    child = (sys.executable, "-P", "-m", "skincal.streams.bota_child", json.dumps(settings))
+    begun_s = time.monotonic()
+    try:
+        link = CommandLink(device.text, child, DRIVER_S, FailureKind.VANISHED, "the maker's driver")
+    except LinkFailure:
+        # A process for each attempt: not ten a second.
+        time.sleep(max(0.0, begun_s + END_S - time.monotonic()))
+        raise
+    if link.spoke:
+        return link
+    link.close()
+    raise LinkFailure(FailureKind.ABSENT, f"{device.text}: the sensor sends nothing; check its power and its address.")
+
+
 _OPENERS: dict[str, Callable[[DeviceAddress, tuple[Stream, ...], Ports], Link]] = {
     "netft": _open_netft,
     "yarp": _open_yarp,
     "bota": _open_bota,
+    "bota-driver": _open_bota_driver,
     "robotiq": _open_robotiq,
     "rtde": _open_rtde,
     "xela": _open_xela,
     "papillarray": _open_papillarray,
     "lines": _open_lines,
+    "run": _open_run,
 }
 """By the scheme of the address."""

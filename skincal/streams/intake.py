@@ -30,10 +30,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
+from types import MappingProxyType
 from typing import assert_never
 
 import numpy as np
@@ -50,14 +51,17 @@ from skincal.model.readings import (
     LinkState,
     Loss,
     Sample,
+    SideReading,
     SkinBatch,
     Stream,
     WrenchBatch,
+    joined,
 )
 from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
+from skincal.streams.verdicts import LinkEar
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -340,22 +344,30 @@ RATE_NS = 2_000_000_000
 """Nanoseconds over which a rate is counted."""
 RATE_STEP_NS = 100_000_000
 """Nanoseconds of readings counted together for the rate."""
+TOLD = ("rtde",)
+"""Formats whose packets only the decoder of the wanted streams can read."""
 CLOCKLESS_LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MISSING)
 """Losses after which a count of readings no longer gives the time."""
 
 
 class Intake:
-    """Decodes, dates and pairs what the links of one session send.
+    """Decodes, dates and pairs what the links of one session send: skin frames of `channels` values, at least `joints` angles.
 
     The constructor raises InputError: a format is not known, or two links have one name; for `feed` see `check`.
     """
 
-    def __init__(self, channels: int, links: Sequence[LinkSpec]) -> None:
-        self._links = {spec.name: _LinkIntake(channels, spec) for spec in links}
+    def __init__(self, channels: int, links: Sequence[LinkSpec], joints: int = 0) -> None:
+        self._links = {spec.name: LinkIntake(channels, spec, joints) for spec in links}
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
+        self._joints = joints
         self._pairing = Pairing()
         self._now_s = -np.inf
+
+    @property
+    def frozen(self) -> frozenset[str]:
+        """Names of the links on which a stream that always has noise repeats one reading."""
+        return frozenset(name for name, link in self._links.items() if link.ear.frozen)
 
     @property
     def unpaired(self) -> int:
@@ -378,7 +390,7 @@ class Intake:
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.advance(self._now_s)
 
-    def _take(self, link: _LinkIntake, batch: Batch, arrival_s: float) -> None:
+    def _take(self, link: LinkIntake, batch: Batch, arrival_s: float) -> None:
         match batch:
             case WrenchBatch():
                 self._pairing.add_wrench(link.stamper.stamp(Stream.WRENCH, batch.device_s, arrival_s), batch)
@@ -389,7 +401,7 @@ class Intake:
             case JointsBatch():
                 stamps = link.stamper.stamp(Stream.JOINTS, batch.device_s, arrival_s).tolist()
                 for stamp, angles in zip(stamps, batch.angles, strict=True):
-                    if np.isfinite(angles).all():
+                    if len(angles) >= self._joints and np.isfinite(angles).all():
                         self._pairing.add_joints(stamp, angles)
             case _:
                 assert_never(batch)
@@ -407,16 +419,21 @@ class Intake:
         )
 
 
-class _LinkIntake:
+class LinkIntake:
     """One link: its decoder, its clocks and its figures."""
 
-    def __init__(self, channels: int, spec: LinkSpec) -> None:
+    def __init__(self, channels: int, spec: LinkSpec, joints: int = 0) -> None:
         self.spec = spec
         self.stamper = Stamper()
+        name = format_of(spec.address, spec.format)
+        # A robot's packets hold what it was asked for, and say no word of that.
+        look = None if name in TOLD else lambda: LinkDecoder(name, None, tuple(Stream))
+        self.ear = LinkEar(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
         self._channels = channels
         self._decoder = self._new_decoder()
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
+        self._beside_before: dict[str, SideReading] = {}
         self._state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
@@ -426,6 +443,7 @@ class _LinkIntake:
         return LinkDecoder(format_of(self.spec.address, self.spec.format), self._channels, self.spec.carries)
 
     def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
+        """Return the readings that bytes complete, each batch with the arrival of its last bytes."""
         if self._last_ns == 0 and self._state is LinkState.LOST:
             self._state, self._text = LinkState.OPEN, ""
         self._last_ns = chunk.host_ns
@@ -435,17 +453,20 @@ class _LinkIntake:
         if self._broken() > before:
             self.stamper.lost()
         self._count(batches)
+        self.ear.hear(chunk.data, chunk.host_ns, [batch for _, batch in batches])
         return batches
 
     def take_event(self, event: LinkEvent) -> list[tuple[int, Batch]]:
         """Follow the link's state; what was held back until the format was sure is let through at the end."""
         batches: list[tuple[int, Batch]] = []
+        self.ear.follow(event)
         if event.state is LinkState.ENDED:
             batches = self._decoder.finish()
             self._count(batches)
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
+            self._beside_before = self._beside()
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
@@ -466,14 +487,28 @@ class _LinkIntake:
             else:
                 self._rate.append((step_ns, len(batch.seq)))
 
-    def health(self, now_ns: int, pairing: Counter[Loss]) -> LinkHealth:
+    def health(self, now_ns: int, pairing: Mapping[Loss, int] = MappingProxyType({})) -> LinkHealth:
         """Return the figures of the link; `pairing` holds the losses of the pairing, which count for the skin's link."""
         text = self._text or (self._decoder.note if self._state is LinkState.OPEN else "")
-        losses = self._before + self._decoder.counts + pairing
-        spec, rate = self.spec, self._rate_until(now_ns)
+        losses = self._before + self._decoder.counts + Counter(pairing)
+        spec, rate, verdict = self.spec, self._rate_until(now_ns), self.ear.judge(now_ns)
         return LinkHealth(
-            spec.name, self._state, text, spec.carries, self._decoder.name, self._readings, rate, self._last_ns, losses
+            spec.name,
+            self._state,
+            text,
+            spec.carries,
+            self._decoder.name,
+            self._readings,
+            rate,
+            self._last_ns,
+            losses,
+            self._beside(),
+            verdict,
+            spec.address,
         )
+
+    def _beside(self) -> dict[str, SideReading]:
+        return joined(self._beside_before, self._decoder.beside)
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading where that is less."""

@@ -605,11 +605,17 @@ class Reader:
         return True
 
     def _read(self, link: Link) -> None:
+        tried: tuple[int, ...] = ()
         while not self._stop.is_set():
             data = link.read(READ_S)
             if data:
                 # Stamped at once, by a clock that nobody can set back while a session runs.
                 self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data))
+            # Of a port whose baud rate is searched: what follows is heard at another one.
+            now_tried: tuple[int, ...] = getattr(link, "tried", ())
+            if len(now_tried) > 1 and now_tried != tried:
+                tried = now_tried
+                self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))
 
     def _could_not_open(self, failure: LinkFailure) -> None:
         """Report why the link does not open: at once the first time, later only what is new and lasts."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.model.readings import LinkAnswer, LinkVerdict, Stream
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
@@ -16,6 +17,7 @@ from skincal.sentences import (
     correction_words,
     frame_sentence,
     left_sentences,
+    link_verdict_words,
     misfit_sentence,
     rig_sentences,
     state_sentence,
@@ -234,3 +236,34 @@ def test_a_sensor_that_sits_elsewhere_says_by_how_much(degrees):
 def test_landmarks_are_recommended_only_where_none_was_poked():
     assert unchecked_sentence(0.0075, 0) == approved("rig.unchecked", off_mm=7.5)
     assert unchecked_sentence(0.0075, 4) == approved("rig.unchecked_poked", off_mm=7.5, pokes=4)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        (LinkVerdict(LinkAnswer.GOOD, tried=(115200,)), "good"),
+        (LinkVerdict(LinkAnswer.GOOD, unchanged=True), approved("links.unchanged")),
+        (LinkVerdict(LinkAnswer.LISTENING), "listening"),
+        (LinkVerdict(LinkAnswer.NO_ANSWER, Stream.SKIN), "no answer"),
+        (LinkVerdict(LinkAnswer.NO_READING, Stream.SKIN), approved("links.no_reading")),
+        (
+            LinkVerdict(LinkAnswer.NO_READING, Stream.SKIN, tried=(115200, 460800, 1000000)),
+            approved("links.no_reading_tried", tried="115200, 460800, 1000000"),
+        ),
+        (
+            LinkVerdict(LinkAnswer.OTHER_STREAM, Stream.WRENCH, Stream.SKIN, 384),
+            approved("links.other_stream", found="skin", width=384),
+        ),
+        (
+            LinkVerdict(LinkAnswer.OTHER_STREAM, Stream.SKIN, Stream.WRENCH, 6),
+            approved("links.other_stream", found="F/T sensor", width=6),
+        ),
+        (
+            LinkVerdict(LinkAnswer.OTHER_WIDTH, Stream.SKIN, width=20, expected=64),
+            approved("links.other_width", width=20, of="the scene has", expected=64),
+        ),
+        (LinkVerdict(LinkAnswer.FROZEN, Stream.WRENCH), approved("links.frozen")),
+    ],
+)
+def test_what_is_found_of_a_link_is_said_in_few_words(verdict, words):
+    assert link_verdict_words(verdict) == words

@@ -17,6 +17,7 @@ that a decoder reads. The session's journal holds these lines, not the rows.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
@@ -96,8 +97,9 @@ class _Table:
         self.stream, self.path = stream, path
         self._separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
         row = next(_rows(path, self._separator))
-        self._header = any(_to_float(field) is None for field in row if field)
-        if self._header:
+        self.named = any(_to_float(field) is None for field in row if field)
+        """It has a header."""
+        if self.named:
             self.columns = _named_columns(stream, [name.lower() for name in row], path)
         else:
             self.columns = _columns_by_place(stream, len(row), path)
@@ -132,7 +134,7 @@ class _Table:
 
     def _rows(self, splits: int = -1) -> Iterator[list[str]]:
         rows = _rows(self.path, self._separator, splits)
-        if self._header:
+        if self.named:
             next(rows, None)
         return rows
 
@@ -159,6 +161,15 @@ def read_csv(
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Read the CSV files of one recording: links, chunks of whole lines merged by time, and sentences on what was found.
 
+    Raises InputError: as for `open_csv`.
+    """
+    opened = open_csv(wrench, skin, joints)
+    return opened.links, opened.chunks(), opened.findings
+
+
+def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecording:
+    """Read the CSV files of one recording through.
+
     Raises InputError: a file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
     """
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
@@ -180,9 +191,22 @@ def read_csv(
         if table.skipped:
             findings.append(f"{name}: {plural(table.skipped, 'row')} without a time: left out.")
     check_overlap(timelines)
-    # A frame gets the last angles before it, so these must not come later.
-    chunks = merged(timelines, [table.lines for table in tables], (Stream.JOINTS.value,))
-    return tuple(table.link for table in tables), chunks, tuple(findings)
+    links, sources = (table.link for table in tables), (table.lines for table in tables)
+    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+
+
+def guess_csv(path: Path) -> tuple[Stream | None, int]:
+    """Return which stream a file's columns say that it is, None where they do not say it, and how many values a row has.
+
+    Raises InputError: it cannot be read, or no column is the time.
+    """
+    table = _Table(Stream.SKIN, path)
+    for stream in (Stream.WRENCH, Stream.JOINTS):
+        with contextlib.suppress(InputError):
+            found = _Table(stream, path)
+            if found.named or stream is Stream.WRENCH:
+                return stream, len(found.columns.values)
+    return Stream.SKIN if table.named else None, len(table.columns.values)
 
 
 def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:

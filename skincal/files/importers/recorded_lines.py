@@ -31,7 +31,8 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
-from skincal.model.readings import Chunk
+from skincal.model.readings import Chunk, Stream
+from skincal.streams.links import LinkSpec
 
 OUT_OF_ORDER = 0.5
 """s. A message on a network is not later than this; a clock that is set back usually goes farther."""
@@ -325,6 +326,29 @@ def _joined(pieces: Iterable[tuple[Chunk, bool]]) -> Iterator[Chunk]:
             yield chunk
     if held:
         yield Chunk(held[0].link, held[-1].host_ns, b"".join([one.data for one in held]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenRecording:
+    """A recording of several files that was read through once."""
+
+    links: tuple[LinkSpec, ...]
+    """Of each file one, in the order of `timelines` and `sources`."""
+    timelines: tuple[RecordedTimes, ...]
+    sources: tuple[Lines, ...]
+    findings: tuple[str, ...]
+    """Sentences on what was found."""
+
+    @property
+    def span_ns(self) -> int:
+        """Nanoseconds from the first line of any file to the last."""
+        first, last = min(each.first for each in self.timelines), max(each.last for each in self.timelines)
+        return round((last - first) * 1e9)
+
+    def chunks(self) -> Iterator[Chunk]:
+        """Give the lines of all files as chunks merged by time; lazily."""
+        # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
+        return merged(self.timelines, self.sources, (Stream.JOINTS.value,))
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.files.importers.recorded_lines import RecordedLines, RecordedTimes, check_overlap, merged
+from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular, read_regular
 from skincal.model.readings import Chunk, Stream
+from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
     MEASURES_LISTS,
@@ -121,8 +122,18 @@ def read_yarp(
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Read the logs of one recording: links, chunks merged by time, and sentences on what was found.
 
-    `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them. A chunk
-    holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
+    A chunk holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
+
+    Raises InputError: as for `open_yarp`.
+    """
+    opened = open_yarp(wrench, skin, joints)
+    return opened.links, opened.chunks(), opened.findings
+
+
+def open_yarp(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecording:
+    """Read the logs of one recording through.
+
+    `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them.
 
     Raises InputError: a folder has no log, a file is not such a log, holds no record, or the logs are of different times.
     """
@@ -139,9 +150,24 @@ def read_yarp(
         findings += [*log.findings, *timeline.sentences(), *sentences]
     check_overlap(timelines)
     findings += _clock_findings(logs)
-    # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
-    chunks = merged(timelines, [log.lines for log in logs], (Stream.JOINTS.value,))
-    return tuple(log.link for log in logs), chunks, tuple(findings)
+    links, sources = (log.link for log in logs), (log.lines for log in logs)
+    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+
+
+def guess_yarp(place: Path) -> tuple[Stream | None, int]:
+    """Return which stream a log's first record says that it is, None where it does not say it, and how many values it has.
+
+    Raises InputError: as for `find_log`, or the log has no record.
+    """
+    path, _ = find_log(place)
+    stamps, _, _ = _grammar(path)
+    for data in islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES):
+        line = split_line(data, stamps)
+        if line is not None and line.payload.strip():
+            if _count_sensors(line.payload):
+                return Stream.WRENCH, WRENCH_WIDTH
+            return None, len(line.payload.replace(b"(", b" ").replace(b")", b" ").split())
+    raise InputError(f"{path}: its first lines hold no record; expected a log that yarpdatadumper wrote.")
 
 
 def _open_log(stream: Stream, place: Path) -> _Log:

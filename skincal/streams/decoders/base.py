@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.readings import Batch, JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.readings import Batch, JointsBatch, Loss, SideReading, SkinBatch, Stream, WrenchBatch
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 are 16 bits wide."""
@@ -244,8 +244,8 @@ class PieceDecoder(ABC):
         self._collector = Collector(channels, carries, self.counts)
         self._splitter = self._make_splitter()
         self._first = True
-        self.extras: dict[str, float] = {}
-        """What else the device measured last, by name and unit, such as its temperature."""
+        self.beside: dict[str, SideReading] = {}
+        """What else the device measured, by name and unit, such as its temperature."""
 
     def _make_splitter(self) -> Pieces:
         return Splitter(self.mark, self.limit)
@@ -263,6 +263,11 @@ class PieceDecoder(ABC):
                 self.counts[problem] += 1
             self._first = False
         return self._collector.take()
+
+    def _measure(self, name: str, value: float) -> None:
+        """Keep what was measured beside a reading."""
+        new = SideReading(value, value, value)
+        self.beside[name] = self.beside[name].then(new) if name in self.beside else new
 
     @abstractmethod
     def _decode(self, piece: bytes) -> Loss | None:

@@ -12,7 +12,7 @@ import math
 import struct
 from typing import ClassVar
 
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import TEMPERATURE, Loss, Stream
 from skincal.streams.decoders.base import INVALID_BIT, SATURATED_BIT, DeviceTime, PieceDecoder, Pieces
 from skincal.streams.decoders.dialogue import Dialogue
 from skincal.streams.decoders.framing import Frames
@@ -21,7 +21,6 @@ DATA = struct.Struct("<H6fIf")
 FRAME_BYTES = 37
 PLAUSIBLE = 1e6
 """N and N m. No sensor has such a range: noise with a checksum that fits by chance has, half the time."""
-TEMPERATURE = "temperature, degC"
 COLD, HOT = -60.0, 160.0
 """degC, beyond what electronics bear."""
 SKIPPED, OVERRANGE, INVALID, RAW = 1, 2, 4, 8
@@ -80,7 +79,7 @@ class BotaDecoder(PieceDecoder):
     def _decode(self, piece: bytes) -> Loss | None:
         status, *wrench, raw_us, temperature = DATA.unpack_from(piece, 1)
         self.good += 1
-        self.extras[TEMPERATURE] = temperature
+        self._measure(TEMPERATURE, temperature)
         said = [words for bit, words in WORDS.items() if status & bit]
         self._state = f"The sensor says: {'; '.join(said)}" if said else ""
         flags = (SATURATED_BIT if status & OVERRANGE else 0) | (INVALID_BIT if status & (INVALID | RAW) else 0)

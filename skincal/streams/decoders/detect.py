@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from skincal.model.errors import InputError
-from skincal.model.readings import Batch, Loss, Stream
+from skincal.model.readings import Batch, Loss, SideReading, Stream
 from skincal.streams.decoders.base import PieceDecoder
 from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.skb import SkbDecoder
@@ -103,9 +103,9 @@ class LinkDecoder:
         return "" if self._chosen is None else self._chosen.note
 
     @property
-    def extras(self) -> dict[str, float]:
-        """What else the device measured last, by name and unit."""
-        return {} if self._chosen is None else self._chosen.extras
+    def beside(self) -> dict[str, SideReading]:
+        """What else the device measured, by name and unit."""
+        return {} if self._chosen is None else self._chosen.beside
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
         """Return the readings that `data` completes, each batch with the arrival of its last bytes."""

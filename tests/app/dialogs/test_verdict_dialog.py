@@ -56,12 +56,12 @@ def verdict(
     landmarks: LandmarkAgreement | None = PASSED,
     unchecked: float | None = None,
     predicted: PredictedError | None = APART,
-    closing: Closing | None = None,
+    closings: tuple[Closing, ...] = (),
 ) -> Verdict:
     done = used - sum(taxel.why is not Why.DEAD for taxel in left)
     enough = all(taxel.why is not Why.EARLY for taxel in left)
     return Verdict(
-        Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0, closing
+        Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0, closings
     )
 
 
@@ -112,11 +112,11 @@ def test_the_figures_are_those_of_the_verdict():
 
 def test_what_moved_meanwhile_goes_before_all_else():
     moved = Closing(ClosingPlaces.LANDMARKS, ("a", "b"), 0.009, 0.006, 0.001)
-    said = verdict(closing=moved)
+    said = verdict(closings=(moved,))
     assert verdict_sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
     assert said.doubted
     assert dict(figures(said))["Closing"].startswith(approved("closing.moved_begin", what="the sensor or the arm", shift="9.0"))
-    assert not verdict(closing=replace(moved, chance=0.3)).doubted
+    assert not verdict(closings=(moved, replace(moved, chance=0.3))).doubted
 
 
 def test_what_landmarks_say_and_what_nobody_checked_is_said():

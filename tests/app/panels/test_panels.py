@@ -31,7 +31,7 @@ from app.units import ChannelNames
 from app.window import Theme, qpalette
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
-from skincal.model.readings import LinkState, Stream
+from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
 from skincal.model.scene import resource
 from skincal.session.part import load_part
 from skincal.taxels.result import Method
@@ -424,6 +424,13 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     assert changed(good, pixels(card.sign)) > 50
     card = show(link(), 105.0)
     assert card.rate.text() == "silent"
+
+
+def test_devices_show_what_a_sensor_measures_beside_its_readings(qtbot):
+    panel = shown(qtbot, DevicesPanel())
+    for health, expected in ((link(), False), (link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}), True)):
+        panel.show_state(frame(view=reading(links=(health,)), now_s=200.0 + expected))
+        assert ("temperature 31.0 degC (30.5 to 33.2)" in panel.cards["wrench"].losses.text()) is expected
 
 
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):

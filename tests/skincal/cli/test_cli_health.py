@@ -10,6 +10,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.model.scene import resource
+from skincal.modules.distances import DistanceUse
 from tests.approved import approved
 
 
@@ -27,6 +28,19 @@ def sample(folder: Path, file: str, old: str, new: str) -> Path:
 def solved(folder: Path, capsys) -> dict:
     assert main(["solve", str(folder), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
+
+
+def test_a_known_distance_that_pokes_contradict_is_said(tmp_path, capsys):
+    told = "[[distances]]\nmodules = [17, 28]\nmm = {}\nsd_mm = 0.3\n\n[surface]"
+    (plain,) = solved(sample(tmp_path / "a", "scene.toml", "[surface]", told.format(60)), capsys)["distances"]
+    assert plain["modules"] == [17, 28]
+    assert plain["told_mm"] == pytest.approx(60.0)
+    assert plain["use"] == DistanceUse.OFF.value
+    right = sample(tmp_path / "b", "scene.toml", "[surface]", told.format(plain["found_mm"]))
+    assert solved(right, capsys)["distances"][0]["use"] == DistanceUse.USED.value
+    assert main(["solve", str(right)]) == 0
+    assert approved("distances.used", used=1, count="1 known distance") in capsys.readouterr().out
+    assert solved(resource("sessions/sample"), capsys)["distances"] == []
 
 
 def test_modules_that_lie_as_planned_are_left_alone(capsys):

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import find_scene, new_session
+from skincal.cli.record import find_scene
 from skincal.journal import writer
 from skincal.model.errors import InputError
+from skincal.session.importing import new_session
 from tests.approved import approved
 
 SCENE = ["--scene", "flat-patch"]

@@ -14,8 +14,10 @@ from skincal.model.errors import plain_text
 from skincal.model.readings import Stream
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
-from skincal.streams import links
+from skincal.simulate.outlets import PtyOutlet
+from skincal.streams import baud_search, links
 from skincal.streams.failures import FailureKind, LinkFailure
+from tests.approved import approved
 
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
 
@@ -59,7 +61,7 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
         assert main(["watch", f"bota:{address}", "--seconds", "1", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out.splitlines()[0])
     assert figures["format"] == "Bota gen0"
-    assert figures["extras"] == {"temperature, degC": 31.5}
+    assert figures["beside"] == {"temperature, degC": {"least": 31.5, "most": 31.5, "now": 31.5}}
     assert figures["rates"]["wrench"] > 30
     assert figures["losses"] == {}
 
@@ -68,6 +70,35 @@ def test_watch_shows_a_skin(capsys):
     with sending("xela", Stream.SKIN) as address:
         assert main(["watch", address, "--seconds", "1"]) == 0
     assert "4 values, 0 to 3" in capsys.readouterr().out
+
+
+def test_watch_says_that_a_skin_is_no_wrench(capsys):
+    with sending("yarp", Stream.SKIN) as address:
+        assert main(["watch", address, "--carries", "wrench", "--seconds", "2.5", "--json"]) == 0
+    verdict = json.loads(capsys.readouterr().out.splitlines()[-1])["verdict"]
+    assert verdict == approved("links.other_width", width=4, of="a wrench has", expected=6)
+
+
+@needs_pty
+def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
+    monkeypatch.setattr(baud_search, "TRIAL_S", 0.6)
+    outlet, done = PtyOutlet(), threading.Event()
+
+    def send():
+        while not done.wait(0.01):
+            outlet.poll()
+            outlet.write(bytes(range(128, 168)))
+
+    thread = threading.Thread(target=send)
+    with closing(outlet):
+        thread.start()
+        try:
+            monkeypatch.setattr(listen, "_ports", lambda: [(outlet.address, "USB serial")])
+            assert main(["devices"]) == 0
+        finally:
+            done.set()
+            thread.join(5.0)
+    assert approved("links.no_reading_tried", tried="115200, 460800, 19200")[:-1] in capsys.readouterr().out
 
 
 def test_watch_refuses_what_is_no_address(capsys):
@@ -128,5 +159,5 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
         (tmp_path / "yarp.conf").write_text(f"{host} {port} yarp\n", encoding="utf-8")
         assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm"]
+    assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""

@@ -56,6 +56,7 @@ def test_every_item_comes_back_as_it_was(scene, tmp_path):
         Chunk("skin", 8, bytes(range(256)) * 3),
         Stamped(9, Exclude(12)),
         LinkEvent("skin", 10, LinkState.LOST, "unplugged: \u00e4 \U0001f50c"),
+        LinkEvent("skin", 10, LinkState.OPEN, tried=(115200, 460800)),
         Stamped(11, Undo()),
         Chunk("wrench", 2**62, b"\x00\xff\n"),
     ]

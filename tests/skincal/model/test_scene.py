@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.model.scene import load_scene
+from skincal.model.scene import load_scene, with_layout
 from tests.approved import approved, approved_pattern
 
 GOOD = """
@@ -53,6 +53,61 @@ def test_a_scene_is_read_whole(tmp_path):
     assert scene.contacts.force_min == 3.0
     assert scene.contacts.force_max == 15.0
     assert scene.noise.force == 0.2
+
+
+OTHER = MODULES.replace("id = 5", "id = 7").replace("= 12\n", "= 0\n")
+DISTANCES = """
+[[distances]]
+modules = [5, 7]
+mm = 52.5
+sd_mm = 0.3
+[[distances]]
+taxels = [3, 15]
+mm = 50
+sd_mm = 1
+"""
+
+
+def test_known_distances_are_read(tmp_path):
+    by_module, by_taxel = load_scene(write(tmp_path, GOOD + DISTANCES, MODULES + OTHER)).distances
+    assert (by_module.ends, by_module.of_taxels) == ((5, 7), False)
+    assert (by_taxel.ends, by_taxel.of_taxels) == ((3, 15), True)
+    assert (by_module.length, by_module.sd) == pytest.approx((0.0525, 0.0003))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[5, 7]", "[5, 8]", ["[[distances]] number 1", approved("scene.no_such_modules", ends="[5, 8]")]),
+        ("[5, 7]", "[5, 5]", [approved("scene.no_such_modules", ends="[5, 5]")]),
+        ("[5, 7]", "[5.5, 7]", ["modules is [5.5, 7.0]", "whole numbers"]),
+        ("[3, 15]", "[13, 15]", ["number 2", approved("scene.no_such_taxels", ends="[13, 15]")]),
+        ("[3, 15]", "[3, 24]", [approved("scene.no_such_taxels", ends="[3, 24]")]),
+        ("modules = [5, 7]", "", ["either modules, two ids, or taxels, two channels"]),
+        ("modules = [5, 7]", "modules = [5, 7]\ntaxels = [3, 15]", ["either modules"]),
+        ("mm = 52.5", "mm = 0", [approved("scene.distance_far", length="0", sd="0.3")]),
+        ("mm = 52.5", "mm = 52500", [approved("scene.distance_far", length="52500", sd="0.3")]),
+        ("sd_mm = 0.3", "sd_mm = 0", [approved("scene.distance_far", length="52.5", sd="0")]),
+        ("sd_mm = 0.3", "", ["sd_mm is missing"]),
+        ("sd_mm = 0.3", "sd_mm = 0.3\nalong = 1", ["unknown name 'along'"]),
+    ],
+)
+def test_a_fault_of_a_distance_is_named(tmp_path, old, new, words):
+    assert old in DISTANCES
+    with pytest.raises(InputError) as caught:
+        load_scene(write(tmp_path, GOOD + DISTANCES.replace(old, new, 1), MODULES + OTHER))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_distance_needs_a_layout_that_has_its_ends(tmp_path):
+    scene = load_scene(write(tmp_path, GOOD + DISTANCES, MODULES + OTHER))
+    other = tmp_path / "one.toml"
+    other.write_text(MODULES, encoding="utf-8")
+    with pytest.raises(InputError, match=approved_pattern("scene.no_such_modules", ends="[5, 7]")):
+        with_layout(scene, other)
+    with pytest.raises(InputError, match=approved_pattern("scene.distance_without_layout")):
+        load_scene(write(tmp_path, GOOD.replace('modules = "m.toml"', "") + DISTANCES))
 
 
 def test_what_a_scene_does_not_have_is_none(tmp_path):

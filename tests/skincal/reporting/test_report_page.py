@@ -16,6 +16,7 @@ from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
 from skincal.guide.verdict_words import figures, landmark_words, verdict_sentence
 from skincal.model.actions import AtLandmark
+from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import report_page, write_report
@@ -96,6 +97,13 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert "force_min" in page.text
     assert facts.versions["numpy"] in page.text
     assert "SIMULATED" in page.text
+
+
+def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
+    first, *others = facts.totals.links
+    warm = replace(first, beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)})
+    text = Page(report_page(replace(facts, totals=replace(facts.totals, links=(warm, *others))))).text
+    assert text.count("temperature 31.0 degC (30.5 to 33.2)") == 1
 
 
 def test_the_page_needs_no_other_file_and_prints(facts):

@@ -86,7 +86,7 @@ def test_a_robot_pokes_to_enough_over_the_lines(example):
         with closing(robot.lines):
             pipeline = play(rig, robot, server, Method.MODULES)
     snapshot = pipeline.snapshot()
-    assert snapshot.closing_after is not None, "some of the first places were poked once more"
+    assert snapshot.closings, "some of the first places were poked once more"
     accepted = [verdict for verdict in robot.verdicts if verdict.startswith("accepted ")]
     numbers = [int(verdict.split()[1]) for verdict in robot.verdicts]
     assert numbers == sorted(set(numbers)), "each number has one verdict"

@@ -84,6 +84,33 @@ def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
     assert all(poke.final for poke in outcomes_of(pipeline))
 
 
+def repeating(items, since_ns, until_ns):
+    """The same bytes, but in between the sensor repeats its last reading under new numbers and times."""
+    held = next(item for item in items if item.link == "wrench" and item.host_ns >= since_ns)
+    values = held.data.split(b"*")[0].split(b",")[3:]
+    for item in items:
+        if item.link == "wrench" and isinstance(item, Chunk) and since_ns <= item.host_ns < until_ns:
+            head = item.data.split(b",")[:3]
+            yield dataclasses.replace(item, data=skt_line(b",".join([*head, *values]).decode()))
+        else:
+            yield item
+
+
+def test_a_sensor_that_freezes_in_a_poke_costs_that_poke_and_no_other():
+    def pokes(freeze):
+        script = some_pokes(small_scene(), 1).quiet(0.5).press(FORCE, POINT, ANSWERS, hold_s=2.0).quiet(0.6)
+        items = as_chunks(script.press(FORCE, POINT, ANSWERS).quiet(0.6).samples, per_frame=1)
+        begun = next(i for i, s in enumerate(script.samples) if i > 150 and abs(s.wrench[2] - script.samples[0].wrench[2]) > 4)
+        since_ns = round(script.samples[begun + 20].host_s * 1e9)
+        return outcomes_of(played(repeating(items, since_ns, since_ns + freeze * 1_000_000)))
+
+    assert [isinstance(poke, Contact) for poke in pokes(900)] == [True, True, True]
+    first, frozen, last = pokes(1400)
+    assert isinstance(first, Contact)
+    assert frozen.reason is Reason.READINGS_LOST
+    assert isinstance(last, Contact)
+
+
 def test_the_end_of_the_last_recording_settles_the_last_poke():
     items = as_chunks(Script(small_scene()).quiet().press(FORCE, POINT, ANSWERS).quiet(0.1).samples)
     pipeline = played(items)

@@ -1,12 +1,8 @@
 """Whole sessions over makers' devices: each simulated device speaks its protocol over the real transport to the real reader."""
 
-import os
-import queue
 import threading
 import time
-from collections import Counter
 from contextlib import closing, contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,21 +11,16 @@ from skincal.contacts.outcome import Contact
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.device import Clock, DeviceSettings, DeviceTimeline, LossyLink, SimulatedDevice
+from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.maker_outlets import MakerOutlets, RdtOutlet, TalkOutlet
 from skincal.simulate.makers import MAKERS, assign
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.serve import Server
 from skincal.streams.intake import Intake
-from skincal.streams.links import LinkSpec, Reader
 from tests.skincal.sim_support import make_rig
+from tests.skincal.simulate.orchestra_support import PATIENCE_S, PTYS, SKINS, WRENCHES, Brought, Orchestra, reading
 
-PTYS = hasattr(os, "openpty")
-WRENCHES = ("netft", "bota", "robotiq", "robotiq-text", "rtde", "yarp")
-SKINS = ("xela", "papillarray", "yarp")
 SERIAL = ("bota", "robotiq", "papillarray")
-PATIENCE_S = 10.0
 POKES = 2
 
 
@@ -52,19 +43,6 @@ def serving(line, *, tcp=False):
             stop.set()
             thread.join(PATIENCE_S)
             assert not thread.is_alive()
-
-
-@contextmanager
-def reading(links, items=None):
-    items = queue.SimpleQueue() if items is None else items
-    readers = [Reader(link, items) for link in links]
-    for reader in readers:
-        reader.start()
-    try:
-        yield items
-    finally:
-        for reader in readers:
-            reader.stop()
 
 
 def readings_of(intake, items, want, seconds=PATIENCE_S):
@@ -102,89 +80,10 @@ def lost_on_the_way(health):
     return {loss: count for loss, count in health.losses.items() if count and loss not in (Loss.UNPAIRED, Loss.LATE)}
 
 
-class Orchestra:
-    """One rig whose wrench and skin every kind of device sends at once, each over its own transport."""
-
-    def __init__(self, wrenches, skins):
-        self.line = make_line(pokes=POKES)
-        self.outlets = {}
-        makers = MakerOutlets(self.line.rig.scene.skin.channels)
-        errors, rng = RigErrors.none(), np.random.default_rng(2)
-        boards = []
-        for stream, names in ((Stream.WRENCH, wrenches), (Stream.SKIN, skins)):
-            for name in names:
-                maker = MAKERS[name]
-                link = f"{stream.value} {name}"
-                way = LossyLink(0.001, errors, rng)
-                hz = maker.hz or (500.0 if stream is Stream.WRENCH else 50.0)
-                boards.append(SimulatedDevice(link, stream, hz, Clock(errors, rng), maker.encoder(), way, "", 0))
-                self.outlets[link] = makers.open(name, stream, tcp=not PTYS)
-        self.line._boards = boards
-        self.links = {name: LinkSpec(name, outlet.address, (self.line.links[name],)) for name, outlet in self.outlets.items()}
-
-    def play(self, brought):
-        """Play to the end, and a little longer."""
-        while not self.line.finished:
-            self._step(brought)
-        for _ in range(30):
-            self._step(brought)
-
-    def _step(self, brought):
-        self._talk(brought)
-        for at_ns, link, data in self.line.step():
-            brought.now_ns, wanted = at_ns, brought.sizes[link] + len(data)
-            self.outlets[link].write(data)
-            end = time.monotonic() + PATIENCE_S
-            while brought.sizes[link] < wanted:
-                assert time.monotonic() < end, f"{link}: bytes were lost"
-                brought.wait(0.1)
-
-    def _talk(self, brought):
-        """Let the devices answer until all are asked for readings."""
-        while True:
-            for outlet in self.outlets.values():
-                outlet.poll()
-            if brought.opened >= self.links.keys() and all(map(is_asked, self.outlets.values())):
-                return
-            brought.wait(0.01)
-
-    def close(self):
-        for outlet in self.outlets.values():
-            outlet.close()
-
-
-def is_asked(outlet):
-    """Return whether a host gets what the device sends."""
-    if isinstance(outlet, TalkOutlet):
-        return any(talk.ready for talk in outlet._talks.values())
-    return outlet._host is not None if isinstance(outlet, RdtOutlet) else getattr(outlet, "_streams", True)
-
-
-class Brought:
-    """What readers bring, stamped by the rig's clock. It stands while bytes travel: a busy machine changes nothing."""
-
-    def __init__(self):
-        self.items, self.opened, self.sizes, self.now_ns = [], set(), Counter(), 0
-        self._came = threading.Event()
-
-    def put(self, item):
-        self.items.append(replace(item, host_ns=self.now_ns))
-        if isinstance(item, Chunk):
-            self.sizes[item.link] += len(item.data)
-        elif item.state is LinkState.OPEN:
-            self.opened.add(item.link)
-        self._came.set()
-
-    def wait(self, seconds):
-        """Wait until something comes, so many seconds at most."""
-        self._came.wait(seconds)
-        self._came.clear()
-
-
 @pytest.fixture(scope="module")
 def played():
     """What all links brought while the operator poked, and the rig."""
-    orchestra, brought = Orchestra(WRENCHES, SKINS), Brought()
+    orchestra, brought = Orchestra(make_line(pokes=POKES), WRENCHES, SKINS), Brought()
     with closing(orchestra), reading(orchestra.links.values(), brought):
         orchestra.play(brought)
     return orchestra, brought.items

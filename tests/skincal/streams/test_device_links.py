@@ -293,7 +293,7 @@ def test_the_address_says_the_format(address, form):
 @pytest.mark.parametrize(
     "address",
     [
-        "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://host",
+        "netft:/dev/ttyUSB0", "netft://", "netft://h:99999", "netft://h?speed=9", "yarp:x", "yarp://server", "yarp:", "bota://h/x",
         "rtde:", "xela:5000", "lines://host", "lines:", "netft://user@h", "bota:/dev/x?rate=1",
     ],
 )  # fmt: skip

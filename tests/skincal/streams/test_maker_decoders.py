@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skincal.model.readings import JointsBatch, Loss, Stream, WrenchBatch
-from skincal.streams.decoders.bota import TEMPERATURE, BotaDecoder, crc_x25
+from skincal.model.readings import TEMPERATURE, JointsBatch, Loss, SideReading, Stream, WrenchBatch
+from skincal.streams.decoders.bota import BotaDecoder, crc_x25
 from skincal.streams.decoders.detect import LinkDecoder, make_decoder
 from skincal.streams.decoders.framing import pack
 from skincal.streams.decoders.rdt import given_page, read_page
@@ -126,7 +126,7 @@ def test_frames_after_garbage_are_found_again(name):
 def test_bota_vectors():
     (row,), decoder = decode("bota", records.BOTA)
     assert row == ("WrenchBatch", list(records.WRENCH), 0.123456)
-    assert decoder.extras == {TEMPERATURE: 36.5}
+    assert decoder.beside == {TEMPERATURE: SideReading(36.5, 36.5, 36.5)}
     assert decoder.note == ""
     assert crc_x25(b"123456789") == 0x906E
     over = BotaDecoder(None, WRENCH)

@@ -1,0 +1,181 @@
+"""The page of a poke's thresholds: what each is and why, how the newest pokes stand against it, and its change."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from PySide6.QtCore import Signal
+from PySide6.QtGui import QShowEvent
+from PySide6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QGridLayout,
+    QLabel,
+    QLineEdit,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.panels.widgets import embolden, fit_to_screen, on_panel, plain_buttons, quiet
+from app.state.view_state import ViewState
+from app.text.thresholds_text import (
+    ABOUT,
+    GROUPS,
+    ThresholdWords,
+    objections,
+    shown_value,
+    typed_value,
+    use_words,
+    with_unit,
+)
+from app.theme import GAP
+from skincal.contacts.outcome import Outcome
+from skincal.contacts.thresholds import NEWEST, threshold_uses
+from skincal.model.actions import SetThresholds
+from skincal.model.scene import ContactSettings
+
+SIZE = (620, 600)
+"""Pixels at 100 %, where the screen has them."""
+
+
+class ThresholdRow:
+    """One threshold: its field, and below it the reason, the newest pokes and what is wrong with what was typed."""
+
+    def __init__(self, words: ThresholdWords, of_scene: str, grid: QGridLayout) -> None:
+        self.field = QLineEdit()
+        self.field.setAccessibleName(", ".join(filter(None, (words.title, words.unit.text))))
+        self.field.setAccessibleDescription(words.reason)
+        self.objection = QLabel()
+        self.objection.setWordWrap(True)
+        self.objection.hide()
+        self.used = quiet(wrap=True)
+        title = QLabel(words.title)
+        title.setBuddy(self.field)
+        at = grid.rowCount()
+        for column, widget in enumerate((title, self.field, QLabel(words.unit.text), quiet(f"scene: {of_scene}"))):
+            grid.addWidget(widget, at, column)
+        for below, widget in enumerate((self.objection, quiet(words.reason, wrap=True), self.used), start=1):
+            grid.addWidget(widget, at + below, 0, 1, 4)
+        grid.setRowMinimumHeight(at + 4, GAP)
+
+    def object(self, sentence: str) -> None:
+        """Say what is wrong with the field, or nothing any more."""
+        self.objection.setText(f"\N{BALLOT X} {sentence}")
+        self.objection.setVisible(bool(sentence))
+
+
+class ThresholdsDialog(QDialog):
+    """Stands beside the window and follows the session.
+
+    Parameters
+    ----------
+    scene : the thresholds of the scene's file
+    """
+
+    thresholds_wanted = Signal(object)
+    """`SetThresholds`."""
+
+    def __init__(self, scene: ContactSettings, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Thresholds of a poke")
+        self._scene: dict[str, float] = asdict(scene)
+        self._now = dict(self._scene)
+        self._state: ViewState | None = None
+        self._newest: list[Outcome] | None = None
+        """What is shown of the pokes."""
+        self.area = QScrollArea()
+        inner = on_panel(self.area)
+        self._grid = QGridLayout(inner)
+        self._grid.setColumnStretch(3, 1)
+        self.rows: dict[str, ThresholdRow] = {}
+        self._fill()
+        self.area.setWidget(inner)
+        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
+        self.back = self.buttons.addButton("Use the scene's", QDialogButtonBox.ButtonRole.ResetRole)
+        plain_buttons(self.buttons)
+        column = QVBoxLayout(self)
+        column.addWidget(quiet(ABOUT, wrap=True))
+        column.addWidget(self.area, 1)
+        column.addWidget(self.buttons)
+        self.use.setDefault(True)
+        self._show_fields()
+        self.use.clicked.connect(self._use)
+        self.back.clicked.connect(lambda: self.thresholds_wanted.emit(SetThresholds()))
+        self.buttons.rejected.connect(self.reject)
+
+    def _fill(self) -> None:
+        for title, group in GROUPS.items():
+            heading = QLabel(title)
+            embolden(heading)
+            self._grid.addWidget(heading, self._grid.rowCount(), 0, 1, 4)
+            for name, words in group.items():
+                row = self.rows[name] = ThresholdRow(words, with_unit(name, self._scene[name]), self._grid)
+                row.field.textEdited.connect(self._edited)
+
+    def show_state(self, state: ViewState) -> None:
+        """Show the thresholds that hold and how the newest pokes stand against them; nothing where nobody looks."""
+        self._state = state
+        if not self.isVisible():
+            return
+        now = asdict(state.snapshot.thresholds)
+        if now != self._now:
+            self._now = now
+            self._show_fields()
+        newest = [record.outcome for record in state.snapshot.pokes[-NEWEST:]]
+        # Compared by what they are: arrays have no truth.
+        if self._newest is None or list(map(id, newest)) != list(map(id, self._newest)):
+            self._newest = newest
+            for name, use in threshold_uses(newest, list(self.rows)).items():
+                self.rows[name].used.setText(use_words(name, use))
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Show the newest state, on the first field, on the screen as a whole."""
+        super().showEvent(event)
+        if self._state is not None:
+            self.show_state(self._state)
+        fit_to_screen(self, SIZE)
+        first = next(iter(self.rows.values())).field
+        self.area.verticalScrollBar().setValue(0)
+        first.setFocus()
+        first.selectAll()
+
+    def _show_fields(self) -> None:
+        """Show what holds in every field."""
+        for name, row in self.rows.items():
+            row.field.setText(shown_value(name, self._now[name]))
+            row.object("")
+        self._enable()
+
+    def _edited(self) -> None:
+        self._object(objections(self._typed()))
+        self._enable()
+
+    def _enable(self) -> None:
+        self.use.setEnabled(self._typed() != self._now)
+        self.back.setEnabled(self._now != self._scene)
+
+    def _typed(self) -> dict[str, float]:
+        """Return what the fields say, SI units; of a field as it was shown exactly what holds, which has more digits."""
+        return {
+            name: now if (text := self.rows[name].field.text().strip()) == shown_value(name, now) else typed_value(name, text)
+            for name, now in self._now.items()
+        }
+
+    def _object(self, wrong: dict[str, str]) -> None:
+        for name, row in self.rows.items():
+            row.object(wrong.get(name, ""))
+
+    def _use(self) -> None:
+        typed = self._typed()
+        wrong = objections(typed)
+        self._object(wrong)
+        if wrong:
+            row = self.rows[next(name for name in self.rows if name in wrong)]
+            self.area.ensureWidgetVisible(row.objection)
+            row.field.setFocus()
+            row.field.selectAll()
+            return
+        changed = {name: float(value) for name, value in typed.items() if value != self._scene[name]}
+        self.thresholds_wanted.emit(SetThresholds(tuple(changed), tuple(changed.values())))

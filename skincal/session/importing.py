@@ -1,0 +1,154 @@
+"""Sessions made of recordings of other programs, and what is taken away again of a session of no use."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from skincal.contacts.outcome import Contact
+from skincal.files.importers.overview import RecordingFiles
+from skincal.files.importers.recorded_lines import START_NS, OpenRecording
+from skincal.journal import writer
+from skincal.journal.lock import LOCK_NAME, writer_of
+from skincal.model.actions import SetPose
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene, load_scene
+from skincal.sentences import silent_links
+from skincal.session.part import load_scene_surface
+from skincal.session.pipeline import Pipeline
+from skincal.streams.links import LinkSpec
+
+TOLD_CHUNKS = 200
+"""Chunks from one word on how far it is to the next: some hundredths of a second."""
+STOPPED = "The import was stopped; nothing was left behind."
+
+
+class KeptError(InputError):
+    """A recording is at fault, but something was recorded, and stays."""
+
+
+class StoppedError(InputError):
+    """Nobody wants a session of the recording any more."""
+
+
+@contextlib.contextmanager
+def new_session(
+    folder: Path, scene: Scene, links: Sequence[LinkSpec], tell: Callable[[str], object] = lambda _: None
+) -> Generator[Pipeline]:
+    """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
+
+    What was there before stays, and what another program makes there meanwhile.
+
+    Parameters
+    ----------
+    tell : hears the findings on the mesh, in sentences
+    """
+    missing = missing_folders(folder)
+    journal = None
+    try:
+        surface, findings = load_scene_surface(scene)
+        for finding in findings:
+            tell(f"{scene.surface.path.name if scene.surface else ''}: {finding}")
+        journal = writer.create_session(folder, scene, links)
+        yield Pipeline(scene, links, surface, journal)
+    except KeptError:
+        raise
+    except InputError:
+        # Nobody else's session is ever taken away.
+        take_away(folder if journal is not None else None, missing)
+        raise
+
+
+def missing_folders(folder: Path) -> list[Path]:
+    """Return which of a folder and those that it lies in are not there yet, the innermost first: nothing else is taken away."""
+    return [place for place in (folder, *folder.parents) if not place.exists()]
+
+
+def take_away(session: Path | None, missing: Sequence[Path]) -> None:
+    """Take a session that was made here away again, and the folders of it that were `missing` before."""
+    if session is not None:
+        shutil.rmtree(session / writer.SCENE_FOLDER, ignore_errors=True)
+        for ending in ("mcap", "jsonl"):
+            for segment in session.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
+                segment.unlink()
+        if not writer_of(session):
+            # Of a process that was killed.
+            (session / LOCK_NAME).unlink(missing_ok=True)
+    for place in missing:
+        # A folder that is not empty is in use by others.
+        with contextlib.suppress(OSError):
+            place.rmdir()
+
+
+def play_recording(
+    pipeline: Pipeline, recording: OpenRecording, pose: str | None, go_on: Callable[[float], bool] = lambda _: True
+) -> None:
+    """Feed a recording to the pipeline of a new session, and close it.
+
+    Parameters
+    ----------
+    pose : name of the arm pose, where joints were not recorded
+    go_on : hears how much is done, 0 to 1, and says whether to go on
+
+    Raises
+    ------
+    StoppedError
+        It said no.
+    """
+    try:
+        if pose:
+            pipeline.act(SetPose(pose), START_NS)
+        span_ns = max(recording.span_ns, 1)
+        for count, chunk in enumerate(recording.chunks()):
+            if count % TOLD_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
+                raise StoppedError(STOPPED)
+            pipeline.feed(chunk)
+            pipeline.tick(chunk.host_ns)
+            if pipeline.journal_failure:
+                break
+    finally:
+        pipeline.close()
+
+
+@dataclass(frozen=True, slots=True)
+class ImportRequest:
+    """What is to become a session, and where."""
+
+    files: RecordingFiles
+    scene: Path
+    pose: str
+    """Name of the arm pose; empty where joints were recorded, or the scene has no arm."""
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What a recording has come to."""
+
+    folder: Path
+    pokes: int
+    accepted: int
+
+
+def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = lambda _: True) -> Imported:
+    """Make a session of a recording; `go_on` is as for `play_recording`.
+
+    Raises
+    ------
+    InputError
+        There is none, and nothing is left behind: the recording or the scene cannot be read, the folder cannot be written, or
+        one of its files gave no reading that could be used.
+    """
+    scene, recording = load_scene(request.scene), request.files.open()
+    with new_session(request.folder, scene, recording.links) as pipeline:
+        play_recording(pipeline, recording, request.pose or None, go_on)
+        outcomes = [record.outcome for record in pipeline.snapshot().pokes]
+        silent = silent_links(pipeline.live(0).links)
+        if pipeline.journal_failure:
+            raise InputError(pipeline.journal_failure)
+        if silent and not outcomes:
+            raise InputError(f"{silent} No session was made.")
+    return Imported(request.folder, len(outcomes), sum(isinstance(outcome, Contact) for outcome in outcomes))

@@ -1,0 +1,102 @@
+"""Newer Bota sensors (Gen A) by the maker's `bota-driver`, in a process of its own, which `device_links` starts.
+
+The driver is closed, writes its words to stdout and waits in calls that nothing interrupts; here it can do no harm. What it
+reads leaves by stdout as frames of the serial sensors (`decoders/bota.py`), so that a session holds one kind of Bota bytes. Its
+words go to stderr, and so does, as the last line, why it ended. Source: the docstrings of bota-driver 1.1.16, and its own
+simulated sensor.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from importlib import import_module
+from types import FrameType
+from typing import Any, NoReturn
+
+from skincal.streams.decoders.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
+
+KINDS = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": "Bota_Dummy"}
+"""Name of the driver's interface: Ethernet, serial port, the maker's simulated sensor."""
+MODE, SUBMODE = 2, 7
+"""As in the maker's example: force, torque, acceleration and angular rate."""
+FAILED = 3
+
+
+def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
+    """Return the driver's configuration.
+
+    Parameters
+    ----------
+    bota : the module `bota_driver`
+    settings : `kind` of `KINDS`, `place` (host or serial port), and `baud`, `mode`, `submode`, `product`, `serial` where given
+    """
+    config, sensor, driver = bota.BotaDriverConfig(), bota.GenASensorOperationConfig(), bota.DriverOperationConfig()
+    kind, place = settings["kind"], settings["place"]
+    config.communication_interface_name = KINDS[kind]
+    # The driver wants both, and only remarks where the sensor has others.
+    config.product_name, config.serial_number = settings.get("product", "unknown"), settings.get("serial", "unknown")
+    if kind == "socket":
+        link = bota.BotaSocketCommunicationInterfaceConfig()
+        link.sensor_ip_address = place
+        config.socket_communication_interface_params = link
+    elif kind == "binary":
+        link = bota.BotaBinaryCommunicationInterfaceConfig()
+        link.com_port = place
+        if "baud" in settings:
+            link.baudrate = settings["baud"]
+        config.binary_communication_interface_params = link
+    else:
+        config.dummy_communication_interface_params = bota.BotaDummyCommunicationInterfaceConfig()
+    sensor.app_mode, sensor.app_submode = settings.get("mode", MODE), settings.get("submode", SUBMODE)
+    config.genA_sensor_operation_params = sensor
+    driver.runtime_verbosity = False
+    config.driver_operation_params = driver
+    return config
+
+
+def encode_frame(frame: Any) -> bytes:
+    """Return a frame of the driver (N, N m, microseconds, degC) as one of the serial sensors."""
+    said = frame.status
+    bits = ((said.throttled, SKIPPED), (said.overrange, OVERRANGE), (said.invalid, INVALID), (said.raw, RAW))
+    status = sum(bit for word, bit in bits if word)
+    data = DATA.pack(status, *frame.force, *frame.torque, frame.timestamp % (1 << 32), frame.temperature)
+    return b"\xaa" + data + crc_x25(data).to_bytes(2, "little")
+
+
+def read_driver(bota: Any, settings: dict[str, Any], out: int) -> NoReturn:
+    """Write what the driver reads to a file; raises RuntimeError where it fails, OSError where nobody reads on."""
+    driver = bota.BotaDriver(driver_config(bota, settings))
+    try:
+        if not (driver.configure() and driver.activate()):
+            raise RuntimeError("the sensor does not start to send")
+        while True:
+            os.write(out, encode_frame(driver.read_frame_blocking()))
+    finally:
+        driver.deactivate()
+        driver.shutdown()
+
+
+def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+    sys.exit()
+
+
+def main(text: str) -> None:
+    """Run until the parent ends it."""
+    # The sensor is left as it was found: see `finally` above.
+    signal.signal(signal.SIGTERM, _leave)
+    out = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        read_driver(import_module("bota_driver"), json.loads(text), out)
+    except (ImportError, RuntimeError, ValueError, TypeError, OSError) as error:
+        sys.stderr.write(f"\n{' '.join(str(error).split())}\n")
+        sys.stderr.flush()
+        # At once: as it is taken down the driver says more.
+        os._exit(FAILED)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

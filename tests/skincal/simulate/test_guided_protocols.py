@@ -1,0 +1,98 @@
+"""A whole guided session over each pair of protocols: real transports, the guide's targets, a hand that pokes them, estimates.
+
+Not in real time: the rig stands while bytes travel. The skin is one board of four taxels, and the hand is a good tool in a good
+rig, as the scene says, so that a dozen pokes are enough.
+"""
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact
+from skincal.guide.guidance import GuidePhase
+from skincal.model.readings import LinkState, Loss
+from skincal.model.scene import resource
+from skincal.session.guiding import SessionGuide
+from skincal.session.part import load_part
+from skincal.session.pipeline import Pipeline
+from skincal.simulate.device import DeviceSettings, DeviceTimeline
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.operator import Guided, Habits, TargetOrder, read_order, write_target
+from skincal.simulate.simulated_rig import Rig
+from skincal.studies.unmodelled import inside
+from skincal.taxels.result import Method
+from tests.skincal.simulate.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, reading
+
+MOST = 40
+"""Pokes. A protocol that spoils them makes the guide ask for more."""
+BOARD = """
+[kinds.square]
+pads_mm = [[-3.0, -3.0], [3.0, -3.0], [-3.0, 3.0], [3.0, 3.0]]
+outline_mm = [[-6.0, -6.0], [6.0, -6.0], [6.0, 6.0], [-6.0, 6.0]]
+centre_pad = 0
+
+[[modules]]
+id = 1
+kind = "square"
+first_channel = 0
+place_mm = [0.0, 0.0]
+"""
+NOISE = "contact = 0.001\nreach = 0.002\nskin = 0.0005\nforce = 0.03\nmoment = 0.001\n"
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("patch")
+    text = (resource("scenes/flat-patch") / "scene.toml").read_text(encoding="utf-8")
+    (folder / "scene.toml").write_text(text.replace("channels = 64", "channels = 4") + NOISE, encoding="utf-8")
+    (folder / "modules.toml").write_text(BOARD, encoding="utf-8")
+    return load_part(folder / "scene.toml")
+
+
+def guided_to_the_end(part, wrench, skin):
+    """The pipeline and the rig at the end of a session, and the guide's last word."""
+    rig = Rig(part.scene, part.surface, RigErrors.none(), np.random.default_rng(3))
+    hand = replace(Habits.careful().at_pace(4.0), ignores=0.0, aim=0.001)
+    operator = Guided(rig, hand, np.random.default_rng([3, 1]), MOST)
+    line = DeviceTimeline(rig, operator, np.random.default_rng([3, 2]), DeviceSettings(block_s=0.02))
+    orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, -1, 0
+    links = tuple(orchestra.links.values())
+    pipeline, guide = Pipeline(part.scene, links, part.surface), SessionGuide(part)
+    with closing(orchestra), reading(links, brought):
+        while not line.finished:
+            orchestra.step(brought)
+            while taken < len(brought.items):
+                pipeline.feed(brought.items[taken])
+                taken += 1
+            snapshot = pipeline.snapshot()
+            if snapshot.generation == known:
+                continue
+            known = snapshot.generation
+            guidance = guide.follow(snapshot, known, Method.MODULES, pipeline.session.evidence, line.now)
+            if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
+                break
+            target = guidance.target
+            # As the line that another process gets.
+            operator.accept(read_order(write_target(TargetOrder(target.channel, target.place, target.push)) + "\n"))
+    return pipeline, rig, guidance
+
+
+@pytest.mark.parametrize("skin", SKINS)
+@pytest.mark.parametrize("wrench", WRENCHES)
+def test_a_guided_session_over_each_pair_comes_to_its_end(part, wrench, skin):
+    pipeline, rig, guidance = guided_to_the_end(part, wrench, skin)
+    snapshot = pipeline.snapshot()
+    outcomes = [record.outcome for record in snapshot.pokes]
+    assert guidance.phase is GuidePhase.CLOSING, outcomes  # all that is left are the first places once more
+    assert not any(guidance.needs)
+    assert 4 <= len(outcomes) < MOST
+    assert all(isinstance(outcome, Contact) for outcome in outcomes), outcomes
+    for estimate in snapshot.estimates[Method.MODULES]:
+        off = estimate.position - rig.places[rig.row_of(estimate.channel)]
+        assert inside(off, estimate.covariance), (estimate, off)
+        assert np.linalg.norm(off) < 0.003
+    for link in pipeline.live(0).links:
+        assert link.state is LinkState.OPEN
+        assert {loss for loss, count in link.losses.items() if count} <= {Loss.UNPAIRED, Loss.LATE}

@@ -1,0 +1,317 @@
+"""What a command prints, and newer Bota sensors by the maker's driver, which is a command, too."""
+
+import importlib.util
+import json
+import os
+import queue
+import re
+import shutil
+import sys
+import time
+from contextlib import closing
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from skincal.cli import main
+from skincal.journal.documents import SegmentMark, link_to_json, read_document
+from skincal.journal.reader import SessionLog
+from skincal.model.errors import InputError
+from skincal.model.readings import TEMPERATURE, Chunk, LinkState, Loss, Stream
+from skincal.session.replay import resume
+from skincal.streams.bota_child import driver_config, encode_frame
+from skincal.streams.decoders.bota import BotaDecoder
+from skincal.streams.device_address import format_of, parse_device
+from skincal.streams.failures import FailureKind, LinkFailure
+from skincal.streams.links import LinkSpec, Reader, open_link, parse_address
+from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
+
+PATIENCE_S = 10.0
+FAKE = Path(__file__).with_name("fake_bota_driver.py")
+posix = pytest.mark.skipif(sys.platform == "win32", reason="words of a shell of POSIX")
+
+
+def opened(address, stream=Stream.WRENCH):
+    return closing(open_link(LinkSpec("link", address, (stream,))))
+
+
+def all_of(link):
+    """Everything until the end, and the failure that says so."""
+    data, end = b"", time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        try:
+            data += link.read(0.1)
+        except LinkFailure as failure:
+            return data, failure
+    raise AssertionError(data)
+
+
+def script(folder, text):
+    path = folder / "sensor.py"
+    path.write_text(text, encoding="utf-8")
+    return f"run:{sys.executable} {path}"
+
+
+# ------------------------------------------------------------------ commands
+
+
+def test_what_a_command_prints_comes_whole_and_its_end_is_said(tmp_path):
+    address = script(tmp_path, "for k in range(50_000):\n    print(k, 1, 2, 3, 4, 5, 6)\n")
+    with opened(address) as link:
+        data, failure = all_of(link)
+    assert data.decode().split("\n") == [*(f"{k} 1 2 3 4 5 6" for k in range(50_000)), ""]
+    assert (failure.kind, str(failure)) == (FailureKind.ENDED, f"{address}: the command has ended.")
+
+
+def test_a_line_comes_when_it_is_printed_and_not_by_eight_thousand_bytes(tmp_path):
+    address = script(tmp_path, "import time\nprint('1,2,3,4,5,6')\ntime.sleep(60)\n")
+    began = time.monotonic()
+    with opened(address) as link:
+        assert link.read(5.0).strip() == b"1,2,3,4,5,6"
+    assert time.monotonic() - began < 30
+
+
+@posix
+def test_a_command_ends_with_what_it_started_as_its_link_is_closed(tmp_path):
+    mark = tmp_path / "children"
+    inner = f"import os,time\nopen({str(mark)!r}, 'a').write(f'{{os.getpid()}} ')\nprint('1 2')\ntime.sleep(99)"
+    text = f"import subprocess, sys\nprint('1 2')\nsubprocess.run([sys.executable, '-c', {inner!r}])\n"
+    with opened(script(tmp_path, text)):
+        end = time.monotonic() + PATIENCE_S
+        while not mark.exists() and time.monotonic() < end:
+            time.sleep(0.02)
+        child = int(mark.read_text())
+        os.kill(child, 0)
+    end = time.monotonic() + PATIENCE_S
+    while _runs(child) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not _runs(child)
+
+
+def _runs(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_command_that_prints_without_end_is_ended_too(tmp_path):
+    address = script(tmp_path, "while True:\n    print('1,2,3,4,5,6' * 1000)\n")
+    began = time.monotonic()
+    with opened(address) as link:
+        time.sleep(0.5)
+        assert link.read(1.0)
+    assert time.monotonic() - began < 10
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import sys\nsys.exit('no sensor\\n\\nis plugged in.')\n", "code 1: is plugged in."),
+        ("raise SystemExit(0)\n", "has ended."),
+    ],
+)
+def test_a_command_that_ends_at_once_says_why_and_is_not_started_again(tmp_path, text, said):
+    with pytest.raises(LinkFailure, match=re.escape(said)) as failed, opened(script(tmp_path, text)):
+        pass
+    assert failed.value.kind is FailureKind.ADDRESS
+
+
+def test_a_command_that_is_none_is_said():
+    with (
+        pytest.raises(LinkFailure, match=r"cannot be started: .*check the command") as failed,
+        opened("run:no-such-program-here"),
+    ):
+        pass
+    assert failed.value.kind is FailureKind.ADDRESS
+    for wrong in ("run:", "run:  ", "run:'open"):
+        with pytest.raises(InputError, match="expected such as run:"):
+            parse_address(wrong)
+
+
+@posix
+def test_no_shell_reads_a_command(tmp_path):
+    with opened(f"run:echo 1,2 ; touch {tmp_path}/made") as link:
+        data, _ = all_of(link)
+    assert data == f"1,2 ; touch {tmp_path}/made\n".encode()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_commands_are_recorded_and_their_session_never_starts_them(tmp_path, capsys):
+    """Sensor and skin by a command each; the session keeps what they were, plays the same, and opens neither again."""
+    scene = write_scene(tmp_path)
+    items = [item for item in as_chunks(some_pokes(scene, 2).samples) if hasattr(item, "data")]
+    ran = tmp_path / "ran"
+    options = []
+    for name in ("wrench", "skin"):
+        data = tmp_path / f"{name}.bin"
+        data.write_bytes(b"".join(item.data for item in items if item.link == name))
+        program = tmp_path / f"{name}.py"
+        program.write_text(
+            "import sys, time\n"
+            f"open({str(ran)!r}, 'a').write('{name} ')\n"
+            f"data = open({str(data)!r}, 'rb').read()\n"
+            f"step = -(-len(data) // {round(items[-1].host_ns * 1e-9 - items[0].host_ns * 1e-9) * 50})\n"
+            "began = time.monotonic()\n"
+            "for k, at in enumerate(range(0, len(data), step)):\n"
+            "    time.sleep(max(0, began + k * 0.02 - time.monotonic()))\n"
+            "    sys.stdout.buffer.write(data[at:at + step])\n"
+            "    sys.stdout.buffer.flush()\n",
+            encoding="utf-8",
+        )
+        options += [f"--{name}", f"run:{sys.executable} {program}"]
+    out = tmp_path / "s"
+    assert main(["record", *options, "--scene", str(scene.path), "--out", str(out), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["accepted"], result["links"]["wrench"]["lost"]) == (2, {})
+    assert sorted(ran.read_text().split()) == ["skin", "wrench"]
+    assert main(["solve", str(out), "--replay", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["accepted"] == 2
+
+    log = SessionLog(out)
+    assert all(link.address.startswith("ran:") for link in log.links)
+    assert '"address": "run:' not in "".join(path.read_text(encoding="utf-8") for path in out.glob("*.jsonl"))
+    pipeline = resume(out)
+    try:
+        for link in pipeline.links:
+            with pytest.raises(LinkFailure, match="a session starts none; type run:"):
+                open_link(link)
+    finally:
+        pipeline.close()
+    assert sorted(ran.read_text().split()) == ["skin", "wrench"]
+
+
+def test_a_stranger_who_writes_a_command_into_a_session_is_not_obeyed(tmp_path):
+    """Not what skincal writes: what it reads."""
+    link = {**link_to_json(LinkSpec("wrench", "x", (Stream.WRENCH,))), "address": "run:touch /tmp/x"}
+    document = {"type": "segment", "segment": 1, "format": 3, "scene": "", "links": [link], "host_ns": 0}
+    mark = read_document(json.dumps(document).encode(), tmp_path)
+    assert isinstance(mark, SegmentMark)
+    assert mark.links[0].address == "ran:touch /tmp/x"
+    with pytest.raises(InputError, match="was recorded from a command"):
+        parse_address(mark.links[0].address)
+    assert format_of("ran:x", "auto") == format_of("run:x", "auto") == "auto"
+
+
+# ------------------------------------------------------------------ the maker's driver for newer Bota sensors
+
+
+@pytest.fixture
+def fake_driver(tmp_path, monkeypatch):
+    """The fake where this process and its children find it; the file that says that a sensor was left."""
+    folder, left = tmp_path / "fake", tmp_path / "left"
+    folder.mkdir()
+    shutil.copy(FAKE, folder / "bota_driver.py")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    monkeypatch.setenv("BOTA_LEFT", str(left))
+    monkeypatch.delitem(sys.modules, "bota_driver", raising=False)
+    yield left
+    sys.modules.pop("bota_driver", None)
+
+
+def readings(link, enough):
+    decoder, found, end = BotaDecoder(None, (Stream.WRENCH,)), [], time.monotonic() + PATIENCE_S
+    while len(found) < enough and time.monotonic() < end:
+        data = link.read(0.1)
+        assert data[:1] in (b"", b"\xaa"), data  # nothing but frames
+        for batch in decoder.feed(data):
+            found += list(zip(batch.wrench.tolist(), batch.device_s.tolist(), batch.saturated.tolist(), strict=True))
+    return decoder, found
+
+
+def test_the_drivers_frames_arrive_and_its_chatter_does_not(fake_driver):
+    with opened("bota://192.168.0.45") as link:
+        decoder, found = readings(link, 20)
+        assert "bota_driver" not in sys.modules  # never in this process
+    assert decoder.counts == {Loss.SATURATED: 1}
+    assert all(row[0] == [1.5, -2.25, 30.0, 0.125, -0.5, 0.0625] for row in found)
+    assert [row[2] for row in found[:6]] == [False, False, False, False, True, False]
+    steps = [later[1] - earlier[1] for earlier, later in pairwise(found)]
+    assert steps == pytest.approx([0.002] * len(steps), abs=1e-6)  # over the wrap of 32 bits, too
+    assert decoder.beside[TEMPERATURE].now == 36.5
+    if sys.platform != "win32":  # there a process is ended without a word
+        assert fake_driver.read_text() == "deactivated"
+
+
+@pytest.mark.usefixtures("fake_driver")
+def test_what_the_driver_says_of_a_sensor_that_is_away_is_said():
+    with pytest.raises(
+        LinkFailure, match="driver has ended with code 3: Failed to open communication with the sensor"
+    ) as failed:
+        open_link(LinkSpec("link", "bota://10.0.0.9", (Stream.WRENCH,)))
+    assert failed.value.kind is FailureKind.VANISHED
+
+
+@pytest.mark.skipif(importlib.util.find_spec("bota_driver") is not None, reason="the maker's driver is installed")
+def test_without_the_driver_one_sentence_says_what_to_install():
+    with pytest.raises(LinkFailure, match="python -m pip install bota-driver") as failed:
+        open_link(LinkSpec("link", "bota://192.168.0.45", (Stream.WRENCH,)))
+    assert failed.value.kind is FailureKind.ADDRESS
+
+
+@pytest.mark.parametrize(
+    ("address", "kind", "place"),
+    [
+        ("bota://192.168.0.45?mode=1&submode=3", "bota-driver", ("192.168.0.45", "")),
+        ("bota:///dev/ttyACM0?baud=230400", "bota-driver", ("", "/dev/ttyACM0")),
+        ("bota:///COM7", "bota-driver", ("", "COM7")),
+        ("bota://dummy", "bota-driver", ("dummy", "")),
+        ("bota:/dev/ttyUSB0", "bota", ("", "/dev/ttyUSB0")),
+    ],
+)
+def test_which_bota_is_told_by_the_slashes(address, kind, place):
+    found = parse_device(address)
+    assert found is not None
+    assert (found.scheme, (found.host, found.path), found.format) == (kind, place, "bota")
+
+
+@pytest.mark.parametrize("wrong", ["bota://", "bota://host/path", "bota://host:80", "bota://host?mode=x", "bota://u@host"])
+def test_a_wrong_address_of_the_driver_is_refused(wrong):
+    with pytest.raises(InputError, match="expected such as bota:"):
+        parse_device(wrong)
+
+
+@pytest.mark.usefixtures("fake_driver")
+def test_the_fake_is_like_the_driver():
+    """Where the maker's driver is installed each name that is used is in it, and its own frame becomes the same bytes."""
+    fake = importlib.import_module("bota_driver")
+    sys.modules.pop("bota_driver")
+    path = [place for place in sys.path if Path(place).name != "fake"]
+    spec = importlib.machinery.PathFinder.find_spec("bota_driver", path)
+    if spec is None:
+        pytest.skip("the maker's driver is not installed: pip install bota-driver")
+    real = importlib.util.module_from_spec(spec)
+    sys.modules["bota_driver"] = real
+    spec.loader.exec_module(real)
+    for name in [name for name in vars(fake) if name[0].isupper()]:
+        for field in getattr(getattr(fake, name), "FIELDS", ()):
+            assert hasattr(getattr(real, name)(), field), (name, field)
+    for method in ("configure", "activate", "deactivate", "shutdown", "read_frame_blocking"):
+        assert callable(getattr(real.BotaDriver, method))
+    for kind in ("socket", "binary", "dummy"):
+        driver_config(real, {"kind": kind, "place": "x", "baud": 230400})
+    driver = real.BotaDriver(driver_config(real, {"kind": "dummy", "place": "dummy"}))
+    assert driver.configure()
+    assert driver.activate()
+    frame = driver.read_frame_blocking()
+    assert driver.deactivate()
+    (batch,) = BotaDecoder(None, (Stream.WRENCH,)).feed(encode_frame(frame))
+    assert batch.wrench[0].tolist() == pytest.approx([*frame.force, *frame.torque], rel=1e-6)
+    assert batch.device_s[0] == pytest.approx(frame.timestamp % 2**32 * 1e-6)
+
+
+def test_a_reader_says_that_a_command_began_and_ended(tmp_path):
+    items = queue.SimpleQueue()
+    address = script(tmp_path, "print('1,2,3,4,5,6')\nimport time\ntime.sleep(1)\n")
+    reader = Reader(LinkSpec("wrench", address, (Stream.WRENCH,)), items)
+    reader.start()
+    end = time.monotonic() + PATIENCE_S
+    while reader.running and time.monotonic() < end:
+        time.sleep(0.05)
+    reader.stop()
+    brought = [items.get() for _ in range(items.qsize())]
+    assert [item.state for item in brought if not isinstance(item, Chunk)] == [LinkState.OPEN, LinkState.ENDED]
+    assert b"".join(item.data for item in brought[1:-1]) == b"1,2,3,4,5,6\n"
