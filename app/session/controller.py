@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from app.session.opening import (
+    Addresses,
     OpenRequest,
     begin_session,
     find_scene,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
+    from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
     from skincal.robot.target_server import TargetServer
@@ -63,6 +65,10 @@ SOLVING_S = 0.4
 """s. Solving that lasts longer is said."""
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
+FAR_BEHIND_NS = 1_000_000_000
+"""ns. Readings that wait for so long are about to be dropped: they go before pictures."""
+FAR_DRAIN_S = 0.060
+"""s. So long then: the window still answers within a tenth of a second."""
 SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
@@ -165,6 +171,8 @@ class Controller(QObject):
     """Where a robot, or the simulated operator, is asked."""
     _asking: PokeAsking | None = None
     """What is asked in the session that is open."""
+    _pose = ""
+    """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
     """Serves the simulated rig of a recorded session again."""
 
@@ -206,6 +214,7 @@ class Controller(QObject):
         self._set_running(Running.OPENING)
         self._storage = storage = Storage(request, self._documents)
         self.demo, self.pace = request.demo, BRISK if request.demo else 1
+        self._pose = request.pose
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
@@ -386,9 +395,17 @@ class Controller(QObject):
         if part is not None and links and storage is not None:
             self.compute(
                 lambda: begin_session(part, links, storage.folder, truth),
-                lambda pipeline: self._take_recording(Recording(pipeline, storage)),
+                lambda pipeline: self._take_new(Recording(pipeline, storage)),
                 dropped=lambda pipeline: pipeline.close(),
             )
+
+    def _take_new(self, recording: Recording) -> None:
+        """Start with a new recording, in the arm pose that was named for it."""
+        if self._pose:
+            from skincal.model.actions import SetPose
+
+            recording.pipeline.act(SetPose(self._pose), time.monotonic_ns())
+        self._take_recording(recording)
 
     def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
         if isinstance(found, str):
@@ -446,7 +463,8 @@ class Controller(QObject):
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        drained = recording.drain(DRAIN_S)
+        far = recording.behind and 0 < recording.reached_ns < time.monotonic_ns() - FAR_BEHIND_NS
+        drained = recording.drain(FAR_DRAIN_S if far else DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:
             self._say_failure(refused_words(recording.pipeline.journal_failure))
@@ -509,6 +527,17 @@ class Controller(QObject):
         elif self._server is None or not self._server.running:
             # Its own links follow; until then those that the file names are a stranger's.
             self._start_server(self._again)
+
+    def change_addresses(self, addresses: Addresses) -> None:
+        """Read the devices at these addresses from now on, in a new segment of the recording, which says so."""
+        recording = self._recording
+        if recording is None:
+            return
+        self.pause()
+        recording.links = self._links = link_specs(addresses)
+        self._confirmed = True
+        # After the readers of the pause have ended: a serial port has one reader.
+        self.compute(lambda: None, lambda _: self._connect(recording))
 
     def _connect(self, recording: Recording) -> None:
         try:
@@ -583,52 +612,46 @@ class Controller(QObject):
         path: Path,
         method: Method,
         rig: RigAnswer | None,
-        done: Callable[[tuple[str, ...]], None],
+        done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
-        verdicts: Mapping[Method, str] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
         rig : what landmark pokes say; None where nobody has looked
-        done : gets the sentences of the file's lint
+        done : gets the verdict by `method` and the sentences of the file's lint
         failed : gets why there is none
-        verdicts : by method what was checked; worked out where they are not given
         """
-        if self._recording is None:
+        if self._recording is None or self._part is None:
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
-        from skincal.session.checked import checked_calibration
-
         # Made here, not in the thread: the session goes on while the file is written.
-        calibration = checked_calibration(self._recording.pipeline.session, rig, verdicts)
+        session, part = self._recording.pipeline.session, self._part
+        calibration, snapshot = session.calibration(), session.snapshot()
 
-        def write() -> tuple[str, ...]:
+        def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
+            from skincal.files.formats import FORMATS, ExportFormat
+            from skincal.session.checked import checked, verdicts_of
 
+            methods = session.methods if FORMATS[ExportFormat(format_)].every_method else (method,)
+            verdicts = verdicts_of(part, snapshot, methods, rig)
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
         self.compute(write, done, failed)
 
-    def apply(
-        self,
-        address: str,
-        method: Method,
-        checked: tuple[RigAnswer | None, Mapping[Method, str]],
-        done: Callable[..., None],
-    ) -> None:
+    def apply(self, address: str, method: Method, done: Callable[..., None]) -> None:
         """Bring positions to a running robot in the background.
 
         Parameters
         ----------
-        checked : what landmark pokes say, None where nobody has looked, and by method what the session has come to
         done : gets a sentence, every question with its answer, and `good`: whether all went well
         """
         if self._recording is None:
@@ -636,9 +659,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             done(STILL_SOLVING, (), good=False)
             return
-        from skincal.session.checked import checked_calibration
-
-        calibration = checked_calibration(self._recording.pipeline.session, *checked)
+        calibration = self._recording.pipeline.session.calibration()
         folder = self._recording.storage.lasting or self._documents
         lines: list[str] = []
 

@@ -52,6 +52,9 @@ class OpenRequest:
     demo: bool = False
     """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
 
+    pose: str = ""
+    """Name of the arm pose in which a new session begins; empty where nobody said."""
+
     look_on: bool = False
     """See the session as far as it is written, and change nothing in it: another process records it."""
 
@@ -119,6 +122,12 @@ def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
     return describe_links({stream: address for stream, address in named.items() if address})
 
 
+def addresses_of(links: Sequence[LinkSpec]) -> Addresses:
+    """Return where each device is that links read."""
+    named = {stream.value: link.address for link in links for stream in link.carries}
+    return Addresses(**named)
+
+
 def dated_folder(parent: Path, now: datetime) -> Path:
     """Return a folder for a new session, named by date and time, that does not exist yet."""
     name = now.strftime("%Y-%m-%d_%H-%M-%S")
@@ -148,8 +157,12 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     from skincal.session.pipeline import Pipeline
 
     pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
-    if truth:
-        write_atomically(folder / TRUTH_NAME, truth)
+    try:
+        if truth:
+            write_atomically(folder / TRUTH_NAME, truth)
+    except InputError:
+        pipeline.close()
+        raise
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline

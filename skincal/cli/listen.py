@@ -25,7 +25,6 @@ LISTEN_S = 3.0
 SAY_S = 1.0
 """s between two lines of `watch`."""
 WRENCH_VALUES = 6
-PORTS_SHOWN = 200
 
 
 class Carries(Enum):
@@ -91,6 +90,7 @@ class Watched:
             "format": self._decoder.name,
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},
+            "units": {stream.value: words for stream, words in self._decoder.units.items() if stream in self.newest},
             "losses": {loss.value: count for loss, count in losses.items() if count},
             "beside": {name: asdict(found) for name, found in self._decoder.beside.items()},
             "note": self._decoder.note,
@@ -119,8 +119,9 @@ def _words(figures: dict[str, Any]) -> str:
     from skincal.model.readings import SideReading
     from skincal.sentences import beside_words
 
+    of = {name: f" ({words})" for name, words in figures["units"].items()}
     parts = [] if figures["verdict"] == "good" else [figures["verdict"]]
-    parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
+    parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {now}{of.get(name, '')}" for name, now in figures["newest"].items()]
     parts += [f"lost {count}: {why}" for why, count in figures["losses"].items()]
     parts += [beside_words({name: SideReading(**found) for name, found in figures["beside"].items()})]
     parts += [figures["note"]] if figures["note"] else []
@@ -226,12 +227,10 @@ def _on_port(name: str, description: str) -> dict[str, str]:
 
 def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
     """Return the ports that the name server of this machine's YARP knows, or why there are none."""
-    from skincal.streams.device_links import Ports, ask_names, yarp_server
     from skincal.streams.failures import LinkFailure
-    from skincal.streams.links import SerialLink, TcpLink
+    from skincal.streams.links import yarp_ports
 
     try:
-        known = ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink))
+        return yarp_ports(), ""
     except LinkFailure as failure:
         return [], f"No YARP: {failure}"
-    return sorted(known.items())[:PORTS_SHOWN], ""

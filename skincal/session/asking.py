@@ -20,7 +20,7 @@ from skincal.model.scene import Scene
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Judged, NoTarget, PokeTarget, write_answer, write_line
 from skincal.robot.target_server import RobotCame, TargetServer
 from skincal.sentences import missed_words, rejection_words
-from skincal.session.guiding import SessionGuide
+from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
@@ -55,10 +55,12 @@ def act_on(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -> None:
     name = "" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name
     if name != pipeline.asked_landmark:
         pipeline.act(AskLandmark(name), now_ns)
-    if guidance is None or guidance.closing is None:
-        return
+    asked = asked_poke(guidance)
+    if asked != pipeline.session.asked:
+        pipeline.act(asked, now_ns)
     # What is shown may be older than the session, in which it began meanwhile.
-    if len(pipeline.session.closings) < guidance.closing.number:
+    closing = None if guidance is None else guidance.closing
+    if closing is not None and len(pipeline.session.closings) < closing.number:
         pipeline.act(BeginClosing(), now_ns)
 
 

@@ -405,7 +405,6 @@ def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
 
 def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     panel, chips = shown(qtbot, DevicesPanel()), shown(qtbot, LinkChips(), (300, 24))
-    panel.addresses = {"wrench": "/dev/ttyUSB0"}
 
     def show(health, now_s):
         at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
@@ -413,7 +412,7 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
         chips.show_state(at)
         return panel.cards["wrench"]
 
-    card = show(link(), 100.1)
+    card = show(link(address="/dev/ttyUSB0"), 100.1)
     assert card.rate.text() == "1000 Hz"
     assert "/dev/ttyUSB0" in card.about.text()
     assert approved("now.checksum_count", count=3) in card.losses.text()
@@ -428,9 +427,11 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
 
 def test_devices_show_what_a_sensor_measures_beside_its_readings(qtbot):
     panel = shown(qtbot, DevicesPanel())
-    for health, expected in ((link(), False), (link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}), True)):
+    warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
+    for health, expected in ((link(), False), (warm, True)):
         panel.show_state(frame(view=reading(links=(health,)), now_s=200.0 + expected))
-        assert ("temperature 31.0 degC (30.5 to 33.2)" in panel.cards["wrench"].losses.text()) is expected
+        said = panel.cards["wrench"].losses.text()
+        assert said.startswith("Fx Fy Fz in N, Mx My Mz in N m\ntemperature 31.0 degC (30.5 to 33.2)\n5") is expected
 
 
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
