@@ -14,12 +14,14 @@ from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import GuidePhase
 from skincal.model.readings import LinkState, Loss
 from skincal.model.scene import resource
+from skincal.robot.target_lines import read_line, write_line
+from skincal.session.asking import PokeAsking
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Guided, Habits, TargetOrder, read_order, write_target
+from skincal.simulate.operator import Guided, Habits
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.unmodelled import inside
 from skincal.taxels.result import Method
@@ -58,7 +60,8 @@ def guided_to_the_end(part, wrench, skin):
     operator = Guided(rig, hand, np.random.default_rng([3, 1]), MOST)
     line = DeviceTimeline(rig, operator, np.random.default_rng([3, 2]), DeviceSettings(block_s=0.02))
     orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, -1, 0
-    links = tuple(orchestra.links.values())
+    links, asking = tuple(orchestra.links.values()), PokeAsking(part.scene)
+    operator.answered = lambda answer: asking.hear(answer, line.now)
     pipeline, guide = Pipeline(part.scene, links, part.surface), SessionGuide(part)
     with closing(orchestra), reading(links, brought):
         while not line.finished:
@@ -67,15 +70,14 @@ def guided_to_the_end(part, wrench, skin):
                 pipeline.feed(brought.items[taken])
                 taken += 1
             snapshot = pipeline.snapshot()
-            if snapshot.generation == known:
-                continue
-            known = snapshot.generation
-            guidance = guide.follow(snapshot, known, Method.MODULES, pipeline.session.evidence, line.now)
+            if snapshot.generation != known:
+                known = snapshot.generation
+                guidance = guide.follow(snapshot, known, Method.MODULES, pipeline.session.evidence, line.now)
             if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
                 break
-            target = guidance.target
             # As the line that another process gets.
-            operator.accept(read_order(write_target(TargetOrder(target.channel, target.place, target.push)) + "\n"))
+            for said in asking.follow(guidance, snapshot, line.now, streaming=True):
+                operator.show(read_line(write_line(said) + "\n"))
     return pipeline, rig, guidance
 
 
