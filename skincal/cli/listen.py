@@ -130,7 +130,7 @@ def _words(figures: dict[str, Any]) -> str:
 
 
 def watch(
-    link: Annotated[str, typer.Argument(help="Address, as for record: netft://HOST, yarp:/PORT, /dev/ttyUSB0, run:COMMAND, ...")],
+    link: Annotated[str, typer.Argument(help="Address, as for record: netft://HOST, yarp:/PORT, /dev/ttyUSB0, ...")],
     carries: Annotated[Carries, typer.Option(help="What it carries, where its readings do not say.")] = Carries.ANY,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
     as_json: Json = False,

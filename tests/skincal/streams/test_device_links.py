@@ -1,5 +1,6 @@
 """Devices that are spoken to, over real sockets: they vanish, return, refuse, fall silent, and lie."""
 
+import os
 import queue
 import socket
 import subprocess
@@ -232,6 +233,26 @@ def test_netft_without_its_page_says_what_to_give():
     for wrong in ("cpf=x&cpt=1", "device=hexagon"):
         assert wrong.split("=")[1].split("&")[0] in refusal(f"netft://127.0.0.1:9?{wrong}")
     open_link(spec("netft://127.0.0.1:9?device=hex")).close()
+
+
+# ------------------------------------------------------------------ Robotiq
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pseudo-terminals")
+def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
+    encoder, outlet = MAKERS["robotiq"].encoder(), MakerOutlets(4).open("robotiq", Stream.WRENCH, tcp=False)
+    intake = Intake(4, [spec(outlet.address)])
+    with served(outlet):
+        with reading(outlet.address) as items:
+            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
+            with TURN:
+                outlet._streams = False  # its power was off
+            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 9, intake)
+            assert outlet._streams
+        end = time.monotonic() + PATIENCE_S
+        while outlet._streams and time.monotonic() < end:
+            time.sleep(0.01)
+        assert not outlet._streams
 
 
 # ------------------------------------------------------------------ more than can be worked on
