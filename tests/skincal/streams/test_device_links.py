@@ -258,10 +258,34 @@ def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
 # ------------------------------------------------------------------ more than can be worked on
 
 
+def test_what_comes_while_the_program_stands_still_waits_in_the_system_and_none_is_lost(monkeypatch):
+    monkeypatch.setattr(links, "WAITING_MOST", 4000)
+    encoder, outlet, inbox = MAKERS["yarp"].encoder(), MakerOutlets(4).open("yarp", Stream.WRENCH, tcp=True), Inbox()
+    address = spec(outlet.address)
+    intake, reader = Intake(4, [address]), Reader(address, inbox)
+    with served(outlet):
+        reader.start()
+        try:
+            while_not(lambda: intake.health(0)[0].readings > 5, inbox, intake, lambda: write_one(outlet, encoder))
+            for _ in range(400):  # nobody takes them: 50 kB
+                write_one(outlet, encoder)
+            while_not(lambda: intake.health(0)[0].readings > 400, inbox, intake, lambda: time.sleep(0.01))
+        finally:
+            reader.stop()
+    (health,) = intake.health(0)
+    assert sum(health.losses.values()) == 0
+
+
+def write_one(outlet, encoder):
+    say(outlet, encoder._wrench(1, [1.0] * 6))
+    time.sleep(0.002)
+
+
 @pytest.mark.parametrize("maker", ["netft", "yarp", "rtde", "xela", "robotiq-text"])
 def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
     """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
     monkeypatch.setattr(links, "WAITING_MOST", 4000)
+    monkeypatch.setattr(links, "HOLD_S", 0.05)
     stream = Stream.SKIN if maker == "xela" else Stream.WRENCH
     encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets(4).open(maker, stream, tcp=True), Inbox()
     count = 0
