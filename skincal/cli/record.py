@@ -43,7 +43,8 @@ SceneOption = Annotated[
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder of the new session.")]
 LinkOption = Annotated[
-    str, typer.Option(help="Port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md).")
+    str,
+    typer.Option(help="Port (/dev/ttyUSB0, COM3), socket://HOST:PORT, a file, a device (docs/devices.md) or run:COMMAND."),
 ]
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""

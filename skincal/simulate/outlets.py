@@ -133,7 +133,8 @@ class PtyOutlet:
         came = open_now and not self._was_open
         self._was_open = open_now
         data = b""
-        if open_now and state & select.POLLIN:
+        # Also of one that has left: its last words.
+        if state & select.POLLIN:
             with contextlib.suppress(BlockingIOError, OSError):
                 data = os.read(self._master, READ_SIZE)
         return came, data

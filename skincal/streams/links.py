@@ -473,6 +473,8 @@ RETRY_S = 0.1
 """s. Pause between attempts to open a link that is away."""
 JOIN_S = 2.0
 """s. Longest wait for the thread at a stop: longer than a connection may take."""
+HOLD_S, HOLD_STEP_S = 5.0, 0.02
+"""s. So long a device that a gap would spoil is not read while a busy program has no room; the system keeps some of TCP."""
 NEW_REASON_S = 1.0
 """s. A new reason why a lost link does not open is reported when it has lasted so long: a port that comes back may deny
 access until the system has set its owner."""
@@ -521,6 +523,11 @@ class Inbox:
         if link not in self._until_ns:
             self._until_ns[link] = chunk.host_ns + DROP_NS
         return False
+
+    def has_room(self, chunk: Chunk) -> bool:
+        """Return whether a chunk would be taken, but for a time of dropping; nothing changes."""
+        with self._lock:
+            return self._waiting[chunk.link] + len(chunk.data) <= WAITING_MOST
 
     def _tell_dropped(self, link: str, host_ns: int) -> None:
         if self._until_ns.pop(link, None) is not None:
@@ -626,17 +633,22 @@ class Reader:
         tried: tuple[int, ...] = ()
         while not self._stop.is_set():
             data = link.read(READ_S)
+            # Stamped at once, by a clock that nobody can set back while a session runs.
             if data:
-                self._keep(data)
+                self._hand_on(Chunk(self._spec.name, time.monotonic_ns(), data))
             # Of a port whose baud rate is searched: what follows is heard at another one.
             now_tried: tuple[int, ...] = getattr(link, "tried", ())
             if len(now_tried) > 1 and now_tried != tried:
                 tried = now_tried
                 self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))
 
-    def _keep(self, data: bytes) -> None:
-        # Stamped at once, by a clock that nobody can set back while a session runs.
-        if self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data)) is False and self._from_start:
+    def _hand_on(self, chunk: Chunk) -> None:
+        """Have a chunk taken; where a gap would spoil what follows, it waits for room, and what comes in the system."""
+        until_s = time.monotonic() + HOLD_S
+        while self._from_start and isinstance(self._items, Inbox) and not self._items.has_room(chunk):
+            if self._stop.wait(HOLD_STEP_S) or time.monotonic() > until_s:
+                break
+        if self._items.put(chunk) is False and self._from_start:
             self._stop.wait(DROP_NS * 1e-9)
             raise LinkFailure(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected anew.")
 

@@ -1,5 +1,6 @@
 """Devices that are spoken to, over real sockets: they vanish, return, refuse, fall silent, and lie."""
 
+import os
 import queue
 import socket
 import subprocess
@@ -275,13 +276,57 @@ def test_netft_without_its_page_says_what_to_give():
     open_link(spec("netft://127.0.0.1:9?device=hex")).close()
 
 
+# ------------------------------------------------------------------ Robotiq
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pseudo-terminals")
+def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
+    encoder, outlet = MAKERS["robotiq"].encoder(), MakerOutlets(4).open("robotiq", Stream.WRENCH, tcp=False)
+    intake = Intake(4, [spec(outlet.address)])
+    with served(outlet):
+        with reading(outlet.address) as items:
+            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
+            with TURN:
+                outlet._streams = False  # its power was off
+            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 9, intake)
+            assert outlet._streams
+        end = time.monotonic() + PATIENCE_S
+        while outlet._streams and time.monotonic() < end:
+            time.sleep(0.01)
+        assert not outlet._streams
+
+
 # ------------------------------------------------------------------ more than can be worked on
+
+
+def test_what_comes_while_the_program_stands_still_waits_in_the_system_and_none_is_lost(monkeypatch):
+    monkeypatch.setattr(links, "WAITING_MOST", 150_000)
+    encoder, outlet, inbox = MAKERS["yarp"].encoder(), MakerOutlets(4).open("yarp", Stream.SKIN, tcp=True), Inbox()
+    address = spec(outlet.address, (Stream.SKIN,))
+    intake, reader = Intake(384, [address]), Reader(address, inbox)
+
+    def write():
+        say(outlet, encoder.skin(1, np.zeros(384)))
+        time.sleep(0.002)
+
+    with served(outlet):
+        reader.start()
+        try:
+            while_not(lambda: intake.health(0)[0].readings > 5, inbox, intake, write)
+            for _ in range(200):  # nobody takes them: 600 kB
+                write()
+            while_not(lambda: intake.health(0)[0].readings > 200, inbox, intake, lambda: time.sleep(0.01))
+        finally:
+            reader.stop()
+    (health,) = intake.health(0)
+    assert {loss: count for loss, count in health.losses.items() if loss is not Loss.UNPAIRED} == {}
 
 
 @pytest.mark.parametrize("maker", ["netft", "yarp", "rtde", "xela", "robotiq-text"])
 def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
     """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
     monkeypatch.setattr(links, "WAITING_MOST", 4000)
+    monkeypatch.setattr(links, "HOLD_S", 0.05)
     stream = Stream.SKIN if maker == "xela" else Stream.WRENCH
     encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets(4).open(maker, stream, tcp=True), Inbox()
     count = 0

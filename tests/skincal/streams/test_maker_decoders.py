@@ -139,6 +139,25 @@ def test_bota_vectors():
     assert over.note == ""
 
 
+@pytest.mark.parametrize(
+    ("status", "saturated", "invalid", "words"),
+    [
+        (1, False, False, "it skips samples"),
+        (2, True, False, "beyond its range"),
+        (4, False, True, "invalid"),
+        (8, False, True, "raw measurements"),
+        (3, True, False, "it skips samples: make its filter (sinc length) longer; the force or torque is beyond"),
+        (0, False, False, ""),
+    ],
+)
+def test_each_status_bit_of_bota_is_a_sentence_and_what_it_says_is_heeded(status, saturated, invalid, words):
+    decoder = BotaDecoder(None, WRENCH)
+    (batch,) = decoder.feed(bota(1, status=status))
+    assert (batch.saturated.tolist(), batch.invalid.tolist()) == ([saturated], [invalid])
+    assert words in decoder.note
+    assert bool(decoder.note) == bool(words)
+
+
 def test_robotiq_vectors():
     (row,), _ = decode("robotiq", records.ROBOTIQ)
     assert row == ("WrenchBatch", list(records.RDT_WRENCH), None)
