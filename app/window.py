@@ -7,7 +7,7 @@ view.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -16,6 +16,7 @@ from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Si
 from PySide6.QtGui import QCloseEvent, QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
+    QDialog,
     QFileDialog,
     QLabel,
     QMainWindow,
@@ -35,17 +36,20 @@ from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import PACES, Controller
-from app.session.opening import OpenRequest, dated_folder
+from app.session.opening import OpenRequest, dated_folder, find_scene
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
 from app.text.help_text import about_words
-from app.text.message import Message, connect_words, keep_question, look_words
+from app.text.message import NO_ADDRESSES, Message, connect_words, keep_question, look_words
 from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
+    from app.dialogs.import_dialog import ImportDialog
+    from app.session.opening import Addresses
     from app.session_view import SessionView
+    from skincal.session.importing import Imported
     from skincal.session.part import Part
     from skincal.session.snapshot import Snapshot
 
@@ -53,6 +57,8 @@ LOG = logging.getLogger(__name__)
 Said = ParamSpec("Said")
 ADDRESSES_KEPT = 50
 """Addresses that the operator named or agreed to: more than one has devices."""
+IMPORTED_ON = "import/scene"
+"""Setting: the scene of the last import."""
 FIRST_SIZE = QSize(1440, 860)
 """Pixels, where the screen has them."""
 
@@ -161,6 +167,7 @@ class Window(QMainWindow):
         self._question: QMessageBox | None = None
         """What becomes of pokes that would go."""
         self._leaves = False
+        self._import: ImportDialog | None = None
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -176,6 +183,8 @@ class Window(QMainWindow):
         return {
             "new": self.ask_new,
             "open": self.ask_session,
+            "import": self.ask_import,
+            "addresses": self.ask_addresses,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
             "apply": self._of_session(lambda view: view.ask_apply(self, self._settings)),
@@ -229,7 +238,7 @@ class Window(QMainWindow):
 
     def _arrange(self) -> None:
         self.commands.add_themes(self._theme.choice, self._choose_theme)
-        self.commands.menus["Session"].insertMenu(self.commands.actions["keep"], self.recent)
+        self.commands.menus["Session"].insertMenu(self.commands.actions["import"], self.recent)
         self.commands.menus["Help"].addMenu(self.documents)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
@@ -268,12 +277,14 @@ class Window(QMainWindow):
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
+        controller.skip_wanted.connect(self._of_session(lambda view: view.skip_target()))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)
         self._follow_text()
         dropped = DropTarget(self)
         dropped.request_made.connect(self.open)
+        dropped.recording_dropped.connect(self.ask_import)
         for failed in (dropped.refused, self.documents.failed):
             failed.connect(lambda sentence: self.tell(Message(sentence, error=True)))
         self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
@@ -410,9 +421,66 @@ class Window(QMainWindow):
 
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
-        dialog = NewSessionDialog(scene, folder, self)
+        paused = self._lend_devices()
+        dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
         dialog.request_chosen.connect(self.open)
+        self._open_page(dialog, paused=paused)
+
+    def ask_addresses(self) -> None:
+        """Ask where the devices of this session are now."""
+        from app.dialogs.new_session import NewSessionDialog
+        from app.session.opening import addresses_of
+
+        view = self.session_view
+        if view is None or self.controller.served or not self.controller.links:
+            self.tell(Message(NO_ADDRESSES, found=True))
+            return
+        present = addresses_of(self.controller.links), view.workspace.part.scene
+        paused = self._lend_devices()
+        dialog = NewSessionDialog(None, Path(), self, self._known_addresses(), present)
+        dialog.addresses_chosen.connect(self._use_addresses)
+        self._open_page(dialog, paused=paused)
+
+    def _use_addresses(self, addresses: Addresses) -> None:
+        self._remember({addresses.wrench, addresses.skin, addresses.joints} - {""})
+        self.controller.change_addresses(addresses)
+
+    def _lend_devices(self) -> bool:
+        """Let go of devices that a page will look at, since a port has one reader; return whether they were read."""
+        if self.controller.running is not Running.STREAMING or self.controller.served:
+            return False
+        self.controller.pause()
+        return True
+
+    def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
+        """Open a page that looks at devices; where it is left they are read again."""
+        if paused:
+            dialog.rejected.connect(self.controller.go_on)
         dialog.open()
+
+    def ask_import(self, paths: Sequence[Path] = ()) -> None:
+        """Ask for a recording of another program, make a session of it and open that."""
+        from app.dialogs.import_dialog import ImportDialog
+
+        if self._import is not None:
+            return
+        scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
+        kept = Path(str(self._settings.value(IMPORTED_ON, "")))
+        folder = dated_folder(self._documents, datetime.now().astimezone())
+        self._import = dialog = ImportDialog(paths, scene or find_scene(kept if kept.is_file() else None), folder, self)
+        dialog.imported.connect(self._open_imported)
+        dialog.finished.connect(self._import_over)
+        dialog.open()
+
+    def _import_over(self) -> None:
+        self._import = None
+
+    def _open_imported(self, imported: Imported, scene: str) -> None:
+        from app.text.import_text import imported_words
+
+        self._settings.setValue(IMPORTED_ON, scene)
+        self.open(OpenRequest(session=imported.folder))
+        self.tell(Message(imported_words(imported)))
 
     def ask_pedals(self) -> None:
         """Learn the keys of foot pedals."""
@@ -537,6 +605,8 @@ class Window(QMainWindow):
         # Hidden first: closing may take as long as a read, and a window that stands still looks broken.
         self.hide()
         self.pedals.stop()
+        if self._import is not None:
+            self._import.end()
         self.messages.stop()
         self.controller.stop()
         if self.session_view is not None:

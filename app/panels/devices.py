@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from html import escape
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QScrollArea, QVBoxLayout
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QScrollArea, QVBoxLayout
 
 from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, plain_tip, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
@@ -25,6 +25,8 @@ REFRESH_S = 0.25
 _SIGNS = {
     LinkLook.STREAMING: ("\N{BLACK CIRCLE}", "accent"),
     LinkLook.WAITING: ("\N{WHITE CIRCLE}", "muted"),
+    LinkLook.WRONG: ("\N{WHITE UP-POINTING TRIANGLE}", "warn"),
+    LinkLook.FROZEN: ("\N{MULTIPLICATION X}", "bad"),
     LinkLook.SILENT: ("\N{WHITE UP-POINTING TRIANGLE}", "warn"),
     LinkLook.LOST: ("\N{MULTIPLICATION X}", "bad"),
     LinkLook.ENDED: ("\N{WHITE SQUARE}", "muted"),
@@ -36,7 +38,8 @@ SIGN_PX = 18
 RATE_PT = 13
 
 
-def _sign(look: LinkLook) -> str:
+def link_sign(look: LinkLook) -> str:
+    """Return the sign of a link's state in its colour, as rich text."""
     sign, ink = _SIGNS[look]
     return f'<span style="font-size:{scaled(SIGN_PX)}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
 
@@ -44,7 +47,7 @@ def _sign(look: LinkLook) -> str:
 class LinkCard(QFrame):
     """One link."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.setObjectName("card")
         self.sign = QLabel()
@@ -55,7 +58,6 @@ class LinkCard(QFrame):
         set_font(self.rate, digits_font(RATE_PT), RATE_PT)
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.about = ElidedLabel("muted")
-        self._address = address
         self.detail = quiet(wrap=True)
         self.losses = QLabel()
         self.losses.setWordWrap(True)
@@ -72,12 +74,12 @@ class LinkCard(QFrame):
 
     def set(self, words: LinkWords, health: LinkHealth) -> None:
         """Show how the link does."""
-        self.sign.setText(_sign(words.look))
+        self.sign.setText(link_sign(words.look))
         self.sign.setToolTip(plain_tip(words.look.value))
         self.name.setText(words.name)
         self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
-        about = [health.format or "format not known yet", self._address]
+        about = [health.format or "format not known yet", health.address]
         # What a link carries is said only where its name does not say it.
         if carried != words.name:
             about.insert(0, carried)
@@ -92,23 +94,27 @@ class LinkCard(QFrame):
 class DevicesPanel(QScrollArea):
     """One card a link, and what was lost between them."""
 
+    change_wanted = Signal()
+    """The devices are elsewhere."""
+
     def __init__(self) -> None:
         super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.unpaired = quiet(wrap=True)
-        self.addresses: dict[str, str] = {}
-        """Where each link is connected to."""
+        self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (A)")
+        self.change.clicked.connect(self.change_wanted)
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0
         inner = on_panel(self)
         self._column = QVBoxLayout(inner)
         self._column.setContentsMargins(GAP, GAP, GAP, GAP)
         self._column.addWidget(self.unpaired)
+        self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addStretch(1)
         self.setWidget(inner)
         self.setWhatsThis(
-            "Each device with its rate, when its last bytes came, and every reading that was lost, by reason. A device that "
-            "vanishes is taken up again by itself."
+            "Each device with its rate, what is found of its readings, when its last bytes came, and every reading that was "
+            "lost, by reason. A device that vanishes is taken up again by itself; one that is elsewhere gets another address."
         )
 
     def show_state(self, state: ViewState) -> None:
@@ -118,6 +124,8 @@ class DevicesPanel(QScrollArea):
         if looks == self._shown and state.now_s - self._shown_s < REFRESH_S:
             return
         self._shown, self._shown_s = looks, state.now_s
+        for name in self.cards.keys() - {words.name for words in links}:
+            self.cards.pop(name).deleteLater()
         for words, health in zip(links, state.live.links, strict=True):
             self._card(words.name).set(words, health)
         missing = state.live.losses_unpaired
@@ -125,7 +133,7 @@ class DevicesPanel(QScrollArea):
 
     def _card(self, name: str) -> LinkCard:
         if name not in self.cards:
-            self.cards[name] = LinkCard(self.addresses.get(name, ""))
+            self.cards[name] = LinkCard()
             # Above the line of unpaired frames and the stretch.
             self._column.insertWidget(len(self.cards) - 1, self.cards[name])
         return self.cards[name]
@@ -153,5 +161,5 @@ class LinkChips(QLabel):
         if shown == self._shown and state.now_s - self._shown_s < 4 * REFRESH_S:
             return
         self._shown, self._shown_s = shown, state.now_s
-        chips = [late, *(f"{_sign(words.look)}&nbsp;{escape(words.short)}" for words in links)]
+        chips = [late, *(f"{link_sign(words.look)}&nbsp;{escape(words.short)}" for words in links)]
         self.setText("&nbsp;&nbsp; ".join(filter(None, chips)))

@@ -21,7 +21,7 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import LinkSpec, Reader
+    from skincal.streams.links import Inbox, LinkSpec, Reader
 
 
 class Storage:
@@ -102,12 +102,16 @@ class Recording:
         self.pipeline = pipeline
         self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
-        from skincal.streams.links import Inbox
-
-        self._queue = Inbox()
+        self._queue = self._new_inbox()
         self._readers: list[Reader] = []
         self.reached_ns = 0
         """Arrival of the newest item that the pipeline has worked on."""
+
+    @staticmethod
+    def _new_inbox() -> Inbox:
+        from skincal.streams.links import Inbox
+
+        return Inbox()
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""
@@ -153,8 +157,10 @@ class Recording:
             The disk takes no new segment. Nothing is read then; the session stays as it is, with its journal open, so that
             what the operator does to it is still recorded.
         """
-        # What was read before the pause belongs to the segment that ends.
+        # What was read before the pause belongs to the segment that ends; what a reader still brings, to none.
+        self._queue.finish()
         self.drain()
+        self._queue = self._new_inbox()
         self.pipeline.demand_record()
         if self.pipeline.journal is None:
             raise InputError(f"{self.storage.folder}: is only looked at. Open it again when its recording has ended.")

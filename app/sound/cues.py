@@ -23,7 +23,7 @@ import numpy as np
 
 from app.state.policies import is_news, newest_outcome
 from app.state.running import Running
-from app.state.view_state import LinkLook, ViewState
+from app.state.view_state import FAULTS, ViewState
 from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
@@ -121,7 +121,7 @@ class CueMemory:
     """The press in progress was said to be enough."""
     guidance: Guidance | None = None
     lost: frozenset[str] = frozenset()
-    """Links that are lost."""
+    """Links that are lost or frozen."""
     alarm_s: float = -math.inf
 
     @staticmethod
@@ -133,7 +133,7 @@ class CueMemory:
 def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]:
     """Return the sound that is due now, None where none is, and what has to be remembered."""
     phase = at.live.progress.phase
-    lost = frozenset(link.link for link in at.live.links if at.look(link) is LinkLook.LOST)
+    lost = frozenset(link.link for link in at.live.links if at.look(link) in FAULTS)
     newest = newest_outcome(at.snapshot) or memory.outcome
     following = CueMemory(
         outcome=newest,

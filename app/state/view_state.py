@@ -12,7 +12,7 @@ from app.state.running import Running
 from app.units import ChannelNames
 from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity
-from skincal.model.readings import LinkHealth, LinkState, is_silent
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
 from skincal.session.error_history import ModulesFound
 from skincal.session.review import Review
@@ -25,11 +25,24 @@ class LinkLook(Enum):
 
     STREAMING = "streaming"
     WAITING = "waiting for data"
+    WRONG = "no good readings"
+    FROZEN = "frozen"
     SILENT = "silent"
     LOST = "lost"
     ENDED = "ended"
     AWAY = "not read"
     """The program reads no devices now: paused, or only looking at a recording."""
+
+
+_LOOKS = {
+    LinkAnswer.GOOD: LinkLook.STREAMING,
+    LinkAnswer.LISTENING: LinkLook.WAITING,
+    LinkAnswer.NO_ANSWER: LinkLook.SILENT,
+    LinkAnswer.FROZEN: LinkLook.FROZEN,
+}
+"""Of a link that is open and brings bytes."""
+FAULTS = (LinkLook.LOST, LinkLook.FROZEN)
+"""A device is away, or does not measure any more."""
 
 
 def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkLook:
@@ -43,7 +56,9 @@ def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> Lin
     # Nothing came yet: silence is counted from the first bytes on.
     if health.last_host_ns == 0:
         return LinkLook.WAITING
-    return LinkLook.SILENT if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9) else LinkLook.STREAMING
+    if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9):
+        return LinkLook.SILENT
+    return _LOOKS.get(health.verdict.answer, LinkLook.WRONG)
 
 
 def looked_at(selected: int | None, guidance: Guidance | None) -> int | None:
@@ -91,8 +106,6 @@ class ViewState:
     """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
     simulated: str = ""
     """What is said of a rig that is none: empty of a real one."""
-    opened_s: float = 0.0
-    """Host's monotonic clock, seconds, when the session was opened here."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])
     """About how many pokes each method takes from the first to enough; none where no layout says."""
     eye: Eye = PLAIN
@@ -122,6 +135,11 @@ class ViewState:
     def connected(self) -> bool:
         """Whether the program reads its devices."""
         return self.running is Running.STREAMING
+
+    @property
+    def lacks_pose(self) -> bool:
+        """Whether the arm's pose is not known, so that no poke counts."""
+        return self.scene.arm is not None and self.snapshot.link_from_sensor is None
 
     def look(self, link: LinkHealth) -> LinkLook:
         """Return how one of `live.links` is doing."""

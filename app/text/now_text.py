@@ -13,7 +13,7 @@ from enum import Enum
 from app.state.policies import is_news, newest_outcome
 from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
 from app.state.running import Running
-from app.state.view_state import LinkLook, ViewState
+from app.state.view_state import FAULTS, LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,
     asked_words,
@@ -42,6 +42,7 @@ from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
+from skincal.model.readings import LinkAnswer, Stream
 from skincal.sentences import missed_words
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import Deed, DeedKind
@@ -52,6 +53,16 @@ DEED_S = 6.0
 """s. What the operator took back, or brought again, is said so long: it was asked for, and must not be missed."""
 SETTLE_S = 0.15
 """s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
+
+
+POSES_NAMED = 3
+CHANGE_HINT = "  \N{MIDDLE DOT}  A changes addresses"
+_SHORT_VERDICTS = {
+    LinkAnswer.NO_READING: "no readings",
+    LinkAnswer.OTHER_STREAM: "another stream",
+    LinkAnswer.OTHER_WIDTH: "wrong number of values",
+}
+"""For large type; the line below says all of it."""
 
 
 class Tone(Enum):
@@ -206,9 +217,10 @@ def _trouble(at: ViewState) -> Now | None:
         return Now(Tone.CALM, "paused", "Nothing is recorded; the space bar goes on.")
     if at.running is Running.OFFLINE:
         return Now(Tone.CALM, "no device connected", "Look, change and export; the space bar connects the devices.")
-    lost = next((link for link in at.live.links if at.look(link) is LinkLook.LOST), None)
-    if lost is not None:
-        return Now(Tone.BAD, f"lost {lost.link}", link_detail(lost, at) or "It is taken up again by itself.")
+    fault = next((link for link in at.live.links if at.look(link) in FAULTS), None)
+    if fault is not None:
+        how = f"lost {fault.link}" if at.look(fault) is LinkLook.LOST else f"{fault.link} is frozen"
+        return Now(Tone.BAD, how, link_detail(fault, at) or "It is taken up again by itself.")
     return None
 
 
@@ -259,7 +271,7 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
         return Now(Tone.WAIT, "solving anew", left)
     if phase is PressPhase.NO_DATA:
         return _no_data(at)
-    if phase is PressPhase.TARING:
+    if phase is PressPhase.TARING and not at.lacks_pose:
         following = _next(at)
         what = f".  {following}" if following else ": the sensor's offset is taken while nothing touches the part."
         return Now(Tone.WAIT, "keep hands off", f"Taring{what}")
@@ -277,6 +289,8 @@ def _next(at: ViewState) -> str:
 
 def _guided(at: ViewState) -> Now:
     guidance, dead = at.guidance, at.snapshot.dead
+    if at.lacks_pose:
+        return _ask_pose(at)
     if guidance is not None and guidance.phase is GuidePhase.ENOUGH:
         first = "C uses the correction that is offered. " if at.offers else ""
         return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
@@ -287,8 +301,22 @@ def _guided(at: ViewState) -> Now:
     return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")
 
 
+def _ask_pose(at: ViewState) -> Now:
+    """Return what is asked before the first poke, which would not count without it."""
+    if any(Stream.JOINTS in link.carries for link in at.live.links):
+        return Now(Tone.WAIT, "waiting for joints", "They say the arm's pose, without which no poke counts.")
+    names = list(at.scene.arm.poses) if at.scene.arm is not None else []
+    if not names:
+        return Now(Tone.BAD, "arm pose unknown", f"The scene names none: connect the joints.{CHANGE_HINT}")
+    some = ", ".join(names[:POSES_NAMED]) + (", \N{HORIZONTAL ELLIPSIS}" if len(names) > POSES_NAMED else "")
+    return Now(Tone.GO, "which arm pose?", f"No poke counts without it. Key 7, then choose: {some}")
+
+
 def _no_data(at: ViewState) -> Now:
     links = at.live.links
+    wrong = next((link for link in links if at.look(link) is LinkLook.WRONG), None)
+    if wrong is not None:
+        return Now(Tone.BAD, f"{wrong.link}: {_SHORT_VERDICTS[wrong.verdict.answer]}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
     missing = [link for link in links if at.look(link) in (LinkLook.WAITING, LinkLook.SILENT)]
     if missing:
         return Now(Tone.WAIT, f"waiting for {' and '.join(link.link for link in missing)}", link_detail(missing[0], at))

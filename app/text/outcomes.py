@@ -17,8 +17,8 @@ from app.state.view_state import LinkLook, ViewState, link_look
 from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
-from skincal.model.readings import LinkHealth
-from skincal.sentences import state_sentence
+from skincal.model.readings import LinkAnswer, LinkHealth
+from skincal.sentences import link_verdict_words, state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 
@@ -239,6 +239,12 @@ def link_detail(link: LinkHealth, at: ViewState) -> str:
     return _link_detail(link, at.look(link), _last_words(link, at.clock_offset))
 
 
+def preview_words(health: LinkHealth) -> str:
+    """Return what is found of a link that is looked at before a session, and why it does not open."""
+    words = link_verdict_words(health.verdict)
+    return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
+
+
 def _last_words(health: LinkHealth, clock_offset: float) -> str:
     if health.last_host_ns == 0:
         return "nothing yet"
@@ -248,6 +254,8 @@ def _last_words(health: LinkHealth, clock_offset: float) -> str:
 def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:
     if look is LinkLook.SILENT:
         return f"Open, but no bytes since {last}: check that the device is sending."
-    if look is LinkLook.WAITING:
+    if look is LinkLook.WAITING and health.last_host_ns == 0:
         return health.text or "Open, no bytes yet: check the address, the speed and that the device is sending."
+    if look in (LinkLook.WRONG, LinkLook.FROZEN):
+        return link_verdict_words(health.verdict)
     return "" if look in (LinkLook.STREAMING, LinkLook.AWAY) else health.text

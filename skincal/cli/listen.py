@@ -25,7 +25,6 @@ LISTEN_S = 3.0
 SAY_S = 1.0
 """s between two lines of `watch`."""
 WRENCH_VALUES = 6
-PORTS_SHOWN = 200
 
 
 class Carries(Enum):
@@ -228,12 +227,10 @@ def _on_port(name: str, description: str) -> dict[str, str]:
 
 def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
     """Return the ports that the name server of this machine's YARP knows, or why there are none."""
-    from skincal.streams.device_links import Ports, ask_names, yarp_server
     from skincal.streams.failures import LinkFailure
-    from skincal.streams.links import SerialLink, TcpLink
+    from skincal.streams.links import yarp_ports
 
     try:
-        known = ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink))
+        return yarp_ports(), ""
     except LinkFailure as failure:
         return [], f"No YARP: {failure}"
-    return sorted(known.items())[:PORTS_SHOWN], ""

@@ -210,12 +210,12 @@ class LinkHealth:
     """Counted losses by reason."""
     beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
     """What else the device measured since the link was described, by name and unit."""
+    units: str = ""
+    """What the values of its readings are; empty while unknown."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     """What it is found to bring."""
     address: str = ""
     """Where it is read from."""
-    units: str = ""
-    """What the values of its readings are; empty while unknown."""
 
 
 def joined(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:

@@ -37,11 +37,15 @@ from skincal.streams.device_address import from_start, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 DEFAULT_BAUD = 115200
+PORTS_LISTED = 200
+"""Ports of a YARP network that are listed: a whole iCub has some hundred."""
 FILE_PREFIX = "file:"
 SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
 KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
+ADDRESS_MOST = 1000
+"""Characters of an address: four times the longest name of a host. Before it is connected, all of it is shown."""
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
@@ -66,7 +70,7 @@ BITS_PER_BYTE = 10
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """A link as the operator describes it."""
+    """A link as the operator describes it; `InputError` where its address is too long."""
 
     name: str
     """Unique in a session, such as `"wrench"`."""
@@ -76,6 +80,11 @@ class LinkSpec:
     carries: tuple[Stream, ...]
     format: str = "auto"
     """One of `skincal.streams.decoders.detect.NAMES`."""
+
+    def __post_init__(self) -> None:
+        length = len(self.address)
+        if length > ADDRESS_MOST:
+            raise InputError(f"{self.address}: the address has {length} characters; expected at most {ADDRESS_MOST}.")
 
 
 class LinkKind(Enum):
@@ -171,6 +180,13 @@ def serial_ports() -> list[tuple[str, str]]:
     return [(port.device, port.description or "") for port in list_ports.comports() if port.description != "n/a"]
 
 
+def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
+    """Return name, host and number of ports that the name server of this machine's YARP knows. Raises LinkFailure."""
+    from skincal.streams.device_links import Ports, ask_names, yarp_server
+
+    return sorted(ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink)).items())[:PORTS_LISTED]
+
+
 def split_baud(address: str) -> tuple[str, int]:
     """Split `PORT@BAUD`; an address without a number after its last `@` has the default rate."""
     path, at, baud = address.rpartition("@")
@@ -259,7 +275,7 @@ class TcpLink:
             raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
         except OSError as error:
             raise _connect_failure(address, error) from error
-        _probe(self._socket)
+        probe(self._socket)
 
     def read(self, timeout_s: float) -> bytes:
         """See `Link`."""
@@ -287,7 +303,7 @@ class TcpLink:
         self._socket.close()
 
 
-def _probe(connection: socket.socket) -> None:
+def probe(connection: socket.socket) -> None:
     """Have the system ask a silent server whether it is there: one that lost its power says no goodbye.
 
     It is asked after `PROBE_IDLE_S` of silence, `PROBES` times, and one that answers may be silent for ever.

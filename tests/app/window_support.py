@@ -18,7 +18,7 @@ from app.units import ChannelNames
 from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry import Arm, DhLink
-from skincal.model.readings import LinkHealth, LinkState, Loss, Stream
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.taxels.result import Estimate, Method
@@ -75,7 +75,7 @@ def link(name: str = "wrench", state: LinkState = LinkState.OPEN, last_s: float 
     """A link whose last bytes came at `last_s`."""
     carries = (Stream(name),) if name in ("wrench", "skin", "joints") else (Stream.WRENCH,)
     base = LinkHealth(name, state, "", carries, "SKB/1", 5000, 1000.0, round(last_s * SECOND), {Loss.BAD_CHECKSUM: 3})
-    return replace(base, **changes)
+    return replace(base, **{"verdict": LinkVerdict(LinkAnswer.GOOD), **changes})
 
 
 def frame(

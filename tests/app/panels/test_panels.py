@@ -405,7 +405,6 @@ def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
 
 def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     panel, chips = shown(qtbot, DevicesPanel()), shown(qtbot, LinkChips(), (300, 24))
-    panel.addresses = {"wrench": "/dev/ttyUSB0"}
 
     def show(health, now_s):
         at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
@@ -413,7 +412,7 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
         chips.show_state(at)
         return panel.cards["wrench"]
 
-    card = show(link(), 100.1)
+    card = show(link(address="/dev/ttyUSB0"), 100.1)
     assert card.rate.text() == "1000 Hz"
     assert "/dev/ttyUSB0" in card.about.text()
     assert approved("now.checksum_count", count=3) in card.losses.text()

@@ -31,7 +31,7 @@ from app.text.outcomes import (
 from app.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from skincal.contacts.outcome import RAW, PressPhase, Reason
 from skincal.model.actions import MissedLandmark
-from skincal.model.readings import LinkState, Stream
+from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import Deed, DeedKind
 from skincal.taxels.result import Estimate, Method, State
 from tests.app.guide_support import guidance, target
@@ -216,6 +216,48 @@ def test_trouble_goes_before_phases():
     waiting = (link(last_host_ns=0), link("skin"))
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=waiting), now_s=100.1))
     assert now.headline == "waiting for wrench"
+
+
+def test_a_link_without_good_readings_is_said_in_place_of_waiting():
+    width = LinkVerdict(LinkAnswer.OTHER_WIDTH, Stream.SKIN, width=20, expected=64)
+    links = (link(), link("skin", verdict=width))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=links), now_s=100.1))
+    assert (now.tone, now.headline.partition(":")[0]) == (Tone.BAD, "skin")
+    assert now.detail.startswith(approved("links.other_width", width=20, of="the scene has", expected=64))
+    listening = (link(), link("skin", verdict=LinkVerdict(LinkAnswer.LISTENING, Stream.SKIN)))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=listening), now_s=100.1))
+    assert now.headline == "waiting for skin"
+    frozen = (link(verdict=LinkVerdict(LinkAnswer.FROZEN, Stream.WRENCH)), link("skin"))
+    now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=frozen), now_s=100.1))
+    assert (now.tone, now.headline, now.detail) == (Tone.BAD, "wrench is frozen", approved("links.frozen"))
+
+
+@pytest.mark.parametrize(
+    ("answer", "look"),
+    [
+        (LinkAnswer.GOOD, LinkLook.STREAMING),
+        (LinkAnswer.LISTENING, LinkLook.WAITING),
+        (LinkAnswer.NO_READING, LinkLook.WRONG),
+        (LinkAnswer.OTHER_STREAM, LinkLook.WRONG),
+        (LinkAnswer.OTHER_WIDTH, LinkLook.WRONG),
+        (LinkAnswer.FROZEN, LinkLook.FROZEN),
+    ],
+)
+def test_a_light_is_that_of_a_good_link_for_good_readings_alone(answer, look):
+    assert link_words(link(verdict=LinkVerdict(answer, Stream.WRENCH)), round(100.1e9)).look is look
+
+
+@pytest.mark.parametrize("phase", [PressPhase.TARING, PressPhase.READY])
+def test_an_unknown_arm_pose_is_asked_before_anything_else_is(phase):
+    unknown = replace(session(), link_from_sensor=None)
+    now, _ = now_line(NowMemory(phase=phase), frame(unknown, reading(phase), where=arm_scene()))
+    assert (now.tone, now.headline) == (Tone.GO, "which arm pose?")
+    assert "low, high" in now.detail
+    joints = (link(), link("joints", last_host_ns=0))
+    now, _ = now_line(NowMemory(phase=phase), frame(unknown, reading(phase, links=joints), where=arm_scene()))
+    assert now.headline == "waiting for joints"
+    known, _ = now_line(NowMemory(phase=phase), frame(session(), reading(phase), where=arm_scene()))
+    assert "pose" not in known.headline
 
 
 def test_what_may_be_done_follows_the_selection():

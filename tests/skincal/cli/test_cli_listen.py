@@ -11,7 +11,7 @@ import pytest
 
 from skincal.cli import listen, main
 from skincal.model.errors import plain_text
-from skincal.model.readings import Stream
+from skincal.model.readings import Chunk, Stream
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.outlets import PtyOutlet
@@ -161,3 +161,26 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
     found = json.loads(capsys.readouterr().out)
     assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""
+
+
+def test_watch_keeps_no_more_than_it_can_read(capsys, monkeypatch):
+    """A link that sends faster than it is read: the rest is dropped, and said."""
+
+    class Flood:
+        def __init__(self, _spec, items):
+            self.items, self.end_s = items, time.monotonic() + 2.0
+
+        def start(self):
+            for _ in range(40):
+                self.items.put(Chunk("link", time.monotonic_ns(), bytes(65536)))
+
+        @property
+        def running(self):
+            return time.monotonic() < self.end_s
+
+        def stop(self):
+            pass
+
+    monkeypatch.setattr(links, "Reader", Flood)
+    assert main(["watch", "COM3"]) == 0
+    assert "bytes were dropped" in capsys.readouterr().err

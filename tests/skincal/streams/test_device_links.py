@@ -13,16 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.model.errors import InputError
+from skincal.model.errors import SENTENCE_MOST, InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
 from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.streams import links
+from skincal.streams.decoders.rtde import RtdeDialogue
 from skincal.streams.device_address import format_of, parse_device
-from skincal.streams.device_links import yarp_server
-from skincal.streams.failures import LinkFailure
+from skincal.streams.device_links import ANSWER_MAX, TalkingLink, yarp_server
+from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.intake import Intake
-from skincal.streams.links import Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
+from skincal.streams.links import ADDRESS_MOST, Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
 from tests.approved import approved
 
 PATIENCE_S = 5.0
@@ -160,6 +161,42 @@ def test_yarp_name_that_is_not_known_names_some_that_are():
     assert "/icub/head/state:o" in said
 
 
+def test_a_device_that_talks_and_never_agrees_is_not_kept():
+    """At the speed of a network it would bring a gigabyte before the time is over."""
+    sent = 0
+
+    class Chatter:
+        def read(self, _timeout_s):
+            nonlocal sent
+            sent += 60_000
+            return (60_000).to_bytes(2, "big") + b"M" + bytes(59_997)
+
+        def write(self, data):
+            pass
+
+        def close(self):
+            pass
+
+    with pytest.raises(LinkFailure, match="does not answer"):
+        TalkingLink("rtde://h", Chatter(), RtdeDialogue(WRENCH))
+    assert sent <= ANSWER_MAX + 120_000
+
+
+def test_what_a_device_says_is_made_plain_and_short():
+    failure = LinkFailure(FailureKind.OTHER, f"x: \x1b[2J{'word ' * 1000}; look at it.")
+    assert len(str(failure)) <= SENTENCE_MOST
+    assert "\x1b" not in str(failure)
+    assert str(failure).endswith("; look at it.")
+
+
+def test_an_address_has_a_limit():
+    """All of it is shown before it is connected."""
+    host = "h" * (ADDRESS_MOST - len("socket://:7"))
+    assert len(spec(f"socket://{host}:7").address) == ADDRESS_MOST
+    with pytest.raises(InputError, match=f"{ADDRESS_MOST + 1} characters"):
+        spec(f"socket://{host}h:7")
+
+
 def test_no_name_server_and_one_that_is_none():
     assert "connection refused" in refusal(f"yarp://127.0.0.1:{free_port()}/x")
     with served(lying(b"SSH-2.0-OpenSSH_9\r\n", "yarp://127.0.0.1:{}/x")) as (names,):
@@ -182,6 +219,10 @@ def test_yarp_server_of_this_machine_is_read_from_its_files(tmp_path, monkeypatc
     (tmp_path / "yarp_namespace.conf").write_text("/lab\n")
     (tmp_path / "_lab.conf").write_text("10.0.0.6 10011 yarp\n")
     assert yarp_server() == ("10.0.0.6", 10011)
+    with (tmp_path / "yarp.conf").open("a") as file:
+        file.truncate(1 << 40)
+    (tmp_path / "yarp_namespace.conf").unlink()
+    assert yarp_server() == ("127.0.0.1", 10000), "a file of a terabyte is none of YARP's"
 
 
 LIES = {

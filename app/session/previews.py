@@ -1,0 +1,128 @@
+"""Links that are looked at before they are recorded: what is there, and what each brings. No Qt, and nothing waits here."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
+from skincal.model.scene import Scene
+from skincal.streams.failures import LinkFailure
+from skincal.streams.intake import LinkIntake
+from skincal.streams.links import Inbox, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
+from skincal.streams.verdicts import values_of
+
+CURVE_POINTS = 80
+"""Points of a small curve: eight seconds at ten looks a second."""
+LOOK_S = 0.010
+"""s of work a look at most; what is left waits."""
+
+
+def places_here() -> list[tuple[str, str]]:
+    """Return address and description of each serial port, and of YARP ports if a name server answers; it may take seconds."""
+    try:
+        ports = [(f"yarp:{name}", f"YARP port at {host}:{number}") for name, (host, number) in yarp_ports()]
+    except LinkFailure:
+        ports = []
+    return [*serial_ports(), *ports]
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """What a link brings of one stream."""
+
+    health: LinkHealth
+    now_ns: int
+    """Host's monotonic clock at the look."""
+    curve: tuple[float, ...]
+    """Of each look the newest: N, the largest change of a raw value, or the largest turn in degrees."""
+
+
+class _Preview:
+    """One link while it is looked at."""
+
+    def __init__(self, spec: LinkSpec, channels: int, joints: int) -> None:
+        self._inbox, self._intake = Inbox(), LinkIntake(channels, spec, joints)
+        self._first: dict[Stream, FloatArray] = {}
+        self._now: dict[Stream, float] = {}
+        self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=CURVE_POINTS) for stream in spec.carries}
+        self.reader = Reader(spec, self._inbox)
+        self.reader.start()
+
+    def look(self) -> None:
+        """Work on what came, for a moment."""
+        end_s = time.perf_counter() + LOOK_S
+        self._now.clear()
+        while not self._inbox.empty() and time.perf_counter() < end_s:
+            item: Chunk | LinkEvent = self._inbox.get()
+            taken = self._intake.take_chunk(item) if isinstance(item, Chunk) else self._intake.take_event(item)
+            for _, batch in taken:
+                self._take(batch)
+        for stream, value in self._now.items():
+            self._curves[stream].append(value)
+
+    def _take(self, batch: Batch) -> None:
+        stream, values = values_of(batch)
+        newest = values[-1]
+        if stream is Stream.WRENCH:
+            self._now[stream] = float(np.linalg.norm(newest[:3]))
+            return
+        first = self._first.setdefault(stream, newest)
+        if len(first) == len(newest):
+            change = float(np.nanmax(np.abs(newest - first), initial=0.0))
+            self._now[stream] = change if stream is Stream.SKIN else float(np.degrees(change))
+
+    def of(self, stream: Stream) -> Preview:
+        """Return what came of a stream."""
+        now_ns = time.monotonic_ns()
+        return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]))
+
+
+class Previews:
+    """The links of a page that is being filled in."""
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[LinkSpec, int, int], _Preview] = {}
+        self._ending: list[Reader] = []
+        self._closed = False
+
+    def choose(self, addresses: Mapping[Stream, str], scene: Scene) -> None:
+        """Look at these addresses and no others; returns at once, and does nothing once the links were let go.
+
+        Raises
+        ------
+        InputError
+            An address is of no link that is known.
+        """
+        if self._closed:
+            return
+        joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
+        wanted = {(spec, scene.skin.channels, joints) for spec in describe_links(addresses)}
+        for gone in self._open.keys() - wanted:
+            self._end(gone)
+        for new in wanted - self._open.keys():
+            self._open[new] = _Preview(*new)
+
+    def look(self) -> dict[Stream, Preview]:
+        """Return what came of each stream."""
+        self._ending = [reader for reader in self._ending if reader.running]
+        for preview in self._open.values():
+            preview.look()
+        return {stream: preview.of(stream) for (spec, *_), preview in self._open.items() for stream in spec.carries}
+
+    def let_go(self) -> list[Reader]:
+        """Close every link for good, and return the readers for another thread to wait for."""
+        self._closed = True
+        for each in list(self._open):
+            self._end(each)
+        return self._ending
+
+    def _end(self, each: tuple[LinkSpec, int, int]) -> None:
+        reader = self._open.pop(each).reader
+        reader.halt()
+        self._ending.append(reader)

@@ -1,0 +1,399 @@
+"""The page that sets a session up, and the addresses of a session that is open: real bytes over TCP, UDP and a pty."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from contextlib import ExitStack, closing
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.dialogs.new_session import NewSessionDialog
+from app.session.opening import Addresses, OpenRequest
+from app.state.running import Running
+from app.state.view_state import LinkLook
+from skincal.journal.reader import SessionLog
+from skincal.model.readings import Stream
+from skincal.model.scene import resource
+from skincal.session.replay import load, replay
+from skincal.simulate.maker_outlets import MakerOutlets
+from skincal.simulate.makers import MAKERS
+from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.streams import baud_search
+from tests.approved import approved
+
+Key = Qt.Key
+PATCH = resource("scenes/flat-patch/scene.toml")
+FOREARM = resource("scenes/icub-forearm/scene.toml")
+CHANNELS = 64
+"""Of the flat patch."""
+VERDICT_MS = 15_000
+SHOTS = os.environ.get("SHOTS", "")
+needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
+
+
+def line(values) -> bytes:
+    return ",".join(f"{value:.4f}" for value in values).encode() + b"\n"
+
+
+class Device:
+    """Plain lines, a hundred a second, until it is closed; what they hold may change meanwhile."""
+
+    def __init__(self, outlet, made) -> None:
+        self.outlet, self.made, self._done = outlet, made, threading.Event()
+        self.address = outlet.address
+        self._thread = threading.Thread(target=self._send)
+        self._thread.start()
+
+    def _send(self) -> None:
+        while not self._done.wait(0.01):
+            self.outlet.poll()
+            data = self.made()
+            if data:
+                self.outlet.write(data)
+
+    def close(self) -> None:
+        self._done.set()
+        self._thread.join(5.0)
+        self.outlet.close()
+
+
+def noisy(width):
+    rng = np.random.default_rng(width)
+    return lambda: line(rng.normal(100.0, 0.5, width))
+
+
+def still(width):
+    return lambda: line(np.full(width, 7.0))
+
+
+@pytest.fixture
+def device():
+    """Make a device on a TCP port, or another outlet, that ends with the test."""
+    with ExitStack() as ends:
+        yield lambda made, outlet=None: ends.enter_context(closing(Device(outlet or TcpOutlet(), made)))
+
+
+@pytest.fixture
+def page(qtbot, tmp_path):
+    dialog = NewSessionDialog(PATCH, tmp_path / "new")
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.open()
+    yield dialog
+    dialog.reject()
+
+
+def name(dialog, stream, address):
+    """Type an address, and Enter."""
+    field = dialog.fields[stream]
+    field.setFocus()
+    field.selectAll()
+    QTest.keyClicks(field, address)
+    QTest.keyClick(field, Key.Key_Return)
+
+
+def says(qtbot, dialog, stream, words):
+    row = dialog.rows[Stream(stream)]
+    qtbot.waitUntil(lambda: words in row.verdict.text(), timeout=VERDICT_MS)
+    assert words in row.field.accessibleDescription()
+    return row
+
+
+def test_good_devices_are_said_to_be_with_their_rate_and_a_curve(qtbot, page, device):
+    name(page, "wrench", device(noisy(6)).address)
+    name(page, "skin", device(noisy(CHANNELS)).address)
+    for stream in ("wrench", "skin"):
+        row = says(qtbot, page, stream, "good")
+        assert "Hz" in row.rate.text()
+        before = row.curve.grab().toImage()
+        qtbot.waitUntil(lambda row=row, before=before: row.curve.grab().toImage() != before, timeout=VERDICT_MS)
+    assert page.rows[Stream.JOINTS].verdict.text() == ""
+
+
+def test_a_net_ft_over_udp_is_good(qtbot, page, device):
+    encoder, count, rng = MAKERS["netft"].encoder(), iter(range(10**9)), np.random.default_rng(1)
+    outlet = MakerOutlets().open("netft", Stream.WRENCH, tcp=False)
+    name(
+        page,
+        "wrench",
+        device(lambda: encoder.wrenches(np.array([next(count) * 10_000]), rng.normal(0, 1, (1, 6))), outlet).address,
+    )
+    says(qtbot, page, "wrench", "good")
+
+
+def test_devices_in_each_others_place_are_told_and_one_key_swaps_them(qtbot, page, device):
+    name(page, "wrench", device(noisy(CHANNELS)).address)
+    name(page, "skin", device(noisy(6)).address)
+    says(qtbot, page, "wrench", approved("links.other_stream", found="skin", width=CHANNELS))
+    says(qtbot, page, "skin", approved("links.other_stream", found="F/T sensor", width=6))
+    QTest.keyClick(page.fields["skin"], Key.Key_F6)
+    says(qtbot, page, "wrench", "good")
+    says(qtbot, page, "skin", "good")
+
+
+@pytest.mark.parametrize(
+    ("stream", "made", "words"),
+    [
+        ("skin", noisy(20), approved("links.other_width", width=20, of="the scene has", expected=CHANNELS)),
+        ("wrench", still(6), approved("links.frozen")),
+        ("skin", still(CHANNELS), approved("links.unchanged")),
+        ("wrench", lambda: b"\xff\xfe\x80" * 9, approved("links.no_reading")),
+        ("wrench", lambda: b"", "no answer"),
+    ],
+    ids=["width", "frozen", "unchanged", "garbage", "silent"],
+)
+def test_each_verdict_over_tcp(qtbot, page, device, stream, made, words):
+    name(page, stream, device(made).address)
+    says(qtbot, page, stream, words)
+
+
+@needs_pty
+def test_a_serial_port_that_speaks_otherwise_is_said_with_the_rates_that_were_tried(qtbot, page, device, monkeypatch):
+    monkeypatch.setattr(baud_search, "TRIAL_S", 0.7)
+    name(page, "wrench", device(lambda: bytes(range(128, 168)), PtyOutlet()).address)
+    says(qtbot, page, "wrench", approved("links.no_reading_tried", tried="115200, 460800, 19200"))
+
+
+def test_an_address_where_nobody_listens_says_why(qtbot, page):
+    with closing(TcpOutlet()) as outlet:
+        address = outlet.address
+    name(page, "wrench", address)
+    says(qtbot, page, "wrench", "no answer")
+    assert "connection refused" in page.rows[Stream.WRENCH].verdict.text()
+    name(page, "wrench", "spy:///dev/ttyACM0?file=x")
+    says(qtbot, page, "wrench", "begins with spy:")
+
+
+def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypatch):
+    """Not while it opens, not while it is changed, and not as the page closes."""
+    opening = threading.Event()
+
+    def slow(_):
+        opening.set()
+        time.sleep(1.5)
+        raise AssertionError
+
+    monkeypatch.setattr("skincal.streams.links.TcpLink.__init__", lambda *_: slow(_))
+    monkeypatch.setattr("skincal.streams.links.Reader._say", lambda *_: None)
+    begun = time.monotonic()
+    name(page, "wrench", "socket://127.0.0.1:9")
+    qtbot.waitUntil(opening.is_set, timeout=5000)
+    name(page, "wrench", "socket://127.0.0.1:10")
+    page.reject()
+    assert not page.isVisible()
+    assert time.monotonic() - begun < 1.4
+
+
+def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, monkeypatch):
+    skin = device(noisy(CHANNELS))
+    monkeypatch.setattr(
+        "app.dialogs.new_session.places_here", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
+    )
+    dialog = NewSessionDialog(PATCH, tmp_path / "new", None, ("socket://192.168.0.9:7000",))
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.open()
+    box = dialog.rows[Stream.SKIN].box
+    qtbot.waitUntil(lambda: box.count() == 3, timeout=5000)
+    assert [box.itemText(index).split()[0] for index in range(3)] == ["/dev/ttyUSB7", skin.address, "socket://192.168.0.9:7000"]
+    assert "FT232R USB UART" in box.itemText(0)
+    assert dialog.fields["skin"].text() == ""
+    box.setFocus()
+    for key in (Key.Key_Down, Key.Key_Down):
+        QTest.keyClick(box, key)
+    if dialog.fields["skin"].text() != skin.address:
+        box.activated.emit(1)
+    assert dialog.fields["skin"].text() == skin.address
+    says(qtbot, dialog, "skin", "good")
+    dialog.reject()
+
+
+def test_who_only_passes_through_a_field_connects_nothing(qtbot, page):
+    with closing(TcpOutlet()) as outlet:
+        page.rows[Stream.WRENCH].put(outlet.address, agreed=False)
+        for stream in ("wrench", "skin", "wrench"):
+            page.fields[stream].setFocus()
+            qtbot.wait(100)
+        page.folder.setFocus()
+        assert outlet.poll()[0] is False
+        assert page.rows[Stream.WRENCH].verdict.text() == ""
+
+
+@pytest.mark.parametrize("percent", [75, 100, 200])
+def test_the_page_fits_the_smallest_screen_with_every_text(bench, qtbot, device, percent):
+    bench.window.text_size.choose(percent)
+    bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
+    bench.until(lambda: isinstance(QApplication.activeWindow(), NewSessionDialog), 5000)
+    dialog = QApplication.activeWindow()
+    name(dialog, "wrench", device(noisy(384)).address)
+    row = says(qtbot, dialog, "wrench", approved("links.other_stream", found="skin", width=384))
+    assert dialog.frameGeometry().width() <= 1280
+    assert dialog.frameGeometry().height() <= 720
+    qtbot.waitUntil(lambda: row.verdict.height() >= row.verdict.heightForWidth(row.verdict.width()), timeout=5000)
+    assert dialog.area.horizontalScrollBar().maximum() == 0
+    assert dialog.buttons.isVisible()
+    if SHOTS:
+        dialog.grab().save(f"{SHOTS}/page-{percent}.png")
+    dialog.reject()
+    bench.window.text_size.choose()
+
+
+# ------------------------------------------------------------------ the session that is open
+
+
+def open_patch(bench, wrench, skin, **changes):
+    bench.open(
+        OpenRequest(scene=PATCH, addresses=Addresses(wrench.address, skin.address), folder=bench.documents / "s", **changes)
+    )
+
+
+def line_says(bench, headline, detail=""):
+    now = bench.window.session_view.workspace.now
+    bench.until(lambda: headline in now.headline.text() and detail in now.detail.text(), VERDICT_MS)
+
+
+def looks(bench):
+    state = bench.window.session_view.state
+    return {link.link: state.look(link) for link in state.live.links}
+
+
+def shown_page(bench):
+    bench.until(lambda: isinstance(QApplication.activeWindow(), NewSessionDialog), 5000)
+    return QApplication.activeWindow()
+
+
+def test_a_wrong_device_is_said_in_the_line_and_its_light_is_not_blue(bench, device):
+    open_patch(bench, device(noisy(6)), device(noisy(20)))
+    words = approved("links.other_width", width=20, of="the scene has", expected=CHANNELS)
+    line_says(bench, "skin: ", words)
+    assert looks(bench) == {"wrench": LinkLook.STREAMING, "skin": LinkLook.WRONG}
+    workspace = bench.window.session_view.workspace
+    workspace.show_tab("Devices")
+    bench.until(lambda: workspace.devices.cards["skin"].detail.text() == words, 5000)
+    assert workspace.devices.cards["wrench"].sign.text() != workspace.devices.cards["skin"].sign.text()
+
+
+def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
+    wrench = device(noisy(6))
+    open_patch(bench, wrench, device(noisy(CHANNELS)))
+    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.qtbot.wait(500)
+    living, wrench.made = wrench.made, still(6)
+    line_says(bench, "wrench is frozen", approved("links.frozen"))
+    assert looks(bench)["wrench"] is LinkLook.FROZEN
+    bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
+    wrench.made = living
+    bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+
+
+def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_again(bench, device, qtbot):
+    wrench, skin, other = device(noisy(6)), device(noisy(20)), device(noisy(CHANNELS))
+    open_patch(bench, wrench, skin)
+    line_says(bench, "skin: ")
+    bench.key(Key.Key_A)
+    page = shown_page(bench)
+    assert bench.controller.running is Running.PAUSED, "a serial port has one reader"
+    says(qtbot, page, "wrench", "good")
+    name(page, "skin", other.address)
+    says(qtbot, page, "skin", "good")
+    QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 10_000)
+    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    workspace = bench.window.session_view.workspace
+    workspace.show_tab("Devices")
+    bench.until(lambda: other.address in workspace.devices.cards["skin"].about.text(), 5000)
+    bench.controller.pause()
+    bench.until_all_is_taken_in()
+    bench.recording.pipeline.sync()
+    folder = bench.documents / "s"
+    bench.open(OpenRequest(session=folder))
+    assert [link.address for link in bench.controller.links] == [wrench.address, other.address]
+    bench.controller.toggle()
+    assert bench.controller.running is Running.STREAMING, "named by the operator: not asked about again"
+    bench.window.close()
+    log = SessionLog(folder)
+    assert other.address in {link.address for link in log.links} | {link.address for link in replay(folder).links}
+    assert load(folder).totals().links == replay(folder).totals().links
+
+
+def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
+    wrench, skin = device(noisy(6)), device(noisy(CHANNELS))
+    open_patch(bench, wrench, skin)
+    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.key(Key.Key_A)
+    page = shown_page(bench)
+    QTest.keyClick(page, Key.Key_Escape)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
+    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    assert [link.address for link in bench.controller.links] == [wrench.address, skin.address]
+
+
+def test_the_addresses_of_a_stranger_are_shown_and_not_connected_before_enter(bench, device, qtbot, tmp_path):
+    from skincal.journal.writer import create_session
+    from skincal.model.scene import load_scene
+    from skincal.streams.links import LinkSpec
+
+    with closing(TcpOutlet()) as outlet:
+        links = (
+            LinkSpec("wrench", outlet.address, (Stream.WRENCH,)),
+            LinkSpec("skin", device(noisy(CHANNELS)).address, (Stream.SKIN,)),
+        )
+        create_session(tmp_path / "theirs", load_scene(PATCH), links).close()
+        bench.open(OpenRequest(session=tmp_path / "theirs"))
+        bench.key(Key.Key_A)
+        page = shown_page(bench)
+        says(qtbot, page, "wrench", approved("links.not_agreed"))
+        says(qtbot, page, "skin", approved("links.not_agreed"))
+        qtbot.wait(300)
+        assert outlet.poll()[0] is False
+        page.fields["skin"].setFocus()
+        QTest.keyClick(page.fields["skin"], Key.Key_Return)
+        says(qtbot, page, "skin", "good")
+        assert outlet.poll()[0] is False
+        page.reject()
+        assert bench.controller.running is Running.OFFLINE
+
+
+def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):
+    bench.open(
+        OpenRequest(
+            scene=FOREARM,
+            addresses=Addresses(device(noisy(6)).address, device(noisy(384)).address),
+            folder=bench.documents / "s",
+        )
+    )
+    line_says(bench, "which arm pose?", "Key 7")
+    assert not bench.snapshot.pokes
+    bench.key(Key.Key_7)
+    poses = bench.window.session_view.workspace.rig.arm.poses
+    poses.setFocus()
+    poses.setCurrentItem(poses.topLevelItem(0))
+    poses.itemActivated.emit(poses.topLevelItem(0), 0)
+    now = bench.window.session_view.workspace.now
+    bench.until(lambda: "arm pose" not in now.headline.text(), 5000)
+    assert bench.snapshot.link_from_sensor is not None
+
+
+def test_the_page_asks_for_the_arm_pose_where_no_joints_say_it(bench, device, qtbot):
+    bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
+    page = shown_page(bench)
+    page.scene.setCurrentIndex(page.scene.findText("icub-forearm"))
+    qtbot.waitUntil(lambda: page.pose.count() > 1, timeout=10_000)
+    assert not page.pose.isVisible(), "a simulated rig says it"
+    name(page, "wrench", device(noisy(6)).address)
+    name(page, "skin", device(noisy(384)).address)
+    assert page.pose.isVisible()
+    page.pose.setCurrentIndex(2)
+    chosen = page.pose.currentText()
+    with qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
+        QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
+    bench.until(lambda: bench.window.session_view.state is not None, 10_000)
+    assert bench.snapshot.pose == chosen
