@@ -79,18 +79,24 @@ def said_of(folder: Path, capsys) -> set[str]:
     return {f"{each}." for each in said} | {verdict_sentence(gather_facts(folder, Method.MODULES).verdict)}
 
 
-def test_taxels_and_landmarks_that_were_skipped_are_enough_wherever_it_is_said(tmp_path, capsys):
-    enough, words, skipped = followed(tmp_path / "s")
+@pytest.fixture(scope="module")
+def skipping(tmp_path_factory):
+    """The sample with all skipped that is asked for: where it lies, and what `followed` says of it."""
+    folder = tmp_path_factory.mktemp("skipped") / "s"
+    return folder, *followed(folder)
+
+
+def test_taxels_and_landmarks_that_were_skipped_are_enough_wherever_it_is_said(skipping, capsys):
+    folder, enough, words, skipped = skipping
     assert enough
     assert words.startswith("78 of 84 taxels are done")
     assert any(isinstance(each, SkipPoke) for each in skipped)
     assert any(isinstance(each, SkipLandmark) for each in skipped)
-    assert said_of(tmp_path / "s", capsys) == {words}
+    assert said_of(folder, capsys) == {words}
 
 
-def test_landmarks_that_are_still_asked_for_are_not_enough_wherever_it_is_said(tmp_path, capsys):
-    _, _, skipped = followed(tmp_path / "first")
-    taxels = [each for each in skipped if isinstance(each, SkipPoke)]
+def test_landmarks_that_are_still_asked_for_are_not_enough_wherever_it_is_said(skipping, tmp_path, capsys):
+    taxels = [each for each in skipping[-1] if isinstance(each, SkipPoke)]
     enough, words, _ = followed(tmp_path / "s", taxels)
     assert not enough
     assert words.startswith(approved("verdict.not_enough_begin", done=78, count=84))
