@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     """Open the window; where there is no display and no device was named, run the simulated session without it."""
     _check_session(options)
-    devices = [f"--{name}" for name in ("wrench", "skin", "joints") if getattr(options, name)]
+    devices = [f"--{name}" for name in ("wrench", "skin", "joints", "targets") if getattr(options, name)]
     if options.headless and devices:
         raise InputError(
             f"--headless was given together with {' and '.join(devices)}; it pokes a simulated rig alone: "
@@ -93,6 +93,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
+    parser.add_argument(
+        "--targets", default="", metavar="[HOST:]PORT", help="ask a robot to poke, by lines over TCP (docs/wire.md)"
+    )
     parser.add_argument("--new", type=Path, help="folder of the new session")
     parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files in --new")
     return parser

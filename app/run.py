@@ -56,10 +56,16 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     """
     addresses = Addresses(options.wrench, options.skin, options.joints)
     check_addresses(addresses)
+    if options.targets:
+        from skincal.robot.target_server import parse_port
+
+        parse_port(options.targets)
+        if not addresses and options.session is None:
+            raise InputError("--targets asks a robot, and no device is named; expected --wrench and --skin with it.")
     if options.session is not None:
         if not options.session.is_dir():
             raise InputError(f"{options.session}: there is no such folder; expected that of a recorded session.")
-        return OpenRequest(session=options.session, addresses=addresses)
+        return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
     # The usual scene is looked up later, beside the window: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None and not scene.is_file():
@@ -68,7 +74,8 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
     demo = scene is None and folder is None
-    return OpenRequest(scene=scene, addresses=addresses, server=server_command(scene), folder=folder, demo=demo)
+    server = server_command(scene)
+    return OpenRequest(scene=scene, addresses=addresses, server=server, folder=folder, targets=options.targets, demo=demo)
 
 
 class Faults(QObject):

@@ -9,8 +9,9 @@ It is imported beside the window, after the window is on the screen: numpy and a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -38,13 +39,13 @@ from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
-from app.state.place_sets import PlaceOrigin, Source
+from app.state.place_sets import PlaceOrigin, Source, other_source
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at, same_results
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
-from app.text.guidance_text import NOTHING_TO_CHECK, early_words
+from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
@@ -55,6 +56,7 @@ from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
+from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.actions import (
     Action,
     AtLandmark,
@@ -70,6 +72,7 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.session.asking import first_method
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.guiding import ModulesEnough, SessionGuide
 from skincal.session.part import Part
@@ -80,6 +83,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.reference import PlaceSet, Reference
+    from skincal.guide.verdict import Verdict
     from skincal.modules.health import LayoutMend
 
 KINDS_OF_PLACES = "Known places (*.json *.csv *.txt *.ini);;All files (*)"
@@ -243,13 +247,6 @@ class Workspace(QWidget):
         self.error_course.recolour()
         self.compare.show_again()
         self.view.set_dark(theme_colours().dark)
-
-
-def first_method(methods: Sequence[Method], part: Part) -> Method:
-    """Return the method that is shown first: modules where their layout lies on a mesh, since it takes far fewer pokes."""
-    if Method.MODULES in methods and part.surface is not None and part.laid is not None:
-        return Method.MODULES
-    return methods[0]
 
 
 def _card(splitter: QSplitter) -> QVBoxLayout:
@@ -446,7 +443,6 @@ class SessionView(QObject):
             modules=self._modules_check.found,
             unsolved=tick.unsolved,
             simulated=simulated_words(self._controller.pace, self._controller.running) if self._controller.simulated else "",
-            opened_s=self._opened_s,
             costs=self.guide.costs,
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
@@ -636,7 +632,7 @@ class SessionView(QObject):
         if state is None or self._tick is None or state.guidance is None:
             return
         found = None if state.review is None else state.review.rig
-        verdict = self.guide.verdict(state.guidance, state.snapshot, self._tick.evidence, found)
+        verdict = self.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
         rig = rig_state(state.offers, state.snapshot.corrections.values(), state.review)
         may, names, settled = state.may, self.workspace.names, not state.offers
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
@@ -651,17 +647,14 @@ class SessionView(QObject):
         dialog = ExportDialog(self.workspace.methods, self.method, stem, parent)
 
         def write(format_: str, path: Path, method: Method) -> None:
-            state, early = self.state, self._early_words()
-            rig = None if state is None or state.review is None else state.review.rig
-            verdicts = None
-            if state is not None and self._tick is not None:
-                # By the guide that the operator follows, which knows what was skipped.
-                verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
+            rig = None if self.state is None or self.state.review is None else self.state.review.rig
 
-            def done(sentences: tuple[str, ...]) -> None:
+            def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
+                verdict, sentences = found
+                early = () if verdict.enough else (verdict_sentence(verdict),)
                 dialog.show_findings((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure, verdicts)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure)
 
         dialog.write_requested.connect(write)
         dialog.open()
@@ -672,13 +665,17 @@ class SessionView(QObject):
         if state is None or self._tick is None:
             return
         rig = None if state.review is None else state.review.rig
-        # By the guide that the operator follows, which knows what was skipped.
-        verdicts = self.guide.verdicts(state.snapshot, self.workspace.methods, self._tick.evidence, rig)
-        dialog = ApplyDialog(verdicts, self.method, str(settings.value("apply/address", "")), parent)
+        evidence, snapshot = self._tick.evidence, state.snapshot
+
+        def verdict_of(method: Method) -> str:
+            return verdict_sentence(self.guide.verdict(snapshot, method, evidence, rig))
+
+        address = str(settings.value("apply/address", ""))
+        dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, parent)
 
         def send(address: str, method: Method) -> None:
             settings.setValue("apply/address", address)
-            self._controller.apply(address, method, (rig, verdicts), dialog.show_end)
+            self._controller.apply(address, method, dialog.show_end)
 
         dialog.apply_requested.connect(send)
         dialog.open()
@@ -700,26 +697,19 @@ class SessionView(QObject):
         """Ask for a file of places, and compare with it."""
         path, _ = QFileDialog.getOpenFileName(self.workspace, "Compare with a file", str(self._folder()), KINDS_OF_PLACES)
         if path:
-            self._controller.find_places(Path(path), self._take_places)
+            self._controller.find_places(Path(path), partial(self._take_places, Path(path)))
 
     def ask_session_places(self) -> None:
         """Ask for the folder of another session, and compare with it."""
         path = QFileDialog.getExistingDirectory(self.workspace, "Compare with a session", str(self._folder()))
         if path:
-            self._controller.find_places(Path(path), self._take_places)
+            self._controller.find_places(Path(path), partial(self._take_places, Path(path)))
 
-    def _take_places(self, sets: tuple[PlaceSet, ...]) -> None:
+    def _take_places(self, path: Path, sets: tuple[PlaceSet, ...]) -> None:
         """Offer sets of places in the panel that compares; the first is chosen."""
         for found in sets:
-            source = Source(PlaceOrigin.OTHER, name=found.name)
+            source = other_source(found.name, path, self.workspace.compare.others)
             self.workspace.compare.offer(source, found.places, choose=found is sets[0])
-
-    def _early_words(self) -> tuple[str, ...]:
-        """Return that it is not enough yet, where it is not: a file says nothing of what was not poked."""
-        guidance = self._guidance
-        if self.state is None or guidance is None or guidance.enough:
-            return ()
-        return (early_words(guidance, self.state.snapshot.dead),)
 
     def ask_reference(self, parent: QWidget) -> None:
         """Ask for a file with known places of the taxels, and show the error against it."""

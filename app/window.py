@@ -7,7 +7,7 @@ view.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -36,7 +36,7 @@ from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import PACES, Controller
-from app.session.opening import OpenRequest, dated_folder
+from app.session.opening import OpenRequest, dated_folder, find_scene
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.demo_text import pace_words
@@ -46,8 +46,10 @@ from app.text_size import STEPS, TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
+    from app.dialogs.import_dialog import ImportDialog
     from app.session.opening import Addresses
     from app.session_view import SessionView
+    from skincal.session.importing import Imported
     from skincal.session.part import Part
     from skincal.session.snapshot import Snapshot
 
@@ -55,6 +57,8 @@ LOG = logging.getLogger(__name__)
 Said = ParamSpec("Said")
 ADDRESSES_KEPT = 50
 """Addresses that the operator named or agreed to: more than one has devices."""
+IMPORTED_ON = "import/scene"
+"""Setting: the scene of the last import."""
 FIRST_SIZE = QSize(1440, 860)
 """Pixels, where the screen has them."""
 
@@ -163,6 +167,7 @@ class Window(QMainWindow):
         self._question: QMessageBox | None = None
         """What becomes of pokes that would go."""
         self._leaves = False
+        self._import: ImportDialog | None = None
         self.messages = MessageBar()
         self.stack = QStackedWidget()
         self.opening = QLabel()
@@ -178,6 +183,7 @@ class Window(QMainWindow):
         return {
             "new": self.ask_new,
             "open": self.ask_session,
+            "import": self.ask_import,
             "addresses": self.ask_addresses,
             "keep": self.controller.keep,
             "export": self._of_session(lambda view: view.ask_export(self)),
@@ -232,7 +238,7 @@ class Window(QMainWindow):
 
     def _arrange(self) -> None:
         self.commands.add_themes(self._theme.choice, self._choose_theme)
-        self.commands.menus["Session"].insertMenu(self.commands.actions["keep"], self.recent)
+        self.commands.menus["Session"].insertMenu(self.commands.actions["import"], self.recent)
         self.commands.menus["Help"].addMenu(self.documents)
         for name, wanted in (("sounds", True), ("speech", False)):
             self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
@@ -271,12 +277,14 @@ class Window(QMainWindow):
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
+        controller.skip_wanted.connect(self._of_session(lambda view: view.skip_target()))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)
         self._follow_text()
         dropped = DropTarget(self)
         dropped.request_made.connect(self.open)
+        dropped.recording_dropped.connect(self.ask_import)
         for failed in (dropped.refused, self.documents.failed):
             failed.connect(lambda sentence: self.tell(Message(sentence, error=True)))
         self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
@@ -450,6 +458,30 @@ class Window(QMainWindow):
             dialog.rejected.connect(self.controller.go_on)
         dialog.open()
 
+    def ask_import(self, paths: Sequence[Path] = ()) -> None:
+        """Ask for a recording of another program, make a session of it and open that."""
+        from app.dialogs.import_dialog import ImportDialog
+
+        if self._import is not None:
+            return
+        scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
+        kept = Path(str(self._settings.value(IMPORTED_ON, "")))
+        folder = dated_folder(self._documents, datetime.now().astimezone())
+        self._import = dialog = ImportDialog(paths, scene or find_scene(kept if kept.is_file() else None), folder, self)
+        dialog.imported.connect(self._open_imported)
+        dialog.finished.connect(self._import_over)
+        dialog.open()
+
+    def _import_over(self) -> None:
+        self._import = None
+
+    def _open_imported(self, imported: Imported, scene: str) -> None:
+        from app.text.import_text import imported_words
+
+        self._settings.setValue(IMPORTED_ON, scene)
+        self.open(OpenRequest(session=imported.folder))
+        self.tell(Message(imported_words(imported)))
+
     def ask_pedals(self) -> None:
         """Learn the keys of foot pedals."""
         from app.dialogs.pedals import PedalsDialog
@@ -573,6 +605,8 @@ class Window(QMainWindow):
         # Hidden first: closing may take as long as a read, and a window that stands still looks broken.
         self.hide()
         self.pedals.stop()
+        if self._import is not None:
+            self._import.end()
         self.messages.stop()
         self.controller.stop()
         if self.session_view is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skincal.contacts.outcome import Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
@@ -117,6 +118,11 @@ def earlier_closings(closings: Sequence[Closing]) -> list[str]:
     """Return what the closing checks before the last one found, in a sentence; none where there was none."""
     found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{' (moved)' if each.moved else ''}" for each in closings[:-1]]
     return [f"Checked before: {', '.join(found)}."] if found else []
+
+
+def rejection_words(outcome: Rejection) -> str:
+    """Return why a poke does not count: `"too soft (2.1, limit 4 N)"`."""
+    return f"{outcome.reason.value} ({f'{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}'.rstrip()})"
 
 
 def missed_words(missed: MissedLandmark) -> str:

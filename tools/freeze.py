@@ -1,9 +1,9 @@
 """Build a folder that runs skincal without Python, for the system it is built on: `python -m tools.freeze [--prove-only]`.
 
 PyInstaller collects the program into `dist/skincal`. Then the folder is proved, with nothing of the checkout in reach: `solve`
-on the shipped session, and the window on a display of its own, whose simulated rig and its operator run in the program's child
-process: it has to draw taxels, and the session that it leaves behind has to hold pokes. Last, the folder is packed, and sizes
-and times are said.
+on the shipped session, its report, and the window on a display of its own, whose simulated rig and its operator run in the
+program's child process: it has to draw taxels, and the session that it leaves behind has to hold pokes. Last, the folder is
+packed, and sizes and times are said.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import json
 import os
+import re
 import shutil
 import statistics
 import subprocess
@@ -37,6 +38,8 @@ PROGRAM = FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
 
 WHOLE = ("app", "skincal")
 """Packages of which every module is taken along: many are imported where they are needed, by name."""
+BY_NAME = ("matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+"""Modules that others import by a name which nobody sees: those that write the pictures of a report."""
 DATA = {
     "resources": "skincal/resources",
     "skincal/solver/solver.wasm": "skincal/solver",
@@ -95,6 +98,7 @@ def _build() -> None:
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
     options += [f"--collect-submodules={name}" for name in WHOLE]
+    options += [f"--hidden-import={name}" for name in BY_NAME]
     options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in UNUSED]
@@ -126,6 +130,7 @@ def _prove() -> None:
         shutil.copytree(sample, folder / "sample")
         frozen, source = [str(PROGRAM)], [str(checkout.interpreter()), "-m", "app"]
         _same_estimates((frozen, source), folder)
+        _same_reports((frozen, source), folder)
         say(f"solve on the sample: {_median_s(frozen, folder):.2f} s frozen, {_median_s(source, folder):.2f} s in the checkout")
         times = {}
         with _screen() as grab:
@@ -170,6 +175,19 @@ def _same_estimates(programs: Sequence[Sequence[str]], folder: Path) -> None:
         found.append(out.read_text(encoding="utf-8"))
     if found[0] != found[1]:
         raise StopError("The frozen program's estimates of the sample differ from the checkout's.")
+
+
+def _same_reports(programs: Sequence[Sequence[str]], folder: Path) -> None:
+    """Hold the report of the frozen program against the checkout's: the same sections, tables and pictures, in one file."""
+    found: list[list[str]] = []
+    for number, program in enumerate(programs):
+        out = folder / f"{number}.html"
+        _run([*program, "report", "sample", "--out", str(out)], folder)
+        text = out.read_text(encoding="utf-8")
+        found.append([*re.findall(r"<h[1-6][^>]*>.*?</h[1-6]>|<(?:table|svg|img)\b", text, re.DOTALL)])
+        say(f"report on the sample: {len(text) / 1e6:.1f} MB, {len(found[-1])} headings, tables and pictures")
+    if not found[0] or found[0] != found[1]:
+        raise StopError("The frozen program's report on the sample has other sections, tables or pictures than the checkout's.")
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QListWidget, QVBoxLayout, QWidget
@@ -15,19 +15,26 @@ USUAL = "yarp:/skinManager/rpc"
 
 
 class ApplyDialog(QDialog):
-    """Asks before anything is sent; `verdicts` says by method what the session has come to."""
+    """Asks before anything is sent; `verdict_of` says of one of the `methods` what the session has come to."""
 
     apply_requested = Signal(str, object)
     """Address, method."""
 
-    def __init__(self, verdicts: Mapping[Method, str], shown: Method, address: str, parent: QWidget | None = None) -> None:
+    def __init__(
+        self,
+        methods: Sequence[Method],
+        shown: Method,
+        verdict_of: Callable[[Method], str],
+        address: str,
+        parent: QWidget | None = None,
+    ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Apply to the robot")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._verdicts = verdicts
+        self._verdict_of = verdict_of
         self.address = QLineEdit(address or USUAL)
         self.method = QComboBox()
-        for method in verdicts:
+        for method in methods:
             self.method.addItem(METHOD_NAMES[method], method)
         self.method.setCurrentIndex(self.method.findData(shown))
         self.verdict, self.outcome = quiet(wrap=True), quiet(wrap=True)
@@ -73,7 +80,7 @@ class ApplyDialog(QDialog):
             super().reject()
 
     def _show_verdict(self) -> None:
-        self.verdict.setText(f"{self._verdicts[self.method.currentData()]}.")
+        self.verdict.setText(self._verdict_of(self.method.currentData()))
 
     def _apply(self) -> None:
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()

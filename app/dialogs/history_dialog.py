@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QHeaderView, QTreeWidgetItem, QVBoxLayout, QWidget
@@ -48,7 +50,7 @@ class HistoryDialog(QDialog):
         shown = snapshot.history, snapshot.undone, snapshot.pokes
         if not self.isVisible() or shown == self._shown:
             return
-        self._shown, self._lines = shown, history_lines(snapshot, state.clock_offset, state.opened_s)
+        self._shown, self._lines = shown, history_lines(snapshot, time.time())
         put_rows(self.list, [(line.when, line.what) for line in self._lines])
 
     def showEvent(self, event: QShowEvent) -> None:

@@ -215,6 +215,7 @@ class NewSessionDialog(QDialog):
     request_chosen = Signal(object)
     addresses_chosen = Signal(object)
     """`Addresses`."""
+    _scene: Scene | None = None
 
     def __init__(
         self,
@@ -251,7 +252,6 @@ class NewSessionDialog(QDialog):
         previews = self._previews = Previews()
         # Also where the window goes while the page is open.
         self.destroyed.connect(lambda: previews.let_go())
-        self._scene: Scene | None = None
         self._look_for, self._read = (ThreadService(name, self) for name in ("places", "set-up"))
         self._arrange()
         self._connect()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from PySide6.QtCore import Signal
+from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QDialog,
@@ -85,6 +85,8 @@ class ThresholdsDialog(QDialog):
         self._newest: list[Outcome] | None = None
         """What is shown of the pokes."""
         self.area = QScrollArea()
+        # It follows the focus of its fields.
+        self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         inner = on_panel(self.area)
         self._grid = QGridLayout(inner)
         self._grid.setColumnStretch(3, 1)

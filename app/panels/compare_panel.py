@@ -303,6 +303,11 @@ class ComparePanel(QScrollArea):
 
     # What the operator wants
 
+    @property
+    def others(self) -> tuple[Source, ...]:
+        """The sets of places that were offered."""
+        return self._places.others
+
     def offer(self, source: Source, places: Mapping[int, FloatArray], *, choose: bool = False) -> None:
         """Take a set of places, as for `Places.offer`; where the operator asked for it, `choose` it in place of the second."""
         self._places.offer(source, places)

@@ -87,9 +87,8 @@ class LinkCard(QFrame):
         self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
-        beside = beside_words(health.beside)
         said = f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost")
-        self.losses.setText(f"{beside}\n{said}" if beside else said)
+        self.losses.setText("\n".join(filter(None, (health.units, beside_words(health.beside), said))))
 
 
 class DevicesPanel(QScrollArea):
@@ -102,7 +101,7 @@ class DevicesPanel(QScrollArea):
         super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.unpaired = quiet(wrap=True)
-        self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (Shift+A)")
+        self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (A)")
         self.change.clicked.connect(self.change_wanted)
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0

@@ -8,7 +8,7 @@ from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QWidget
 
-from app.session.dropping import request_of
+from app.session.dropping import DroppedRecording, request_of
 from skincal.model.errors import InputError
 
 
@@ -17,6 +17,8 @@ class DropTarget(QObject):
 
     request_made = Signal(object)
     """`OpenRequest` of what was dropped."""
+    recording_dropped = Signal(object)
+    """Paths of a recording that is to be imported."""
     refused = Signal(str)
     """Why it cannot be opened, and what to do with it."""
 
@@ -43,4 +45,7 @@ class DropTarget(QObject):
         except InputError as error:
             self.refused.emit(str(error))
             return
-        self.request_made.emit(request)
+        if isinstance(request, DroppedRecording):
+            self.recording_dropped.emit(request.paths)
+        else:
+            self.request_made.emit(request)

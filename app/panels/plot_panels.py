@@ -6,14 +6,29 @@ One has the curves of force and moment; the other the errors of each method, aga
 from __future__ import annotations
 
 import importlib
+import time
 from abc import abstractmethod
+from collections.abc import Iterator
+from functools import partial
 from html import escape
+from types import ModuleType
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QSettings, Qt, Signal
-from PySide6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+from PySide6 import QtCore, QtGui, QtWidgets
+from PySide6.QtCore import QSettings, Qt, QTimer, Signal
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
-from app.panels.widgets import AbstractWidget, plain_tip, quiet, short_box, theme_colours
+from app.panels.widgets import AbstractWidget, on_panel, plain_tip, quiet, short_box, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import SYMBOLS, Axis, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
@@ -29,10 +44,12 @@ if TYPE_CHECKING:
 
 DRAW_S = 0.2
 """s between two drawings while the past is being worked out."""
+TYPES_S = 0.005
+"""s. Types of Qt are made for so long at once: all of them take 0.17 s."""
 
 
-class PlotPanel(QWidget, metaclass=AbstractWidget):
-    """The place of plots; subclasses say which, and draw them.
+class PlotPanel(QScrollArea, metaclass=AbstractWidget):
+    """The place of plots, which scrolls where letters are large; subclasses say which, and draw them.
 
     A panel that was never on the screen imports nothing.
     """
@@ -47,10 +64,12 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
         self._imported = False
         self._label = quiet("The curves are loading \N{HORIZONTAL ELLIPSIS}")
         self._label.setContentsMargins(GAP, GAP, GAP, GAP)
-        self._column = QVBoxLayout(self)
+        inner = on_panel(self)
+        self._column = QVBoxLayout(inner)
         self._column.setContentsMargins(0, 0, 0, 0)
         self._column.setSpacing(0)
         self._column.addWidget(self._label)
+        self.setWidget(inner)
 
     @abstractmethod
     def make(self) -> QWidget:
@@ -67,10 +86,24 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
             self.draw_state(state)
         elif self.isVisible() and self._threads is None:
             self._threads = ThreadService("curves", self)
-            self._threads.submit(_import_pyqtgraph, self._take_imported, self._label.setText)
+            self._make_types(self._threads, _types_of_qt())
         # It was imported while the panel was hidden.
         elif self.isVisible() and self._imported:
             self._make(state)
+
+    def _make_types(self, threads: ThreadService, left: Iterator[tuple[ModuleType, str]]) -> None:
+        """Have PySide6 make its types in this thread, a few at a time, then import beside the window.
+
+        They are made when they are first named, and pyqtgraph names all. One that is used here while another thread makes it
+        ends the program: PySide6 6.11 did, in 4 of 70 starts on a busy machine.
+        """
+        end_s = time.perf_counter() + TYPES_S
+        for module, name in left:
+            getattr(module, name)
+            if time.perf_counter() > end_s:
+                QTimer.singleShot(0, self, partial(self._make_types, threads, left))
+                return
+        threads.submit(_import_pyqtgraph, self._take_imported, self._label.setText)
 
     def _take_imported(self, _nothing: None) -> None:
         self._imported = True
@@ -82,6 +115,11 @@ class PlotPanel(QWidget, metaclass=AbstractWidget):
         self._label.hide()
         self.ready = True
         self.draw_state(state)
+
+
+def _types_of_qt() -> Iterator[tuple[ModuleType, str]]:
+    """Yield what pyqtgraph copies, by module and name."""
+    return ((module, name) for module in (QtCore, QtGui, QtWidgets) for name in dir(module))
 
 
 def _import_pyqtgraph() -> None:

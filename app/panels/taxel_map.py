@@ -338,8 +338,8 @@ class TaxelMap(Painted):
         return QSize(380, 260)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the size below which taxels overlap their neighbours' halos."""
-        return QSize(220, 150)
+        """Return the size below which nothing of a forearm is told apart; it zooms where that is too small."""
+        return QSize(220, 100)
 
     def show_state(self, state: ViewState) -> None:
         """Show states, answers and the selection of a tick; draws nothing where all are the same."""

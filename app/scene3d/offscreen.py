@@ -21,6 +21,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowT
 
 from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
 from app.scene3d.stage import Stage
+from skincal.files.atomic import write_atomically
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -145,9 +146,7 @@ def picture(
     try:
         stage.show(View3DState(snapshot, None, method, None))
         stage.fit()
-        path.write_bytes(window.png())
-    except OSError as error:
-        raise InputError(f"{path}: the picture cannot be written ({error.strerror}); choose another place.") from None
+        write_atomically(path, window.png())
     finally:
         stage.close()
         window.close()

@@ -8,7 +8,7 @@ comes back in a tick.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,13 +37,15 @@ if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.reference import PlaceSet, Reference
     from skincal.guide.guidance import Guidance
+    from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
+    from skincal.robot.target_server import TargetServer
+    from skincal.session.asking import PokeAsking
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
-    from skincal.simulate.operator import OperatorTarget
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
@@ -63,6 +65,10 @@ SOLVING_S = 0.4
 """s. Solving that lasts longer is said."""
 DRAIN_S = 0.012
 """s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
+FAR_BEHIND_NS = 1_000_000_000
+"""ns. Readings that wait for so long are about to be dropped: they go before pictures."""
+FAR_DRAIN_S = 0.060
+"""s. So long then: the window still answers within a tenth of a second."""
 SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
@@ -74,6 +80,10 @@ PACES = (1, 2, 4)
 """How many times as quick as a careful hand a simulated operator may be between pokes."""
 BRISK = 2
 """Of the demo: a poke takes 1.5 s, and the modules method comes to its end in two minutes."""
+
+
+ANY_PORT = 0
+"""For the simulated operator: whichever is free."""
 
 
 class TickSchedule:
@@ -147,6 +157,8 @@ class Controller(QObject):
     """`Path` of a session that was to be opened, and a sentence: another process records it."""
     confirmation_due = Signal(object)
     """Addresses that a recorded session names: `go_on(confirmed=True)` connects them."""
+    skip_wanted = Signal()
+    """A robot asks for another target."""
     stored = Signal(str)
     """Where the recording is, in words."""
 
@@ -155,6 +167,10 @@ class Controller(QObject):
     demo = False
     simulated = False
     """The rig is, or was, a simulated one."""
+    _targets: TargetServer | None = None
+    """Where a robot, or the simulated operator, is asked."""
+    _asking: PokeAsking | None = None
+    """What is asked in the session that is open."""
     _pose = ""
     """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
@@ -175,8 +191,6 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._links: tuple[LinkSpec, ...] = ()
         self._truth = b""
-        self._sent = ""
-        """Newest line that was sent to a simulated operator."""
         self._storage: Storage | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
@@ -203,6 +217,7 @@ class Controller(QObject):
         self._pose = request.pose
         self._timer.start()
         if request.session is not None:
+            self._serve_targets(request.targets)
             folder, links = request.session, None if request.look_on else link_specs(request.addresses)
             self._links = links or ()
             self._confirmed = bool(links)
@@ -216,6 +231,7 @@ class Controller(QObject):
         self._confirmed = True
         if request.addresses:
             self._links = link_specs(request.addresses)
+            self._serve_targets(request.targets)
         elif request.server:
             self._start_server(request.server)
         self.compute(lambda: self._load_scene(request.scene), self._take_part)
@@ -232,8 +248,9 @@ class Controller(QObject):
         if reviewing is not None:
             reviewing.stop()
             reviewing.deleteLater()
-        self._part = self._shown = None
-        self._links, self._truth, self._sent, self._schedule = (), b"", "", TickSchedule()
+        self._part = self._shown = self._asking = None
+        self._links, self._truth, self._schedule = (), b"", TickSchedule()
+        self._close_targets()
         self._again, self.simulated = (), False
         storage = self._storage
         if not self._end_recording() and storage is not None:
@@ -258,6 +275,7 @@ class Controller(QObject):
         self.stop()
         storage = self._storage
         ended = self._end_recording()
+        self._close_targets()
         if self._server is not None:
             self._server.stop()
             self._server = None
@@ -283,7 +301,27 @@ class Controller(QObject):
         self._server.said_truth.connect(self._take_truth)
         self._server.served.connect(self._take_links)
         self._server.failed.connect(self._fail)
-        self._server.start(command)
+        if self._targets is None:
+            self._serve_targets(f"{ANY_PORT}")
+        targets = self._targets
+        # Its operator is asked as any robot is, and by nothing else.
+        self._server.start(command if targets is None else (*command, "--targets", f"{targets.host}:{targets.port}"))
+
+    def _serve_targets(self, port: str) -> None:
+        """Ask robots at a port, where one is named; say why not where it cannot be had."""
+        if not port:
+            return
+        from skincal.robot.target_server import TargetServer, parse_port
+
+        try:
+            self._targets = TargetServer(*parse_port(port))
+        except InputError as error:
+            self._say_failure(str(error))
+
+    def _close_targets(self) -> None:
+        targets, self._targets = self._targets, None
+        if targets is not None:
+            targets.close()
 
     def _take_truth(self, truth: bytes) -> None:
         self._truth = truth
@@ -291,10 +329,6 @@ class Controller(QObject):
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._links = links
         self.simulated = True
-        from skincal.simulate.operator import NoTarget
-
-        # Nothing is recorded before the session is open.
-        self.ask(NoTarget.WAIT)
         if self.pace != 1:
             self.set_pace(self.pace)
         if self._recording is None:
@@ -318,46 +352,35 @@ class Controller(QObject):
         return self._server is not None or bool(self._again)
 
     def follow_guide(self, guidance: Guidance | None) -> None:
-        """Let the pipeline know which landmark is asked for, and a simulated operator what to poke, where that changed.
+        """Let the pipeline know which landmark is asked for, and a robot or a simulated operator what to poke.
 
         Parameters
         ----------
         guidance : what is asked for from now on; None where nobody guides
         """
-        self._ask_landmark("" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name)
-        self._begin_closing(guidance)
-        if self._server is not None:
-            self.ask(operator_target(guidance, self.running))
-
-    def _begin_closing(self, guidance: Guidance | None) -> None:
-        """Record that some of the first places are asked for once more, when the first of them is."""
         recording = self._recording
-        if recording is None or self.running is not Running.STREAMING or guidance is None or guidance.closing is None:
+        if recording is None:
             return
-        # What is shown may be older than the session, in which it began meanwhile.
-        if len(recording.pipeline.session.closings) < guidance.closing.number:
-            from skincal.model.actions import BeginClosing
+        streaming = self.running is Running.STREAMING
+        if streaming:
+            from skincal.session.asking import act_on
 
-            recording.pipeline.act(BeginClosing(), time.monotonic_ns())
+            act_on(guidance, recording.pipeline, time.monotonic_ns())
+        if self._targets is not None and self._asking is not None and self._shown is not None:
+            lines = self._asking.follow(guidance, self._shown, time.monotonic(), streaming=streaming)
+            self._targets.send(lines)
 
-    def _ask_landmark(self, name: str) -> None:
-        recording = self._recording
-        if recording is None or self.running is not Running.STREAMING or name == recording.pipeline.asked_landmark:
+    def _hear_robot(self) -> None:
+        """Take what a robot answered."""
+        if self._targets is None or self._asking is None:
             return
-        from skincal.model.actions import AskLandmark
+        from skincal.session.asking import take_answers
 
-        recording.pipeline.act(AskLandmark(name), time.monotonic_ns())
-
-    def ask(self, target: OperatorTarget) -> None:
-        """Send a simulated operator what the guide shows, where that changed; real devices are sent nothing."""
-        if self._server is None:
-            return
-        from skincal.simulate.operator import write_target
-
-        line = write_target(target)
-        if line != self._sent:
-            self._sent = line
-            self._server.tell(line)
+        skips, sentences = take_answers(self._targets, self._asking, time.monotonic())
+        for sentence in () if self.simulated else sentences:
+            self.said.emit(Message(sentence, found=True))
+        for _ in range(skips):
+            self.skip_wanted.emit()
 
     def _take_part(self, part: Part, *, record: bool = True) -> None:
         self._part = part
@@ -397,7 +420,9 @@ class Controller(QObject):
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
-        self._recording = recording
+        from skincal.session.asking import PokeAsking
+
+        self._recording, self._asking = recording, PokeAsking(recording.pipeline.scene)
         self._links = recording.links
         if connect:
             recording.start()
@@ -425,6 +450,7 @@ class Controller(QObject):
         recording = self._recording
         if recording is None:
             return
+        self._hear_robot()
         drained = self._take_in(recording)
         snapshot = recording.pipeline.snapshot(SOLVE_S)
         behind = recording.behind or recording.pipeline.session.unsolved > 0
@@ -437,7 +463,8 @@ class Controller(QObject):
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        drained = recording.drain(DRAIN_S)
+        far = recording.behind and 0 < recording.reached_ns < time.monotonic_ns() - FAR_BEHIND_NS
+        drained = recording.drain(FAR_DRAIN_S if far else DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:
             self._say_failure(refused_words(recording.pipeline.journal_failure))
@@ -585,52 +612,46 @@ class Controller(QObject):
         path: Path,
         method: Method,
         rig: RigAnswer | None,
-        done: Callable[[tuple[str, ...]], None],
+        done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
-        verdicts: Mapping[Method, str] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
         rig : what landmark pokes say; None where nobody has looked
-        done : gets the sentences of the file's lint
+        done : gets the verdict by `method` and the sentences of the file's lint
         failed : gets why there is none
-        verdicts : by method what was checked; worked out where they are not given
         """
-        if self._recording is None:
+        if self._recording is None or self._part is None:
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
             return
-        from skincal.session.checked import checked_calibration
-
         # Made here, not in the thread: the session goes on while the file is written.
-        calibration = checked_calibration(self._recording.pipeline.session, rig, verdicts)
+        session, part = self._recording.pipeline.session, self._part
+        calibration, snapshot = session.calibration(), session.snapshot()
 
-        def write() -> tuple[str, ...]:
+        def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
+            from skincal.files.formats import FORMATS, ExportFormat
+            from skincal.session.checked import checked, verdicts_of
 
+            methods = session.methods if FORMATS[ExportFormat(format_)].every_method else (method,)
+            verdicts = verdicts_of(part, snapshot, methods, rig)
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
-            return write_calibration(calibration, format_, path, method)
+            return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
         self.compute(write, done, failed)
 
-    def apply(
-        self,
-        address: str,
-        method: Method,
-        checked: tuple[RigAnswer | None, Mapping[Method, str]],
-        done: Callable[..., None],
-    ) -> None:
+    def apply(self, address: str, method: Method, done: Callable[..., None]) -> None:
         """Bring positions to a running robot in the background.
 
         Parameters
         ----------
-        checked : what landmark pokes say, None where nobody has looked, and by method what the session has come to
         done : gets a sentence, every question with its answer, and `good`: whether all went well
         """
         if self._recording is None:
@@ -638,9 +659,7 @@ class Controller(QObject):
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             done(STILL_SOLVING, (), good=False)
             return
-        from skincal.session.checked import checked_calibration
-
-        calibration = checked_calibration(self._recording.pipeline.session, *checked)
+        calibration = self._recording.pipeline.session.calibration()
         folder = self._recording.storage.lasting or self._documents
         lines: list[str] = []
 
@@ -748,22 +767,3 @@ class Controller(QObject):
     def _publish_storage(self) -> None:
         if self._recording is not None:
             self.stored.emit(self._recording.storage.words())
-
-
-def operator_target(guidance: Guidance | None, running: Running) -> OperatorTarget:
-    """Return what a simulated operator is to poke: what somebody who looks at the window would.
-
-    Parameters
-    ----------
-    guidance : None where nobody guides
-    """
-    from skincal.simulate.operator import NoTarget, TargetOrder
-
-    if running is not Running.STREAMING:
-        return NoTarget.WAIT
-    if guidance is None:
-        return NoTarget.ANY
-    target = guidance.target
-    if target is None:
-        return NoTarget.WAIT
-    return TargetOrder(target.channel, target.place, target.push, known=bool(target.landmark))

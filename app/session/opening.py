@@ -47,6 +47,8 @@ class OpenRequest:
     """A command that prints its links and serves them; used where no address is given."""
     folder: Path | None = None
     """Folder of the new session; None puts it into a temporary one that goes with the window unless it is kept."""
+    targets: str = ""
+    """Where a robot is asked for pokes, `[HOST:]PORT`; empty: nowhere."""
     demo: bool = False
     """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
 
@@ -72,7 +74,7 @@ def find_scene(scene: Path | None) -> Path:
 def server_command(scene: Path | None) -> tuple[str, ...]:
     """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
 
-    Its operator pokes what the window asks for (`DeviceProcess.tell`).
+    Its operator pokes what the window asks for, over a port that the window names when it starts it.
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
     # A frozen program takes the commands itself. -P: nothing that lies in the working folder is imported.
@@ -155,8 +157,12 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     from skincal.session.pipeline import Pipeline
 
     pipeline = Pipeline(part.scene, links, part.surface, create_session(folder, part.scene, links), part.laid)
-    if truth:
-        write_atomically(folder / TRUTH_NAME, truth)
+    try:
+        if truth:
+            write_atomically(folder / TRUTH_NAME, truth)
+    except InputError:
+        pipeline.close()
+        raise
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline

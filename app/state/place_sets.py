@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 
 import numpy as np
 
@@ -41,9 +42,23 @@ class Source:
     """None for the layout, the truth and others."""
     name: str = ""
     """Of another one."""
+    path: Path | None = None
+    """From where another one was read; None where nobody says."""
 
 
 LAYOUT = Source(PlaceOrigin.LAYOUT)
+
+
+def other_source(name: str, path: Path, known: Sequence[Source]) -> Source:
+    """Return the source of places read from `path`, with a name that no known source from elsewhere has.
+
+    Two sessions of a day may both be called `session`: then the folder that the later one lies in tells them apart.
+    """
+    taken = {source.name for source in known if source.path != path}
+    named = (name, f"{name} ({path.parent.name})", f"{name} ({path.parent})")
+    return Source(PlaceOrigin.OTHER, name=next((each for each in named if each not in taken), f"{name} ({path})"), path=path)
+
+
 UNKNOWN = np.full(3, np.nan)
 """Where a taxel is that a set does not know."""
 Pair = tuple[Source, Source]

@@ -106,8 +106,6 @@ class ViewState:
     """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
     simulated: str = ""
     """What is said of a rig that is none: empty of a real one."""
-    opened_s: float = 0.0
-    """Host's monotonic clock, seconds, when the session was opened here."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])
     """About how many pokes each method takes from the first to enough; none where no layout says."""
     eye: Eye = PLAIN

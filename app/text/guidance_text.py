@@ -117,12 +117,6 @@ NOTHING_TO_CHECK = (
 )
 
 
-def early_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Return that more would be asked for: `"Not enough yet: 12 of 84 taxels are done by the modules method."`."""
-    done, total = _done(guidance, dead)
-    return f"Not enough yet: {done} of {count(total, 'taxel')} are done by the {METHOD_NAMES[guidance.method]} method."
-
-
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Return what comes after enough, and what was left out."""
     unused = len(guidance.channels) - _done(guidance, dead)[1]

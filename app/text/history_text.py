@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass
 
@@ -12,7 +11,7 @@ from skincal.session.undo import ActionEntry, Entry, words_of
 LISTED = 500
 """Lines, the newest: older ones are not read."""
 EARLIER = "earlier"
-"""When something was done before the session was opened here: clocks of other days are not known."""
+"""When something was done at a time that the session does not know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,20 +26,19 @@ class HistoryLine:
     """So many steps forth bring it again; 0 where it was not taken back."""
 
 
-def history_lines(snapshot: Snapshot, clock_offset: float, opened_s: float) -> list[HistoryLine]:
+def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
     """Return the lines of a session's history, the newest first; above them what was taken back.
 
-    Parameters
-    ----------
-    clock_offset : s, to add to the monotonic clock for the time of day
-    opened_s : host's monotonic clock, seconds, when the session was opened here
+    `now_s` is the time of day, seconds since 1970: of what was done on another day, the day is told.
     """
     ends = {record.outcome.poke: record.outcome.end_s for record in snapshot.pokes}
     out = {record.outcome.poke for record in snapshot.pokes if record.excluded}
 
     def when(entry: Entry) -> str:
-        at_s = entry.at_s if isinstance(entry, ActionEntry) else ends.get(entry, math.nan)
-        return time.strftime("%H:%M:%S", time.localtime(at_s + clock_offset)) if at_s >= opened_s else EARLIER
+        if isinstance(entry, ActionEntry):
+            return _time_words(entry.at_s, now_s)
+        clock = next((clock for before, clock in reversed(snapshot.clocks) if entry > before), None)
+        return EARLIER if clock is None or entry not in ends else _time_words(clock.at(ends[entry]), now_s)
 
     # The one that comes again last stands first.
     lines = [
@@ -51,3 +49,11 @@ def history_lines(snapshot: Snapshot, clock_offset: float, opened_s: float) -> l
     counting = [entry for entry in reversed(snapshot.history) if isinstance(entry, ActionEntry) or entry not in out]
     lines += [HistoryLine(when(entry), words_of(entry), at + 1, 0) for at, entry in enumerate(counting[:LISTED])]
     return lines
+
+
+def _time_words(at_s: float, now_s: float) -> str:
+    # A recording that was imported has a clock of its own, by which things may happen tomorrow.
+    if not at_s <= now_s + 1.0:
+        return EARLIER
+    at, now = time.localtime(at_s), time.localtime(now_s)
+    return time.strftime("%H:%M:%S" if at[:3] == now[:3] else "%Y-%m-%d %H:%M", at)

@@ -9,6 +9,8 @@ from pathlib import Path
 from skincal.model.errors import plain_text
 
 REPORTING = "The report is being written; it is said when it is there."
+ADDRESS_WIDTH = 120
+"""Characters of a line of the question about addresses: one word that long fits a window of 1280 pixels."""
 NO_ADDRESSES = "No device of this session has an address: its rig is simulated, or nothing is open. Ctrl+N names devices."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
@@ -36,7 +38,10 @@ def refused_words(failure: str) -> str:
 
 def connect_words(addresses: Sequence[str]) -> str:
     """Return what is asked before devices that a recorded session names are connected for the first time."""
-    return "This session names devices that were not connected here before:\n\n" + "\n".join(map(plain_text, addresses))
+    # Whole, and no wider than a screen: what is left out could be what matters.
+    shown = map(plain_text, addresses)
+    lines = [text[at : at + ADDRESS_WIDTH] for text in shown for at in range(0, len(text), ADDRESS_WIDTH)]
+    return "This session names devices that were not connected here before:\n\n" + "\n".join(lines)
 
 
 def look_words(sentence: str) -> str:

@@ -1,7 +1,7 @@
-"""The process that simulates devices: kept, read and sent what the guide shows, without ever blocking the window.
+"""The process that simulates devices: kept, read and told its pace, without ever blocking the window.
 
 It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
-closes. On that input a simulated operator reads what the guide shows (`skincal/simulate/orders.py`).
+closes. What its operator pokes it is asked as a robot is (`skincal/robot/target_server.py`).
 """
 
 from __future__ import annotations

@@ -324,9 +324,9 @@ def _rig_answer(session: Session) -> RigAnswer | None:
 
 def _verdict(session: Session, method: Method) -> str:
     """Return what a session has come to, without a full stop."""
-    from skincal.session.checked import verdicts_of
+    from skincal.session.checked import checked_calibration
 
-    return verdicts_of(session, [method], _rig_answer(session))[method]
+    return checked_calibration(session, _rig_answer(session), [method]).verdicts[method]
 
 
 def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:

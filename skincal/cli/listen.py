@@ -90,6 +90,7 @@ class Watched:
             "format": self._decoder.name,
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},
+            "units": {stream.value: words for stream, words in self._decoder.units.items() if stream in self.newest},
             "losses": {loss.value: count for loss, count in losses.items() if count},
             "beside": {name: asdict(found) for name, found in self._decoder.beside.items()},
             "note": self._decoder.note,
@@ -118,8 +119,9 @@ def _words(figures: dict[str, Any]) -> str:
     from skincal.model.readings import SideReading
     from skincal.sentences import beside_words
 
+    of = {name: f" ({words})" for name, words in figures["units"].items()}
     parts = [] if figures["verdict"] == "good" else [figures["verdict"]]
-    parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {words}" for name, words in figures["newest"].items()]
+    parts += [f"{name} {figures['rates'].get(name, 0):g}/s: {now}{of.get(name, '')}" for name, now in figures["newest"].items()]
     parts += [f"lost {count}: {why}" for why, count in figures["losses"].items()]
     parts += [beside_words({name: SideReading(**found) for name, found in figures["beside"].items()})]
     parts += [figures["note"]] if figures["note"] else []

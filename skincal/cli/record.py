@@ -26,11 +26,14 @@ from skincal.cli.calibrate import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
+from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.files.importers.recorded_lines import OpenRecording
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
+    from skincal.robot.target_server import TargetServer
+    from skincal.session.asking import RobotGuide
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import Inbox, Reader
 
@@ -85,9 +88,21 @@ def record(
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
     pokes: Annotated[int | None, typer.Option(min=1, help="Stop after this many pokes.")] = None,
     orders: Annotated[bool, typer.Option("--orders", help="Take orders from stdin, one a line.")] = False,
+    targets: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="Ask a robot to poke what the guide wants, by lines over TCP (docs/wire.md), until enough.",
+        ),
+    ] = None,
+    method: Annotated[
+        Method | None, typer.Option(help="With --targets: whose needs the guide follows.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Record devices into a session, until Ctrl-C, and estimate as pokes come in.
+
+    With --targets it ends once it is enough.
 
     Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
@@ -97,18 +112,21 @@ def record(
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
+    if method is not None and targets is None:
+        raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     items = Inbox()
-    with stopping() as stop, new_session(out, loaded, links, _warn) as pipeline:
+    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, _warn) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
         readers = {link.name: Reader(link, items) for link in links}
         try:
+            robot = _guide(pipeline, server, method)
             _choose_pose(pipeline, pose)
             for reader in readers.values():
                 reader.start()
-            _loop(pipeline, items, readers, (seconds, pokes), stop)
+            _loop(pipeline, items, readers, (seconds, pokes), stop, robot)
         finally:
             # Stopped before the queue is emptied: then nothing comes any more, and nothing that came is lost.
             for reader in readers.values():
@@ -120,6 +138,25 @@ def record(
         if stop.is_set():
             say("stopped", err=True)
         finish(pipeline, out, as_json)
+
+
+@contextlib.contextmanager
+def _asking(targets: str | None) -> Generator[TargetServer | None]:
+    """Yield the port at which a robot is asked; None where none is named."""
+    if targets is None:
+        yield None
+        return
+    from skincal.robot.target_server import TargetServer, parse_port
+
+    with contextlib.closing(TargetServer(*parse_port(targets))) as server:
+        say(f"targets: a robot is asked at {server.host}:{server.port}", err=True)
+        yield server
+
+
+def _guide(pipeline: Pipeline, server: TargetServer | None, method: Method | None) -> RobotGuide | None:
+    from skincal.session.asking import RobotGuide
+
+    return None if server is None else RobotGuide(pipeline, server, method)
 
 
 @contextlib.contextmanager
@@ -191,15 +228,16 @@ def _loop(
     readers: Mapping[str, Reader],
     until: tuple[float | None, int | None],
     stop: threading.Event,
+    robot: RobotGuide | None = None,
 ) -> None:
-    """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, or one is given up."""
+    """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, one is given up, or enough."""
     seconds, pokes = until
     end = math.inf if seconds is None else time.monotonic() + seconds
     reported = 0
     states: dict[str, LinkState] = {}
     silence = Silence(readers, time.monotonic_ns())
     while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
-        for sentence in silence.sentences(time.monotonic_ns()):
+        for sentence in [*silence.sentences(time.monotonic_ns()), *_ask(robot)]:
             say(sentence, err=True)
         try:
             item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
@@ -217,8 +255,13 @@ def _loop(
         _take(pipeline, item)
         pipeline.tick(item.host_ns)
         reported = _report_new_pokes(pipeline, reported)
-        if pokes is not None and reported >= pokes:
+        if (pokes is not None and reported >= pokes) or (robot is not None and robot.enough):
             return
+
+
+def _ask(robot: RobotGuide | None) -> list[str]:
+    """Ask a robot for what the guide wants, if there is one; return sentences."""
+    return [] if robot is None else robot.step(time.monotonic_ns())
 
 
 class Silence:
@@ -268,7 +311,7 @@ class Silence:
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
     """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
-    from skincal.sentences import missed_words
+    from skincal.sentences import missed_words, rejection_words
 
     snapshot = pipeline.snapshot()
     records = snapshot.pokes
@@ -277,8 +320,7 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
         if isinstance(outcome, Contact):
             say(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
-            numbers = f"{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}".rstrip()
-            say(f"poke {outcome.poke}: rejected, {outcome.reason.value} ({numbers})", err=True)
+            say(f"poke {outcome.poke}: rejected, {rejection_words(outcome)}", err=True)
         if outcome.poke in snapshot.missed_landmarks:
             say(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
         reported += 1

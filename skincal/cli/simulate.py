@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from contextlib import closing
+from collections.abc import Generator
+from contextlib import closing, contextmanager
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -69,7 +70,7 @@ def simulate(
     operator: Annotated[
         OperatorKind,
         typer.Option(
-            help="auto pokes by itself; told obeys stdin; guided follows the targets on stdin, and sometimes ignores them."
+            help="auto pokes by itself; told obeys stdin; guided pokes what --targets asks for, and sometimes ignores it."
         ),
     ] = OperatorKind.AUTO,
     careful: Annotated[bool, typer.Option("--careful", help="An operator who neither slides nor touches two places.")] = False,
@@ -87,14 +88,16 @@ def simulate(
             "xela, papillarray. What none of them sends comes from a board.",
         ),
     ] = "",
+    targets: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="With --operator guided: who asks, as `record --targets` or the window does."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
 
-    Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME. With --operator guided:
-    target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (what the guide shows, link frame; - is a place, + a known point
-    of the part), wait (nothing is to be poked), any (nobody guides), or pace TIMES; until the first of them it pokes as auto
-    does.
+    Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME; with --operator guided:
+    pace TIMES. Over --targets it is asked as a robot is, and answers likewise (docs/wire.md).
     """
     from skincal.files.reference import RIG_KEY, TRUTH_NAME, read_reference
     from skincal.session.part import load_scene_surface
@@ -106,11 +109,7 @@ def simulate(
     from skincal.simulate.virtual_session import simulate_session
 
     loaded = find_scene(scene)
-    if serve == (out is not None):
-        raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
-    if not serve and (operator is not OperatorKind.AUTO or tcp or speak_as):
-        name = f"--operator {operator.value}" if operator is not OperatorKind.AUTO else "--tcp" if tcp else "--as"
-        raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
+    _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)
@@ -136,7 +135,19 @@ def simulate(
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})
-        _run(server, hand if isinstance(hand, Told | Guided) else None)
+        with _asked(hand, targets):
+            _run(server, hand if isinstance(hand, Told | Guided) else None)
+
+
+def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:
+    """Refuse options that do not go together; `other` is one that is for `--serve` alone."""
+    if serve == (out is not None):
+        raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
+    name = f"--operator {operator.value}" if operator is not OperatorKind.AUTO else other
+    if not serve and name:
+        raise InputError(f"{name} is for --serve: a session is recorded at once, by an operator of its own.")
+    if (targets is None) is (operator is OperatorKind.GUIDED):
+        raise InputError("--operator guided and --targets [HOST:]PORT need each other: the targets are what it pokes.")
 
 
 def _streams(seed: int, run: int) -> list[np.random.Generator]:
@@ -155,6 +166,22 @@ def _hand(
     if kind is OperatorKind.TOLD:
         return Told(rig, habits, rng)
     return (Guided if kind is OperatorKind.GUIDED else Auto)(rig, habits, rng, *course)
+
+
+@contextmanager
+def _asked(hand: Auto | Told, targets: str | None) -> Generator[None]:
+    """Have a hand poke what is asked at a port, where one is named."""
+    from skincal.robot.target_lines import NoTarget
+    from skincal.robot.target_server import TargetClient, parse_port
+    from skincal.simulate.operator import Guided
+
+    if targets is None or not isinstance(hand, Guided):
+        yield
+        return
+    hand.show(NoTarget.WAIT)  # until it hears of something
+    with closing(TargetClient(*parse_port(targets), hand.show)) as client:
+        hand.answered = client.say
+        yield
 
 
 def _speakers(named: str, scene: Scene) -> dict[Stream, str]:

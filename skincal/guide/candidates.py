@@ -230,9 +230,9 @@ class Cover:
         if answered:
             self._answered = np.minimum(self._answered, apart)
 
-    def leave_out(self, index: int) -> None:
-        """Never ask for this place again: the operator skipped it."""
-        self._left_out[index] = True
+    def leave_out(self, place: FloatArray) -> None:
+        """Never ask for this place, (3,) metres, again: the operator skipped it."""
+        self._left_out[int(np.sum((self.places - place) ** 2, axis=1).argmin())] = True
 
     def next(self, hand: FloatArray | None) -> int | None:
         """Return which place to poke, the last poke having been at `hand` (3,), metres; None where all are covered."""

@@ -17,7 +17,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide import candidates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed
-from skincal.guide.poke_history import PokeHistory, axis_of
+from skincal.guide.poke_history import AskedFor, PokeHistory, axis_of
 from skincal.guide.progress import (
     AxisDiversity,
     Facts,
@@ -120,14 +120,16 @@ class Guide:
         evidence: Callable[[Collection[int]], Evidence],
         rejections: Mapping[int, Rejection] = _NOTHING_REJECTED,
         rig: float = 0.0,
+        asked: AskedFor | None = None,
     ) -> Guidance:
         """Follow the session to where it stands now, and say what is to be done.
 
         Contacts are those that count and rejections those that do not, by the number of their poke; estimates stand in the
         plan's order; `evidence` gives what the contacts say of some channels; `rig` is the sd of what the rig's errors move all
-        estimates by in each direction, metres, 0 where nothing is known of it.
+        estimates by in each direction, metres, 0 where nothing is known of it; `asked` gives what each poke was asked for, None
+        where that is what was said last.
         """
-        dirty = self._follow(contacts, estimates, rejections, rig)
+        dirty = self._follow(contacts, estimates, rejections, rig, asked)
         if dirty:
             # A contact that the method doubts says less here, too.
             doubted = {each.channel: each.doubted for each in estimates[self.method] if each.channel in dirty}
@@ -146,15 +148,17 @@ class Guide:
         """Take the next poke as not asked for: the last target was never shown."""
         self._last = self._kept = None
 
-    def skip(self) -> None:
-        """Ask for something else than the last target; a side of a taxel that is skipped twice is asked for no more."""
-        self._kept = None
-        if self._last is not None and self._last.channel is not None:
-            self._not_now = self._knowledge.row(self._last.channel)
-            self._skips.setdefault(self._not_now, []).append(self._last.push)
+    def skip(self, target: Target | None = None) -> None:
+        """Ask for something else than a target, by default the last; a side of a taxel that is skipped twice is left out."""
+        self._kept, target = None, target or self._last
+        if target is None:
+            return
+        if target.channel is None and self._cover is not None:
+            self._cover.leave_out(target.place)
+        elif target.channel is not None and self._knowledge.has(target.channel):
+            self._not_now = self._knowledge.row(target.channel)
+            self._skips.setdefault(self._not_now, []).append(target.push)
             self._stale[self._not_now] = True
-        elif self._cover is not None and self._place is not None:
-            self._cover.leave_out(self._place)
 
     def _follow(
         self,
@@ -162,9 +166,12 @@ class Guide:
         estimates: Mapping[Method, Sequence[Estimate]],
         rejections: Mapping[int, Rejection],
         rig: float,
+        asked: AskedFor | None,
     ) -> set[int]:
         """Add the pokes that are new or changed, drop those that are gone; return the channels of the taxels they touch."""
-        rows, fresh, gone = self._pokes.follow(contacts, rejections, self._last, self._drawn(), self._normals, self._pulls)
+        rows, fresh, gone = self._pokes.follow(
+            contacts, rejections, asked or self._last, self._drawn(), self._normals, self._pulls
+        )
         if fresh or gone:
             self._kept = None
         if any(isinstance(poke, Contact) for poke in fresh):

@@ -6,9 +6,10 @@ counted once, and forgotten when it is gone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.guide.guidance import Target
 from skincal.guide.progress import RECENT, GuideSettings, Tilt
 
+AskedFor: TypeAlias = Callable[[int], Target | None]
+"""Gives what a poke, by its number, was asked for; None where nothing is known of that."""
 AT = 0.010
 """m. A poke whose axis passes the asked place by less was meant for it: two taxels away is another poke."""
 
@@ -91,7 +94,7 @@ class PokeHistory:
         self,
         contacts: Mapping[int, Contact],
         rejections: Mapping[int, Rejection],
-        target: Target | None,
+        target: AskedFor | Target | None,
         places: FloatArray,
         normals: FloatArray,
         pulls: FloatArray,
@@ -100,7 +103,7 @@ class PokeHistory:
 
         Parameters
         ----------
-        target : the poke that was asked for before these
+        target : the poke that was asked for before these, or what gives it for each
         places : (n, 3) float, metres, on the plan
         normals : (n, 3) float, unit, outward
         pulls : (n, 3) float, metres: `candidates.pulls`
@@ -184,11 +187,13 @@ class PokeHistory:
         tilts = np.where(peaks >= 0, np.arccos(np.clip(cosines, -1.0, 1.0)), np.nan)
         return [Felt(*values) for values in zip(peaks.tolist(), beside, tilts.tolist(), strict=True)]
 
-    def _learn(self, fresh: Sequence[Contact | Rejection], target: Target | None, normals: FloatArray) -> None:
+    def _learn(self, fresh: Sequence[Contact | Rejection], target: AskedFor | Target | None, normals: FloatArray) -> None:
         """Learn from new pokes what the hand does, and which taxels they were meant for."""
-        # Of several at once it is unknown which one the target was shown for.
-        meant = target if len(fresh) == 1 else None
+        if isinstance(target, Target) and len(fresh) > 1:
+            # It is unknown which one it was shown for.
+            target = None
         for poke in fresh:
+            meant = target(poke.poke) if callable(target) else target
             slid = isinstance(poke, Rejection) and poke.reason is Reason.SLID
             axis = axis_of(poke) if slid or meant is not None else None
             if isinstance(poke, Contact):

@@ -1,10 +1,10 @@
 """How a session ends: what is known well enough, whether the predicted errors may be believed, what is not done and why.
 
-*Believed.* One poke in six is held out and predicted from all the others. It costs nothing: the poke counts for the estimates,
-and is left out only where it is predicted. The taxel that answered it most is solved without it; the poke's axis passes that
-place at r = E (p - a), two numbers across the push. Their covariance is E S E' + D, with S that of the taxel so solved and D
-the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a chi-squared of two degrees of freedom, at most 5.99 in 95 of
-100 pokes.
+*Believed.* One poke in six, of a short session more, is held out and predicted from all the others. It costs nothing: the poke
+counts for the estimates, and is left out only where it is predicted. The taxel that answered it most is solved without it; the
+poke's axis passes that place at r = E (p - a), two numbers across the push. Their covariance is E S E' + D, with S that of the
+taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a chi-squared of two degrees of freedom,
+at most 5.99 in 95 of 100 pokes.
 
 By the modules method the module that the poke touched is solved without it (`predicted_squares`), and the axis passes the
 middle of the pads that answered; the rest is the same.
@@ -44,7 +44,10 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 ONE_IN = 6
-"""One poke in so many is held out."""
+"""One poke in so many is held out..."""
+HELD_OUT = 20
+"""...and more of them in a short session, down to every poke, so that there are so many: twice `TELLING`, since some cannot be
+predicted. Which ones they are follows from the number of pokes alone, never from how they fell."""
 INSIDE = 5.991
 """Chi-squared of two degrees of freedom that 95 % stay below."""
 OUTSIDE_SHARE = 0.05
@@ -100,8 +103,9 @@ def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
 
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
-    """Return number and strongest channel of every sixth contact, in the order of their numbers."""
-    return [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts[ONE_IN - 1 :: ONE_IN]]
+    """Return number and strongest channel of the contacts that are held out, in the order of their numbers."""
+    step = max(1, min(ONE_IN, len(contacts) // HELD_OUT))
+    return [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts[step - 1 :: step]]
 
 
 def check(
@@ -114,7 +118,7 @@ def check(
     module_model: ModuleModel | None = None,
     estimates: Sequence[Estimate] = (),
 ) -> Check:
-    """Predict every sixth contact from the others.
+    """Predict the held-out contacts from the others.
 
     Parameters
     ----------
@@ -155,7 +159,7 @@ def _check_modules(
     model: ModuleModel,
     estimates: Sequence[Estimate],
 ) -> Check:
-    """Predict every sixth contact from the others of its module."""
+    """Predict the held-out contacts from the others of their module."""
     width, module_of = model.layout.width, model.layout.module_of
     answers = evidence([channel for channel in channels if channel < width and module_of[channel] >= 0])
     by_channel = {estimate.channel: estimate for estimate in estimates}
@@ -259,6 +263,8 @@ class Verdict:
     """s, from the first of these pokes to the end of the last, without pauses."""
     closings: tuple[Closing, ...] = ()
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
+    landmarks_left: int = 0
+    """Pokes at landmarks that are still asked for."""
 
     @property
     def doubted(self) -> bool:
@@ -313,6 +319,7 @@ def verdict_of(
         left=left,
         check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
         landmarks=landmarks,
+        landmarks_left=0 if guidance.landmark is None else guidance.landmark.left,
         predicted=predicted_error(estimates),
         unchecked=unchecked,
         pokes=len(contacts),

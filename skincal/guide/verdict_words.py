@@ -28,7 +28,9 @@ def verdict_sentence(verdict: Verdict) -> str:
     else:
         done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
-    return f"{early}{done}{_agreement(verdict)}."
+    left = verdict.landmarks_left if verdict.done == verdict.used else 0
+    asked = f", {plural(left, 'poke')} at landmarks to go" if left else ""
+    return f"{early}{done}{asked}{_agreement(verdict)}."
 
 
 def _agreement(verdict: Verdict) -> str:

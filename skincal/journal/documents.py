@@ -48,6 +48,8 @@ from skincal.model.tables import shown
 from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
+LINKS_MOST = len(Stream)
+"""Links of a session: each carries another stream."""
 _END = b"]\n"
 _HEAD = 12
 """Bytes before what the checksum covers: `["`, eight digits, `",`."""
@@ -127,6 +129,18 @@ class Totals:
 
 
 @dataclass(frozen=True, slots=True)
+class WallClock:
+    """What time of day it was by a monotonic clock, which begins anew with each start of a machine."""
+
+    monotonic_s: float
+    unix_s: float
+
+    def at(self, monotonic_s: float) -> float:
+        """Return the time of day, seconds since 1970; NaN for what lies before: another clock was meant."""
+        return self.unix_s + monotonic_s - self.monotonic_s if monotonic_s >= self.monotonic_s else math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentMark:
     """Here a segment begins, as its writer described it."""
 
@@ -140,6 +154,8 @@ class SegmentMark:
     """Of the scene's folder; None where the format has none."""
     continues: bool
     """Nothing happened but that the segment before was long enough; else the session was opened here to go on."""
+    clock: WallClock | None = None
+    """Of the machine that wrote it; None where it does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,20 +267,34 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
     return SegmentMark(
         number=_whole(body["segment"]),
         host_ns=host_ns,
-        links=tuple(
-            LinkSpec(
-                _text_of(link["name"]),
-                label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
-                tuple(map(Stream, link["carries"])),
-                link["format"],
-            )
-            for link in body["links"]
-        ),
+        links=_links(body["links"]),
         format=body["format"],
         scene=_text_of(body["scene"]),
         digest=None if body.get("scene_digest") is None else _text_of(body["scene_digest"]),
         continues=bool(body.get("continues", False)),
+        clock=_clock(body),
     )
+
+
+def _links(documents: Sequence[Mapping[str, Any]]) -> tuple[LinkSpec, ...]:
+    """Return the links of a segment: all of their addresses are shown before any is connected."""
+    if len(documents) > LINKS_MOST:
+        raise InputError(f"has {len(documents)} links; expected at most {LINKS_MOST}, one for each stream; {_PLAY}.")
+    return tuple(
+        LinkSpec(
+            _text_of(link["name"]),
+            label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
+            tuple(map(Stream, link["carries"])),
+            link["format"],
+        )
+        for link in documents
+    )
+
+
+def _clock(body: Mapping[str, Any]) -> WallClock | None:
+    if "unix_ns" not in body or "monotonic_ns" not in body:
+        return None
+    return WallClock(_whole(body["monotonic_ns"]) / 1e9, _whole(body["unix_ns"]) / 1e9)
 
 
 def link_to_json(link: LinkSpec) -> dict[str, Any]:

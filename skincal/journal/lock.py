@@ -112,6 +112,9 @@ def _locked(path: Path) -> FileIO | None:
     file = FileIO(path, "a+", opener=_open_plain)
     try:
         _take(file, shared=False)
+        if os.fstat(file.fileno()).st_nlink > 1:
+            # What is written here would be written elsewhere, too, and a copy by links would be locked with it.
+            raise OSError(errno.EMLINK, f"{LOCK_NAME} has another name elsewhere: take this one away")
         # The one who held it may have taken the file away since it was opened here.
         if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
             return file

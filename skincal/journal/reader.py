@@ -294,6 +294,8 @@ def _recover(path: Path) -> tuple[list[str], bool]:
 def _end_lines(file: Path, lines: Lines) -> list[str]:
     """Give a segment's lines an end behind the last one that is whole."""
     said: list[str] = []
+    if file.stat().st_nlink > 1:
+        _part_from_links(file)
     if lines.lost:
         kept = _free_name(file, "damaged")
         shutil.copyfile(file, kept)
@@ -303,15 +305,32 @@ def _end_lines(file: Path, lines: Lines) -> list[str]:
     return said
 
 
+def _part_from_links(file: Path) -> None:
+    """Have a file be its folder's own: what is written to one with a second name is written elsewhere, too.
+
+    Tools that make backups of hard links leave such files, and a stranger may have made one.
+    """
+    fresh = _fresh_name(file)
+    with file.open("rb") as source, fresh.open("xb") as target:
+        shutil.copyfileobj(source, target)
+        os.fsync(target.fileno())
+    fresh.replace(file)
+
+
+def _fresh_name(file: Path) -> Path:
+    """Return the name under which a file is made that takes another's place; nothing lies there."""
+    fresh = file.with_name(file.name + ".recovering")
+    # A link of that name would lead elsewhere.
+    fresh.unlink(missing_ok=True)
+    return fresh
+
+
 def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
     """Write an MCAP file anew up to its damage; return what was done, and whether all its data is there.
 
     Where there is nothing in it, and no line beside it, it is put aside.
     """
-    fresh = path.with_name(path.name + ".recovering")
-    source = McapFile(path)
-    # Made anew, so that a link of that name leads nowhere.
-    fresh.unlink(missing_ok=True)
+    fresh, source = _fresh_name(path), McapFile(path)
     with fresh.open("xb") as target:
         count, why = _copy(source, target)
         # Whole on the medium before it takes the name of the file that it replaces.

@@ -68,6 +68,8 @@ SEGMENT_NS = 300_000_000_000
 kill it is written anew, which takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
+SCENE_FILES_MOST = 16
+"""TOML files of a scene's folder: a scene and its layout are two, and each may have 4 MB."""
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
 _DECODED = {
@@ -280,6 +282,11 @@ class JournalWriter:
         self._holds_lock = False
         return following
 
+    @property
+    def clock(self) -> documents.WallClock:
+        """What time of day it was when this began."""
+        return documents.WallClock(self._monotonic_ns / 1e9, self._unix_ns / 1e9)
+
     def unix_ns(self, host_ns: int) -> int:
         """Return the time of day of a moment of the monotonic clock, ns since 1970."""
         # MCAP's times have no sign.
@@ -440,9 +447,15 @@ def _copy_named(text: str, named: str, source: Path, folder: Path) -> str:
 
 
 def scene_digest(folder: Path) -> str:
-    """Return a checksum of a scene folder's own files, layout included; it changes when somebody edits one."""
+    """Return a checksum of a scene folder's own files, layout included; it changes when somebody edits one.
+
+    Raises InputError: there are too many, or one cannot be read.
+    """
     digest = hashlib.sha256()
-    for path in sorted(folder.glob("*.toml")):
+    paths = sorted(folder.glob("*.toml"))
+    if len(paths) > SCENE_FILES_MOST:
+        raise InputError(f"{folder}: has {len(paths)} TOML files; expected at most {SCENE_FILES_MOST}: move the others away.")
+    for path in paths:
         text = read_regular(path, TEXT_MOST)
         digest.update(f"{path.name} {len(text)}\n".encode())
         digest.update(text)

@@ -111,6 +111,40 @@ class AskLandmark:
 
 
 @dataclass(frozen=True, slots=True)
+class AskPoke:
+    """Ask the operator for this poke on the skin from now on; without a place, for none. SI units, link frame."""
+
+    channel: int
+    """-1 for a place where a taxel may be."""
+    place: tuple[float, ...]
+    normal: tuple[float, ...]
+    push: tuple[float, ...]
+    """Three each, or none."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkipPoke:
+    """Ask for another poke on the skin than this: a side of a taxel that is skipped twice is left out, a place at once."""
+
+    method: str
+    """A value of `Method`: whose guide asked for it."""
+    channel: int
+    """As in `AskPoke`."""
+    place: tuple[float, ...]
+    push: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SkipLandmark:
+    """Ask for a landmark no more in an arm pose; an empty name means all of them."""
+
+    name: str
+    pose: str
+    link_from_sensor: tuple[float, ...]
+    """16, row by row; none where it is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
 class BeginClosing:
     """Ask for some of the first places once more: pokes from now on show whether anything moved (`skincal.rig.closing`)."""
 
@@ -183,6 +217,9 @@ Action: TypeAlias = (
     | FoundAtLandmark
     | MissedLandmark
     | AskLandmark
+    | AskPoke
+    | SkipPoke
+    | SkipLandmark
     | BeginClosing
     | SetThresholds
     | SkipClosing
@@ -212,6 +249,9 @@ _KINDS: dict[str, type[Action]] = {
     "found_at_landmark": FoundAtLandmark,
     "missed_landmark": MissedLandmark,
     "ask_landmark": AskLandmark,
+    "ask_poke": AskPoke,
+    "skip_poke": SkipPoke,
+    "skip_landmark": SkipLandmark,
     "begin_closing": BeginClosing,
     "set_thresholds": SetThresholds,
     "skip_closing": SkipClosing,

@@ -210,6 +210,8 @@ class LinkHealth:
     """Counted losses by reason."""
     beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
     """What else the device measured since the link was described, by name and unit."""
+    units: str = ""
+    """What the values of its readings are; empty while unknown."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     """What it is found to bring."""
     address: str = ""

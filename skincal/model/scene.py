@@ -6,6 +6,7 @@ The file's lengths are metres and its angles degrees unless the key ends in a un
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -32,6 +33,8 @@ JOINTS_MOST = 1000
 """Columns of a joint stream: a humanoid has some hundred."""
 DISTANCE_SD = (1e-5, 0.1)
 """m, how well a distance may be known: no rule reads a hundredth of a millimetre on a soft skin."""
+NETWORK = re.compile(r"[\\/]([\\/]|\?\?)")
+"""How Windows lets names begin of what lies on other machines, and of its devices, such as `//HOST/share` and `\\\\.\\pipe`."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -225,7 +228,7 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
     if not 1 <= channels <= 100_000:
         raise InputError(f"{table.where}: channels is {channels}; expected 1 to 100000.")
     modules = table.take("modules", str, None)
-    layout = None if modules is None else load_layout(path.parent / modules, channels)
+    layout = None if modules is None else load_layout(path.parent / _demand_here(modules, table.where), channels)
     anchor = table.table("anchor")
     limits = table.array("range", (2,), None)
     if limits is not None and not limits[0] < limits[1]:
@@ -241,10 +244,20 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
 
 def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
-        path=path.parent / table.take("mesh", str),
+        path=path.parent / _demand_here(table.take("mesh", str), table.where),
         scale=table.choice("unit", UNITS),
         link_from_mesh=_read_pose(table, "pose", np.eye(4)),
     )
+
+
+def _demand_here(named: str, where: str) -> str:
+    """Return the name of a file in a scene, unless it is that of a share or a device of Windows.
+
+    Looking whether such a file is there already sends the user's name and a hash of the password to the host that it names.
+    """
+    if NETWORK.match(named):
+        raise InputError(f"{where}: {named} lies on another machine; copy the file beside the scene, and name it there.")
+    return named
 
 
 def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:

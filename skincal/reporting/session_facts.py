@@ -27,8 +27,8 @@ from skincal.model.errors import InputError
 from skincal.modules.health import LayoutMend, judged_modules, mend_modules, spacing_ratio
 from skincal.rig.correction_fit import RigAnswer, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
+from skincal.session.checked import verdicts_of
 from skincal.session.error_history import ErrorHistory, ErrorSeries, spreads_of
-from skincal.session.guiding import SessionGuide
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
@@ -130,9 +130,6 @@ def gather_facts(folder: Path, method: Method | None = None) -> SessionFacts:
     estimates, calibration = snapshot.estimates[chosen], session.calibration()
     errors = errors_of(estimates, truth)
     frame, rig = _landmarks(session)
-    guide = SessionGuide(part)
-    guidance = guide.follow(snapshot, 0, chosen, session.evidence, 0.0)
-    assert guidance is not None
     mend, judged = _modules(session, snapshot)
     return SessionFacts(
         name=folder.resolve().name,
@@ -147,7 +144,7 @@ def gather_facts(folder: Path, method: Method | None = None) -> SessionFacts:
         gains=calibration.gains(chosen),
         truth=truth,
         series=_series(part, snapshot, truth),
-        verdict=guide.verdict(guidance, snapshot, session.evidence, rig),
+        verdict=verdicts_of(part, snapshot, (chosen,), rig)[chosen],
         frame=frame,
         rig=rig,
         misses=_misses(session),

@@ -6,29 +6,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from skincal.files.calibration import Calibration, landmark_check
+from skincal.guide.verdict import Verdict
+from skincal.guide.verdict_words import verdict_sentence
 from skincal.rig.correction_fit import RigAnswer
 from skincal.session.guiding import SessionGuide
-from skincal.session.part import lay_part
+from skincal.session.part import Part, lay_part
 from skincal.session.session import Session
+from skincal.session.snapshot import Snapshot
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 
 
-def verdicts_of(session: Session, methods: Sequence[Method], rig: RigAnswer | None) -> dict[Method, str]:
-    """Return by method what a session has come to: `SessionGuide.verdicts` for a session that nobody guides.
+def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: RigAnswer | None) -> dict[Method, Verdict]:
+    """Return by method what a session has come to, from what the snapshot says alone: any thread may work it out.
 
     `rig` is what landmark pokes say; None where nobody has looked, or there are none.
     """
-    guide = SessionGuide(lay_part(session.scene, session.surface, ()))
-    return guide.verdicts(session.snapshot(), methods, session.evidence, rig)
+    if part.cover is not None and part.surface is not None:
+        from skincal.guide.candidates import Cover
+
+        # A guide notes in it what was poked, and another may be at work with the part's own.
+        part = replace(part, cover=Cover(part.surface))
+    guide, evidence = SessionGuide(part), ContactTable(snapshot.contacts).evidence
+    return {method: guide.verdict(snapshot, method, evidence, rig) for method in methods}
 
 
-def checked_calibration(session: Session, rig: RigAnswer | None, verdicts: Mapping[Method, str] | None = None) -> Calibration:
-    """Return what the files are written from, with what landmark pokes say of a correction of the rig, and the verdicts.
+def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:
+    """Return what files are written from, with what landmark pokes say of a correction of the rig, and the verdicts."""
+    words = {method: verdict_sentence(verdict).rstrip(".") for method, verdict in verdicts.items()}
+    return replace(calibration, landmark_check=None if rig is None else landmark_check(rig), verdicts=words)
 
-    Parameters
-    ----------
-    rig : what landmark pokes say; None where nobody has looked, or there are none
-    verdicts : by method, where they are known already
-    """
-    words = verdicts_of(session, session.methods, rig) if verdicts is None else verdicts
-    return replace(session.calibration(), landmark_check=None if rig is None else landmark_check(rig), verdicts=words)
+
+def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:
+    """Return what files are written from, with what was checked; `methods` are those whose verdict is wanted, else all."""
+    part, chosen = lay_part(session.scene, session.surface, ()), session.methods if methods is None else methods
+    return checked(session.calibration(), rig, verdicts_of(part, session.snapshot(), chosen, rig))

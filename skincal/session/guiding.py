@@ -18,8 +18,7 @@ from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
-from skincal.guide.verdict_words import verdict_sentence
-from skincal.model.actions import SkipClosing
+from skincal.model.actions import AskPoke, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
 from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
@@ -60,7 +59,9 @@ class SessionGuide:
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
-        self._followed: tuple[int, Method] | None = None
+        self._skipped: Counter[Method] = Counter()
+        """How many of the session's skips each guide knows."""
+        self._followed: tuple[int, Method, int] | None = None
         self._skin_guidance: Guidance | None = None
         """Of the skin alone."""
         self._guidance: Guidance | None = None
@@ -90,13 +91,14 @@ class SessionGuide:
             self._followed = self._guidance = None
             self.landmarks.forget()
             return None
-        if (revision, method) != self._followed:
+        now = revision, method, len(snapshot.skips)
+        if now != self._followed:
             guide = self._guide_of(method)
             if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
             self._skin_guidance = self.of_skin(snapshot, method, evidence)
-            self._followed = revision, method
+            self._followed = now
         assert self._skin_guidance is not None
         before = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
         self._guidance = self.closing.after_skin(before, snapshot, self.landmarks)
@@ -104,30 +106,46 @@ class SessionGuide:
 
     def of_skin(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
         """Return what to poke next on the skin, whatever landmarks there are; as `follow`, worked out anew."""
-        return self._guide_of(method).update(
+        guide = self._guide_of(method)
+        for skip in snapshot.skips[self._skipped[method] :]:
+            # A place where a taxel may be is left out for all methods.
+            if isinstance(skip, SkipPoke) and (skip.method == method.value or skip.channel < 0):
+                guide.skip(_target_of(skip, skip.push))
+        self._skipped[method] = len(snapshot.skips)
+        asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
+        return guide.update(
             _contacts(snapshot),
             {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
             evidence,
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
             self.landmarks.rig_moves(snapshot),
+            lambda poke: _asked_target(asked.get(poke)),
         )
+
+    def judged(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+        """Return what is still asked for by a method, on the skin and at landmarks: this alone says whether it is enough.
+
+        It follows from the session as it stands, with what was skipped, and not from when it is looked at: an arm is taken to
+        stand still, and where its pose is not known, in that of the last poke.
+        """
+        return self.landmarks.added(self.of_skin(snapshot, method, evidence), snapshot)
 
     def verdict(
         self,
-        guidance: Guidance,
         snapshot: Snapshot,
+        method: Method,
         evidence: Callable[[Collection[int]], Evidence],
         rig: RigAnswer | None = None,
     ) -> Verdict:
-        """Return what the session has come to.
+        """Return what the session has come to by a method; whether it is enough says `judged`.
 
         Parameters
         ----------
-        guidance : of this snapshot
         evidence : what the contacts of this snapshot say of some channels
         rig : what landmark pokes say; None where nobody has looked
         """
-        estimates, noise, used = snapshot.estimates[guidance.method], self._scene.noise, snapshot.corrections.get(RIG)
+        guidance = self.judged(snapshot, method, evidence)
+        estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.corrections.get(RIG)
         landmarks = landmark_agreement(rig, used)
         verdict = verdict_of(
             guidance,
@@ -143,20 +161,6 @@ class SessionGuide:
         )
         return replace(verdict, closings=closings_of(snapshot, noise))
 
-    def verdicts(
-        self,
-        snapshot: Snapshot,
-        methods: Sequence[Method],
-        evidence: Callable[[Collection[int]], Evidence],
-        rig: RigAnswer | None,
-    ) -> dict[Method, str]:
-        """Return by method what was checked and what could not be, as `Calibration.verdicts` says it; else as `verdict`."""
-        found: dict[Method, str] = {}
-        for method in methods:
-            guidance = self.of_skin(snapshot, method, evidence)
-            found[method] = verdict_sentence(self.verdict(guidance, snapshot, evidence, rig)).rstrip(".")
-        return found
-
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Return what the contacts of a channel are like; None where nobody guides, or nothing is known of it.
 
@@ -166,24 +170,23 @@ class SessionGuide:
             return None
         return self._guides[self._followed[1]].axis_diversity(channel, evidence)
 
-    def skip(self) -> SkipClosing | None:
-        """Ask for another poke than the one that was asked for last; where the session is to know it, return the action."""
-        if self._guidance is not None and self._guidance.closing is not None:
-            place = self._guidance.closing.place
-            return SkipClosing(place.at.value, place.name)
-        if self._guidance is not None and self._guidance.landmark is not None:
-            self.landmarks.skip()
-        elif self._followed is not None:
-            self._guides[self._followed[1]].skip()
-            self._followed = None
-        return None
+    def skip(self) -> SkipClosing | SkipLandmark | SkipPoke | None:
+        """Return what asks for another poke than the one that was asked for last; None where none was."""
+        now = self._guidance
+        if now is None or now.target is None:
+            return None
+        if now.closing is not None:
+            return SkipClosing(now.closing.place.at.value, now.closing.place.name)
+        if now.landmark is not None:
+            return self.landmarks.skip()
+        channel = -1 if now.target.channel is None else now.target.channel
+        return SkipPoke(now.method.value, channel, _numbers(now.target.place), _numbers(now.target.push))
 
-    def skip_landmarks(self) -> SkipClosing | None:
-        """Ask for no landmarks in this arm pose, or end the closing check; as `skip`."""
+    def skip_landmarks(self) -> SkipClosing | SkipLandmark | None:
+        """Return what asks for no landmarks in this arm pose, or ends the closing check; None where neither is asked for."""
         if self._guidance is not None and self._guidance.closing is not None:
             return SkipClosing("", "")
-        self.landmarks.skip(all_of_pose=True)
-        return None
+        return self.landmarks.skip(all_of_pose=True)
 
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
@@ -223,6 +226,10 @@ class LandmarkGuide:
         self._normals: dict[bytes, FloatArray] = {}
         self._targets: list[LandmarkTarget] = []
         """All that is asked for in this arm pose."""
+        self._skips = 0
+        """How many of the session's skips the round knows."""
+        self._pose: tuple[str, FloatArray | None] = ("", None)
+        """The arm's pose as it was seen last."""
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
@@ -232,18 +239,29 @@ class LandmarkGuide:
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
         """Return the guidance of the skin with a landmark before it, where one is asked for; `now_s` as for `SessionGuide`."""
-        here = self.stance_of(snapshot.pose, snapshot.link_from_sensor)
+        self._pose = snapshot.pose, snapshot.link_from_sensor
+        here = self.stance_of(*self._pose)
         if here != self._stance:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.
             self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
         still = now_s - self._stance_s >= STILL_S
-        known = ([landmark.name for landmark in snapshot.landmarks], snapshot.at_landmarks, here, still, guidance)
+        names = [landmark.name for landmark in snapshot.landmarks]
+        known = names, snapshot.at_landmarks, here, still, guidance, len(snapshot.skips)
         if known != self._known:
             self._known = known
-            self._targets = self._plan(snapshot) if still else []
+            self._targets = self._plan(snapshot, *self._pose) if still else []
             now = self._targets[0] if self._targets else None
             self._shown = now and guidance.before_skin(now, self.normal(now.landmark), self._gain_of(snapshot))
         return self._shown or guidance
+
+    def added(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
+        """Return the guidance of the skin with what is asked for at landmarks before it; see `SessionGuide.judged`."""
+        pose = snapshot.pose, snapshot.link_from_sensor
+        if not snapshot.pose and snapshot.pokes:
+            last = snapshot.pokes[-1].outcome
+            pose = last.pose, last.link_from_sensor
+        targets = self._plan(snapshot, *pose)
+        return guidance.before_skin(targets[0], self.normal(targets[0].landmark), None) if targets else guidance
 
     def _is_named(self, pose: str) -> bool:
         """Return whether the scene knows that arm pose; streamed joints pass through others that have no name of their own."""
@@ -253,11 +271,23 @@ class LandmarkGuide:
         """Return the name of an arm pose; one that is nearly an earlier one has its name, unless the scene names it."""
         return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
 
-    def _plan(self, snapshot: Snapshot) -> list[LandmarkTarget]:
-        if not snapshot.landmarks or (self._scene.arm is not None and not snapshot.pose):
+    def _plan(self, snapshot: Snapshot, pose: str, link_from_sensor: FloatArray | None) -> list[LandmarkTarget]:
+        if not snapshot.landmarks or (self._scene.arm is not None and not pose):
             return []
+        for skip in snapshot.skips[self._skips :]:
+            self._take_skip(skip)
+        self._skips = len(snapshot.skips)
         poked = [(self.stance_of(poke.pose, poke.link_from_sensor), poke.name) for poke in self.made(snapshot)]
-        return self._round.plan(snapshot.landmarks, poked, self._stance)
+        return self._round.plan(snapshot.landmarks, poked, self.stance_of(pose, link_from_sensor))
+
+    def _take_skip(self, skip: SkipPoke | SkipLandmark) -> None:
+        if not isinstance(skip, SkipLandmark):
+            return
+        stance = self.stance_of(skip.pose, np.reshape(skip.link_from_sensor, (4, 4)) if skip.link_from_sensor else None)
+        if skip.name:
+            self._round.skip(skip.name, stance)
+        else:
+            self._round.leave_out(stance)
 
     def made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
@@ -282,13 +312,12 @@ class LandmarkGuide:
         made, noise = [poke for poke in self.made(snapshot) if poke.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
-    def skip(self, *, all_of_pose: bool = False) -> None:
-        """Ask for that landmark no more in this arm pose, or for none."""
-        if self._targets and all_of_pose:
-            self._round.leave_out(self._stance)
-        elif self._targets:
-            self._round.skip(self._targets[0].landmark.name, self._stance)
-        self._known = ()
+    def skip(self, *, all_of_pose: bool = False) -> SkipLandmark | None:
+        """Return what asks for the landmark no more in this arm pose, or for none; None where none is asked for."""
+        if not self._targets:
+            return None
+        name, (pose, sensor) = "" if all_of_pose else self._targets[0].landmark.name, self._pose
+        return SkipLandmark(name, pose, () if sensor is None else _numbers(sensor))
 
     def normal(self, landmark: Landmark) -> FloatArray:
         """Return the outward normal at a landmark: its own, else the surface's, else away from the skin's middle."""
@@ -374,6 +403,33 @@ def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
 
 def _straight(channel: int | None, place: FloatArray, normal: FloatArray, landmark: str = "") -> Target:
     return Target(channel, place, normal, -normal, 0.0, float("inf"), float("inf"), landmark)
+
+
+def _numbers(values: FloatArray) -> tuple[float, ...]:
+    return tuple(map(float, values.ravel()))
+
+
+def asked_poke(guidance: Guidance | None) -> AskPoke:
+    """Return which poke on the skin is asked for; none while a landmark is, or nobody guides."""
+    target = None if guidance is None or guidance.landmark is not None else guidance.target
+    if target is None:
+        return AskPoke(-1, (), (), ())
+    channel = -1 if target.channel is None else target.channel
+    return AskPoke(channel, _numbers(target.place), _numbers(target.normal), _numbers(target.push))
+
+
+def _target_of(asked: AskPoke | SkipPoke, normal: Sequence[float]) -> Target:
+    """Return a poke of the past as a target; of one that was skipped the normal does not matter."""
+    place, outward, push = (np.array(values) for values in (asked.place, normal, asked.push))
+    tilt = float(np.arccos(np.clip(-(push @ outward), -1.0, 1.0)))
+    channel = None if asked.channel < 0 else asked.channel
+    return Target(channel, place, outward, push, tilt, float("inf"), float("inf"))
+
+
+def _asked_target(asked: AskPoke | None) -> Target | None:
+    if asked is None or not asked.place or not asked.normal or not asked.push:
+        return None
+    return _target_of(asked, asked.normal)
 
 
 class ModulesEnough:

@@ -21,8 +21,8 @@ from skincal.session.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
-TOLD_CHUNKS = 200
-"""Chunks from one word on how far it is to the next: some hundredths of a second."""
+TOLD_CHUNKS = 20
+"""Chunks from one word on how far it is to the next: a second of a recording, some hundredths of one of work."""
 STOPPED = "The import was stopped; nothing was left behind."
 
 

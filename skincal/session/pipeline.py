@@ -21,7 +21,7 @@ from skincal.contacts.outcome import Contact, Outcome, PressPhase
 from skincal.geometry import FloatArray
 from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
-from skincal.model.actions import Action, AskLandmark, Stamped
+from skincal.model.actions import Action, AskLandmark, AskPoke, Stamped
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import ArmSpec, Scene
@@ -75,6 +75,7 @@ class Pipeline:
         self._earlier = Totals()
         self._now_ns = 0
         self._found_dead = False
+        self.session.set_clock(None if journal is None else journal.clock)
         self._connect(links)
 
     def _connect(self, links: Sequence[LinkSpec]) -> None:
@@ -126,7 +127,7 @@ class Pipeline:
         self._detector.use_thresholds(self.session.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
-        if not isinstance(action, AskLandmark):
+        if not isinstance(action, AskLandmark | AskPoke):
             self._record(lambda journal: journal.sync())
 
     @property
@@ -192,6 +193,7 @@ class Pipeline:
         self.session.settle()
         self._connect(self.links if links is None else links)
         self.journal = journal
+        self.session.set_clock(None if journal is None else journal.clock)
         self.renew_detector()
 
     def renew_detector(self) -> None:
@@ -204,6 +206,8 @@ class Pipeline:
         self._detector.use_thresholds(session.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
+        # A session that was loaded stands in the pose that was chosen last.
+        self._show_pose(None)
 
     def put_down(self, host_ns: int) -> None:
         """Come to an end in good order: a poke in progress is over, and those that wait are final."""

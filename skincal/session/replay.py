@@ -112,6 +112,7 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
     if isinstance(item, SegmentMark):
         if item.number > 1:
             pipeline.begin_segment(item.links)
+        pipeline.session.set_clock(item.clock)
     elif isinstance(item, Stamped):
         # The bytes and what was asked for lead to these again.
         if not isinstance(item.action, FoundAtLandmark | MissedLandmark):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -17,10 +17,12 @@ import numpy as np
 from skincal import __version__
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
+from skincal.journal.documents import WallClock
 from skincal.model.actions import (
     Action,
     AddLandmark,
     AskLandmark,
+    AskPoke,
     AtLandmark,
     BeginClosing,
     Correct,
@@ -34,6 +36,8 @@ from skincal.model.actions import (
     SetPose,
     SetThresholds,
     SkipClosing,
+    SkipLandmark,
+    SkipPoke,
     Uncorrect,
     Undo,
 )
@@ -58,6 +62,9 @@ if TYPE_CHECKING:
 MARKED = "marked by the operator"
 """Reason of a channel that the operator left out."""
 
+NOTES = (AskLandmark, AskPoke, MissedLandmark, SkipClosing, SkipLandmark, SkipPoke)
+"""Actions that say what was asked for, or found: no steps of the operator's, so that undo passes them over."""
+
 
 class Session:
     """Pokes and decisions, and the estimates of every method that the scene has.
@@ -67,6 +74,16 @@ class Session:
     surface : the scene's mesh; None leaves out the surface method, and modules lie free in space
     methods : those that are solved; None for all that the scene has
     """
+
+    asked: AskPoke | None = None
+    """The poke on the skin that the operator is asked for; None before anything was."""
+    _clocks: tuple[tuple[int, WallClock | None], ...] = ()
+    _closings: tuple[ClosingRound, ...] = ()
+    _skips: tuple[SkipPoke | SkipLandmark, ...] = ()
+    _generation = 0
+    _last: Snapshot | None = None
+    _snapshot: Snapshot | None = None
+    """The last one, where nothing changed since; else None."""
 
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None = None) -> None:
         self.scene = scene
@@ -92,13 +109,8 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
-        self._closings: tuple[ClosingRound, ...] = ()
         self._touched: IntArray = np.empty(0, dtype=np.int64)
         self._current_pose: tuple[str, FloatArray | None] = (self.pose, None)
-        self._generation = 0
-        self._last: Snapshot | None = None
-        self._snapshot: Snapshot | None = None
-        """The last one, where nothing changed since; else None."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -195,12 +207,17 @@ class Session:
         """Take a poke's outcome, in place of an earlier one with its number."""
         before = self._records.get(outcome.poke)
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
-        self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded))
+        asked = self.asked if before is None else before.asked
+        self._put(PokeRecord(self._corrections.take(outcome), outcome.poke in self._excluded, asked))
         # What comes next can make a rejection of an accepted poke, which is then no step of the operator's any more.
         if now and not was:
             self._history.add_poke(outcome.poke)
         if was and not now:
             self._history.forget_poke(outcome.poke)
+
+    def set_clock(self, clock: WallClock | None) -> None:
+        """Take the clock by which pokes and actions from now on are dated; None where nobody knows it."""
+        self._clocks = (*self._clocks, (self.last_poke, clock))
 
     def settle(self) -> None:
         """Make every outcome final as it stands: what could have changed it will not come."""
@@ -245,7 +262,7 @@ class Session:
             There is no such poke, pose, landmark or channel, or nothing to undo or redo; the session is as it was.
         """
         # A closing check that the operator wants is a step; one that began by itself would begin again once taken back.
-        if isinstance(action, AskLandmark | MissedLandmark | SkipClosing) or action == BeginClosing():
+        if isinstance(action, NOTES) or action == BeginClosing():
             self._take_note(action)
             return
         if isinstance(action, Undo):
@@ -255,8 +272,12 @@ class Session:
             if not self._history.redo():
                 raise InputError("There is nothing to redo: nothing was taken back, or something else was done since.")
         else:
-            self._history.do(action, at_s, found=isinstance(action, FoundAtLandmark))
+            self._history.do(action, self._wall_s(at_s), found=isinstance(action, FoundAtLandmark))
         self._changed()
+
+    def _wall_s(self, at_s: float) -> float:
+        clock = self._clocks[-1][1] if self._clocks else None
+        return math.nan if clock is None else clock.at(at_s)
 
     def _take_note(self, action: Action) -> None:
         """Take what was asked for, or found as an outcome is: it is no step of the operator's, and is not taken back."""
@@ -264,13 +285,27 @@ class Session:
             # It changes nothing of what is known.
             self._known.check_name(action.name)
             return
+        if isinstance(action, AskPoke):
+            # Nor does this, before there is a poke.
+            _check_numbers(action, {0, 3}, action.place, action.normal, action.push)
+            self.asked = action
+            return
         if isinstance(action, MissedLandmark):
             self._known.miss(action)
+        elif isinstance(action, SkipPoke | SkipLandmark):
+            self._skip(action)
         elif isinstance(action, SkipClosing):
             self._skip_closing(action)
         else:
             self._begin_closing()
         self._changed()
+
+    def _skip(self, action: SkipPoke | SkipLandmark) -> None:
+        if isinstance(action, SkipPoke):
+            _check_numbers(action, {3}, action.place, action.push)
+        else:
+            _check_numbers(action, {0, 16}, action.link_from_sensor)
+        self._skips = (*self._skips, action)
 
     def _begin_closing(self) -> Step:
         at = len(self._closings)
@@ -355,6 +390,8 @@ class Session:
             thresholds=self.thresholds,
             closings=self._closings,
             distances=self._solving.tried_distances,
+            skips=self._skips,
+            clocks=self._clocks,
         )
         return self._snapshot
 
@@ -447,7 +484,7 @@ class Session:
 
     def _set_excluded(self, poke: int, out: bool) -> None:
         (self._excluded.add if out else self._excluded.discard)(poke)
-        self._put(PokeRecord(self._records[poke].outcome, out))
+        self._put(replace(self._records[poke], excluded=out))
 
     def _choose_pose(self, name: str) -> Step:
         known = {} if self.scene.arm is None else self.scene.arm.poses
@@ -490,3 +527,10 @@ class Session:
         put(marked | this if mark else marked - this, revived - this if mark else revived | this)
         words = f"mark of channel {channel}" if mark else f"return of channel {channel}"
         return Step(words, lambda: put(marked, revived))
+
+
+def _check_numbers(action: Action, sizes: Collection[int], *values: Sequence[float]) -> None:
+    """Raise InputError where a place or a direction of an action has another number of coordinates, or is not finite."""
+    if any(len(each) not in sizes or not all(map(math.isfinite, each)) for each in values):
+        expected = " or ".join(map(str, sorted(sizes)))
+        raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected} finite numbers.")

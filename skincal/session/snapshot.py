@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.actions import MissedLandmark
+from skincal.journal.documents import WallClock
+from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
 from skincal.model.readings import LinkHealth
 from skincal.model.scene import ContactSettings, Landmark
 from skincal.rig.closing import ClosingPlace
@@ -27,6 +28,8 @@ class PokeRecord:
     outcome: Outcome
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
+    asked: AskPoke | None = None
+    """What was asked for when it was made; None where nothing is known of that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +85,10 @@ class Snapshot:
     """The closing checks that began, the newest last."""
     distances: tuple[TriedDistance, ...] = ()
     """Of each known distance between modules of the scene, whether the modules method uses it."""
+    clocks: tuple[tuple[int, WallClock | None], ...] = ()
+    """Of each part of the session the last poke before it, and its clock; None where nobody knows that."""
+    skips: tuple[SkipPoke | SkipLandmark, ...] = ()
+    """What the operator did not want to be asked for, in that order."""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

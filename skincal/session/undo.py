@@ -26,7 +26,7 @@ class ActionEntry:
     step: Step
     action: Action
     at_s: float
-    """Host's monotonic clock, seconds; NaN where nobody said."""
+    """Time of day, seconds since 1970; NaN where nobody knows it."""
 
 
 class DeedKind(Enum):

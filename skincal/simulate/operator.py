@@ -1,16 +1,15 @@
 """A person who pokes: where, which way, how hard and for how long; and what that person is asked for, as lines of text.
 
 Three operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says; `Guided` is shown a
-target, goes there as well as a hand can, and sometimes pokes something else. `read_order` reads a line, `write_target` writes
-what a guide asks for; both sides of the pipe share them.
+target, goes there as well as a hand can, and sometimes pokes something else. What a guide asks for comes as a robot gets it
+(`skincal/robot/target_lines.py`), and is answered likewise; `read_order` reads a line of what is ordered otherwise.
 """
 
 from __future__ import annotations
 
 import queue
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import Enum
 from typing import TypeAlias
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, NoTarget, PokeTarget
 from skincal.simulate.simulated_rig import (
     PressedPlaces,
     Rig,
@@ -29,13 +29,6 @@ from skincal.simulate.simulated_rig import (
     push_directions,
     tangents,
 )
-
-NO_TAXEL = "-"
-"""Stands for the channel of a target that is a place at which a taxel may be."""
-KNOWN_POINT = "+"
-"""Stands for the channel of a target that is a known point of the part: a screw head, a corner."""
-FAR = 10.0
-"""m. No part reaches so far from its frame's origin: coordinates beyond are a mistake."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,20 +51,6 @@ class PoseOrder:
     name: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TargetOrder:
-    """What a guide's ring and arrow show."""
-
-    channel: int | None
-    """None where it is a place at which a taxel may be, or a known point."""
-    place: FloatArray
-    """(3,) float, metres, link frame: where the guide believes the taxel to be, which may be beside it; or the known point."""
-    push: FloatArray
-    """(3,) float, unit, link frame."""
-    known: bool = False
-    """The place is a known point of the part, which one sees and feels."""
-
-
 @dataclass(frozen=True, slots=True)
 class PaceOrder:
     """Be so many times as quick between pokes as by habit."""
@@ -86,22 +65,9 @@ class PaceOrder:
         return cls(pace)
 
 
-class NoTarget(Enum):
-    """What a guide says where it names no target; the value is its line."""
+Order: TypeAlias = PokeOrder | PoseOrder | PaceOrder
 
-    ANY = "any"
-    """Nobody guides: poke what you like."""
-    WAIT = "wait"
-    """Nothing is to be poked."""
-
-
-OperatorTarget: TypeAlias = TargetOrder | NoTarget
-Order: TypeAlias = PokeOrder | PoseOrder | TargetOrder | PaceOrder | NoTarget
-
-ORDER_HELP = (
-    "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME, "
-    "target CHANNEL|-|+ X_MM Y_MM Z_MM PUSH_X PUSH_Y PUSH_Z (- a place, + a known point), pace TIMES, any or wait"
-)
+ORDER_HELP = "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME or pace TIMES"
 PACES = (0.1, 4.0)
 """How many times as quick as by habit a hand may be between pokes."""
 
@@ -136,28 +102,9 @@ def _order_of(words: list[str]) -> Order | None:
                 return PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
         case ["pose" | "pace" as what, value]:
             return PoseOrder(value) if what == "pose" else PaceOrder.of(float(value))
-        case ["target", channel, *numbers] if len(numbers) == 6:
-            values = np.array([float(number) for number in numbers])
-            place, push = values[:3] * 1e-3, values[3:]
-            size = float(np.linalg.norm(push))
-            # NaN fails every comparison.
-            if (np.abs(place) < FAR).all() and 0.5 < size < 2.0:
-                number = None if channel in (NO_TAXEL, KNOWN_POINT) else int(channel)
-                return TargetOrder(number, place, push / size, known=channel == KNOWN_POINT)
-        case [word]:
-            return NoTarget(word)
         case _:
             pass
     return None
-
-
-def write_target(target: OperatorTarget) -> str:
-    """Return the line that says what a guide asks for; the place to a hundredth of a millimetre."""
-    if isinstance(target, NoTarget):
-        return target.value
-    place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((target.place * 1e3, 2), (target.push, 4)))
-    nobody = KNOWN_POINT if target.known else NO_TAXEL
-    return f"target {nobody if target.channel is None else target.channel} {place} {push}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -476,7 +423,7 @@ class Told:
         elif isinstance(order, PoseOrder):
             self._rig.stance(order.name)
         else:
-            raise InputError("target, pace, any and wait are for --operator guided; expected poke or pose.")
+            raise InputError("pace is for --operator guided; expected poke or pose.")
         self._orders.put(order)
 
     def next(self, now: float) -> OperatorAction | None:
@@ -507,53 +454,60 @@ class Guided(Auto):
     before the touch still counts, a later one is for the next poke. A known point of the part, such as a screw head, is
     seen and felt: the hand goes to it more exactly, and neither slides off nor pokes something else instead.
 
+    Each number that is asked for is poked once, and said to be reached when the hand is back.
+
     The same seed and the same targets at the same times give the same pokes. `channels` are for pokes of its own choice.
     """
 
-    _newest: OperatorTarget = NoTarget.ANY
+    _newest: PokeTarget | NoTarget = NoTarget.ANY
     """From any thread."""
-    _seen: OperatorTarget = NoTarget.ANY
+    _seen: PokeTarget | NoTarget = NoTarget.ANY
     """What is on the screen now."""
     _natural: Habits | None = None
     """Those that it began with, once its pace was changed."""
     _touch: float | None = None
     """s, when the hand that is on its way will touch."""
+    _poked: int = 0
+    """Number of the target that was poked last."""
+    _to_say: int = 0
+    """The same until it is said to be reached, else 0."""
+    answered: Callable[[Answer], object] | None = None
+    """Is told what a robot would answer."""
 
     def accept(self, order: Order) -> None:
-        """Take what the guide shows now, from any thread.
+        """Be so quick from now on, from any thread; InputError where the order is another one."""
+        if not isinstance(order, PaceOrder):
+            raise InputError("poke and pose are for --operator told; expected pace, and targets over --targets.")
+        self._natural = self._natural or self._habits
+        self._habits = self._natural.at_pace(order.pace)
 
-        Raises
-        ------
-        InputError
-            There is no such taxel, or the order is not a guide's.
-        """
-        if isinstance(order, PaceOrder):
-            self._natural = self._natural or self._habits
-            self._habits = self._natural.at_pace(order.pace)
-            return
-        if not isinstance(order, TargetOrder | NoTarget):
-            raise InputError("poke and pose are for --operator told; expected target, pace, any or wait.")
-        if isinstance(order, TargetOrder) and order.channel is not None:
-            self._rig.row_of(order.channel)
+    def show(self, line: AskedLine) -> None:
+        """Take what the guide asks for now, from any thread; InputError where there is no such taxel."""
+        if isinstance(line, PokeTarget) and line.channel is not None:
+            self._rig.row_of(line.channel)
         # Without a lock: in Python one assignment is seen whole by every thread.
-        self._newest = order
+        if isinstance(line, PokeTarget | NoTarget):
+            self._newest = line
 
     def next(self, now: float) -> OperatorAction | None:
         """Return the next poke, or the way to the next arm pose; None while the hand is on its way, or has to wait."""
-        self._seen = self._newest
-        if self._seen is NoTarget.WAIT:
+        self._seen, said, self._to_say = self._newest, self._to_say, 0
+        if said and self.answered is not None:
+            self.answered(Answer(AnswerKind.REACHED, said))
+        if self._seen in (NoTarget.WAIT, NoTarget.ENOUGH):
             self._touch = None
             return None
         return super().next(now)
 
     def _poke(self, now: float) -> HandPress | None:
-        if not isinstance(self._seen, TargetOrder):
+        if not isinstance(self._seen, PokeTarget):
             self._touch = None
             return super()._poke(now)
         if self._touch is None:
             self._touch = now + self._rng.uniform(*self._habits.approach_s)
-        if now < self._touch - self._habits.reaction_s:
+        if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
+        self._poked = self._to_say = self._seen.number
         # A hand that had to wait touches now, not in the past.
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
@@ -563,7 +517,7 @@ class Guided(Auto):
             return press(self._rig, self._at_point(self._seen), touch, replace(at_once, slide_rate=0.0), self._rng)
         return press(self._rig, self._aimed(self._seen), touch, at_once, self._rng)
 
-    def _aimed(self, target: TargetOrder) -> PressedPlaces:
+    def _aimed(self, target: PokeTarget) -> PressedPlaces:
         """Return where the hand goes that is shown a target, or that goes where it likes."""
         habits, rng = self._habits, self._rng
         if rng.uniform() < habits.ignores:
@@ -580,7 +534,7 @@ class Guided(Auto):
             channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
         )  # fmt: skip
 
-    def _at_point(self, target: TargetOrder) -> PressedPlaces:
+    def _at_point(self, target: PokeTarget) -> PressedPlaces:
         """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
         firm, rng = LandmarkHabits(), self._rng
         # Without a surface the push itself says which way is outward.
@@ -593,7 +547,7 @@ class Guided(Auto):
         nobody = np.array([-1], dtype=np.int64)
         return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
 
-    def _row(self, target: TargetOrder) -> int:
+    def _row(self, target: PokeTarget) -> int:
         """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""
         if target.channel is not None:
             return self._rig.row_of(target.channel)

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.files.atomic import write_atomically
 from skincal.files.reference import TRUTH_NAME
 from skincal.journal.writer import create_session
 from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.pipeline import Pipeline
@@ -64,7 +66,11 @@ def simulate_session(
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links))
-    (folder / TRUTH_NAME).write_text(json.dumps(rig.truth(), indent=1) + "\n", encoding="utf-8")
+    try:
+        write_atomically(folder / TRUTH_NAME, json.dumps(rig.truth(), indent=1).encode() + b"\n")
+    except InputError:
+        pipeline.close()
+        raise
     for link in links:
         pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
     begun = 0

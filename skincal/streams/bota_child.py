@@ -13,7 +13,6 @@ import os
 import signal
 import sys
 from importlib import import_module
-from types import FrameType
 from typing import Any, NoReturn
 
 from skincal.streams.decoders.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
@@ -79,7 +78,7 @@ def read_driver(bota: Any, settings: dict[str, Any], out: int) -> NoReturn:
         driver.shutdown()
 
 
-def _leave(number: int, frame: FrameType | None) -> None:  # noqa: ARG001 - the signature of a handler
+def _leave(*_: object) -> NoReturn:
     sys.exit()
 
 

@@ -34,6 +34,8 @@ class Scheme:
     """Names that may stand after `?`."""
     host: bool = True
     """Whether it has hosts."""
+    from_start: bool = False
+    """What comes can be read from the beginning of a connection alone: it has a page first, or no mark between messages."""
 
 
 RUN, RAN = "run:", "ran:"
@@ -42,13 +44,15 @@ DRIVER_OPTIONS = ("mode", "submode", "baud", "product", "serial")
 
 SCHEMES: Mapping[str, Scheme] = MappingProxyType(
     {
-        "netft": Scheme("netft://192.168.1.1", 49152, "rdt", options=("cpf", "cpt", "device", "page")),
-        "yarp": Scheme("yarp:/icub/right_arm/analog:o or yarp://SERVER:10000/icub/right_arm/analog:o", 10000, "yarp-port"),
+        "netft": Scheme("netft://192.168.1.1", 49152, "rdt", options=("cpf", "cpt", "device", "page"), from_start=True),
+        "yarp": Scheme(
+            "yarp:/icub/right_arm/analog:o or yarp://SERVER:10000/icub/right_arm/analog:o", 10000, "yarp-port", from_start=True
+        ),
         "bota": Scheme(
             "bota:/dev/ttyUSB0, bota://192.168.0.45 or bota:///dev/ttyACM0", 0, "bota", 460800, "bota", DRIVER_OPTIONS
         ),
         "robotiq": Scheme("robotiq:/dev/ttyUSB0 or robotiq://192.168.1.2", 63351, "robotiq-text", 19200, "robotiq"),
-        "rtde": Scheme("rtde://192.168.1.2", 30004, "rtde"),
+        "rtde": Scheme("rtde://192.168.1.2", 30004, "rtde", from_start=True),
         "xela": Scheme("xela://127.0.0.1:5000", 5000, "xela"),
         "papillarray": Scheme("papillarray:/dev/ttyACM0", baud=115200, serial_format="papillarray", host=False),
         "lines": Scheme("lines://127.0.0.1:7000"),
@@ -136,6 +140,11 @@ def _place_form(address: str, name: str, scheme: Scheme, rest: str) -> DeviceAdd
     if not place or not scheme.baud:
         return None
     return DeviceAddress(address, name, scheme.serial_format, path=place, baud=scheme.baud, options=options)
+
+
+def from_start(address: str) -> bool:
+    """Return whether bytes of this address are of no use once some before them were dropped."""
+    return address.partition(":")[0] in SCHEMES and SCHEMES[address.partition(":")[0]].from_start
 
 
 def label_of(address: str) -> str:

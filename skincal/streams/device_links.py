@@ -25,6 +25,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
+from skincal.model.errors import InputError
+from skincal.model.given import read_regular
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
 from skincal.streams.device_address import DeviceAddress, parse_device
@@ -35,7 +37,7 @@ READY_S = 0.8
 ANSWER_S = 1.0
 """s. For a page or the answer of a name server: machines of one room."""
 ANSWER_MAX = 1 << 20
-"""Bytes of a name server's answer: some 10,000 ports."""
+"""Bytes of an answer: a name server's has some 10,000 ports."""
 DATAGRAM_MAX = 1472
 """Bytes of a datagram that passes Ethernet in one piece; no device here sends longer ones."""
 DATAGRAMS_TOGETHER = 64
@@ -80,7 +82,8 @@ class TalkingLink:
             self._transport.write(opening)
         end_s = time.monotonic() + READY_S
         while not self._dialogue.ready:
-            if time.monotonic() > end_s:
+            # What is said and not understood must not fill the memory meanwhile.
+            if time.monotonic() > end_s or len(self._early) > ANSWER_MAX:
                 raise LinkFailure(FailureKind.ABSENT, f"{self._address}: does not answer as it should; check what runs there.")
             self._early += self._hear(end_s - time.monotonic())
 
@@ -265,6 +268,8 @@ def _netft_page(device: DeviceAddress, ports: Ports) -> bytes:
 # ------------------------------------------------------------------ YARP
 
 
+CONFIG_MOST = 1 << 16
+"""Bytes of a file of YARP's settings: each is a line or two."""
 NAMES_SHOWN = 3
 """Ports named as examples where one is not known."""
 
@@ -292,10 +297,10 @@ def _yarp_folder() -> Path:
 
 
 def _first_words(path: Path) -> list[str]:
-    """Return the words of a file's first line that says something; none where there is no such file."""
+    """Return the words of a file's first line that says something; none where there is no such file, or none of YARP's size."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
+        lines = read_regular(path, CONFIG_MOST).decode("utf-8", "replace").splitlines()
+    except InputError:
         return []
     words = [line.split() for line in lines if line.strip() and line.strip()[0] not in "#["]
     return words[0] if words else []

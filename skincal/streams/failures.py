@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import Enum
 from typing import Protocol
 
+from skincal.model.errors import plain_text, shortened
+
 
 class FailureKind(Enum):
     """Why a link cannot be opened or read."""
@@ -21,10 +23,13 @@ class FailureKind(Enum):
 
 
 class LinkFailure(Exception):  # noqa: N818 - most are no error: a port is unplugged, a file ends
-    """A link cannot be opened, read or written; the message is a sentence for the operator."""
+    """A link cannot be opened, read or written; the message is a sentence for the operator.
+
+    It may quote a device: it is made plain and short, as an `InputError` is.
+    """
 
     def __init__(self, kind: FailureKind, sentence: str) -> None:
-        super().__init__(sentence)
+        super().__init__(shortened(plain_text(sentence)))
         self.kind = kind
 
 

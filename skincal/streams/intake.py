@@ -492,6 +492,7 @@ class LinkIntake:
         text = self._text or (self._decoder.note if self._state is LinkState.OPEN else "")
         losses = self._before + self._decoder.counts + Counter(pairing)
         spec, rate, verdict = self.spec, self._rate_until(now_ns), self.ear.judge(now_ns)
+        units = "; ".join(words for stream, words in self._decoder.units.items() if stream in spec.carries)
         return LinkHealth(
             spec.name,
             self._state,
@@ -503,6 +504,7 @@ class LinkIntake:
             self._last_ns,
             losses,
             self._beside(),
+            units,
             verdict,
             spec.address,
         )

@@ -33,7 +33,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams.decoders.detect import AUTO
-from skincal.streams.device_address import parse_device
+from skincal.streams.device_address import from_start, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 DEFAULT_BAUD = 115200
@@ -44,6 +44,8 @@ SOCKET_PREFIX = "socket://"
 SCHEME = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """How an address begins that is neither a port nor a path: with two letters or more, since Windows has drives of one."""
 KNOWN = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
+ADDRESS_MOST = 1000
+"""Characters of an address: four times the longest name of a host. Before it is connected, all of it is shown."""
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
 READ_BYTES = 65536
@@ -68,7 +70,7 @@ BITS_PER_BYTE = 10
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """A link as the operator describes it."""
+    """A link as the operator describes it; `InputError` where its address is too long."""
 
     name: str
     """Unique in a session, such as `"wrench"`."""
@@ -78,6 +80,11 @@ class LinkSpec:
     carries: tuple[Stream, ...]
     format: str = "auto"
     """One of `skincal.streams.decoders.detect.NAMES`."""
+
+    def __post_init__(self) -> None:
+        length = len(self.address)
+        if length > ADDRESS_MOST:
+            raise InputError(f"{self.address}: the address has {length} characters; expected at most {ADDRESS_MOST}.")
 
 
 class LinkKind(Enum):
@@ -268,7 +275,7 @@ class TcpLink:
             raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
         except OSError as error:
             raise _connect_failure(address, error) from error
-        _probe(self._socket)
+        probe(self._socket)
 
     def read(self, timeout_s: float) -> bytes:
         """See `Link`."""
@@ -296,7 +303,7 @@ class TcpLink:
         self._socket.close()
 
 
-def _probe(connection: socket.socket) -> None:
+def probe(connection: socket.socket) -> None:
     """Have the system ask a silent server whether it is there: one that lost its power says no goodbye.
 
     It is asked after `PROBE_IDLE_S` of silence, `PROBES` times, and one that answers may be silent for ever.
@@ -490,19 +497,20 @@ class Inbox:
         self._dropped: Counter[str] = Counter()
         self._until_ns: dict[str, int] = {}
 
-    def put(self, item: Any) -> None:
-        """Take the next item, if it has room; what is no `Chunk` always has."""
+    def put(self, item: Any) -> bool:
+        """Take the next item, if it has room; what is no `Chunk` always has. Return whether it was taken."""
         with self._lock:
             if not isinstance(item, Chunk):
                 if isinstance(item, LinkEvent):
                     # Before it: what was dropped came while the link was open.
                     self._tell_dropped(item.link, item.host_ns)
-                self._queue.put(item)
             elif self._has_room(item):
                 self._waiting[item.link] += len(item.data) + ITEM_BYTES
-                self._queue.put(item)
             else:
                 self._dropped[item.link] += len(item.data)
+                return False
+            self._queue.put(item)
+            return True
 
     def _has_room(self, chunk: Chunk) -> bool:
         """Return whether a chunk may wait; where that is so again, say first what was dropped."""
@@ -558,6 +566,7 @@ class Reader:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {spec.name}", daemon=True)
         self._opened = False
+        self._from_start = from_start(spec.address)
         self._reported = ""
         """The sentence that was reported last."""
         self._reason, self._reason_since_s = "", 0.0
@@ -618,13 +627,18 @@ class Reader:
         while not self._stop.is_set():
             data = link.read(READ_S)
             if data:
-                # Stamped at once, by a clock that nobody can set back while a session runs.
-                self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data))
+                self._keep(data)
             # Of a port whose baud rate is searched: what follows is heard at another one.
             now_tried: tuple[int, ...] = getattr(link, "tried", ())
             if len(now_tried) > 1 and now_tried != tried:
                 tried = now_tried
                 self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))
+
+    def _keep(self, data: bytes) -> None:
+        # Stamped at once, by a clock that nobody can set back while a session runs.
+        if self._items.put(Chunk(self._spec.name, time.monotonic_ns(), data)) is False and self._from_start:
+            self._stop.wait(DROP_NS * 1e-9)
+            raise LinkFailure(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected anew.")
 
     def _could_not_open(self, failure: LinkFailure) -> None:
         """Report why the link does not open: at once the first time, later only what is new and lasts."""

@@ -12,8 +12,9 @@ import pytest
 from PySide6.QtCore import QCoreApplication, QEvent, QSettings, QThread, QTimer
 from PySide6.QtWidgets import QApplication
 
-from app.workers.device_process import DeviceProcess
 from skincal.model.scene import resource
+from skincal.robot.target_lines import write_line
+from skincal.robot.target_server import TargetServer
 from tests.app.whole_window import Bench
 
 WAIT_S = 5.0
@@ -117,14 +118,14 @@ def recorded(recorded_once, tmp_path):
 
 @pytest.fixture
 def said():
-    """What the window's process was told, in order."""
+    """What the window asked its simulated operator, as lines in order."""
     lines: list[str] = []
-    tell = DeviceProcess.tell
+    send = TargetServer.send
 
-    def record(server, line):
-        lines.append(line)
-        tell(server, line)
+    def record(server, asked):
+        lines.extend(write_line(line) for line in asked)
+        send(server, asked)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DeviceProcess, "tell", record)
+        patch.setattr(TargetServer, "send", record)
         yield lines

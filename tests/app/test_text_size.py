@@ -98,6 +98,23 @@ def test_at_1280_by_720_and_125_per_cent_nothing_is_cut_off(bench, recorded):
             assert label.height() >= label.fontMetrics().height(), label.text()
 
 
+def test_at_200_per_cent_the_window_stays_on_a_screen_of_720_pixels_with_every_tab(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    for _ in range(8):
+        bench.key(Key.Key_Plus, CONTROL)
+    window, workspace = bench.window, bench.window.session_view.workspace
+    for title in workspace.panels:
+        workspace.show_tab(title)
+        bench.qtbot.wait(50)
+        if title in ("Readings", "Errors"):
+            bench.until(lambda title=title: workspace.panels[title].ready)
+        bench.qtbot.wait(50)
+        assert window.minimumSizeHint().height() <= 720, title
+    assert window.height() == 720
+    assert workspace.now.geometry().bottom() <= workspace.height()
+
+
 def test_every_key_is_on_a_screen_of_1280_by_720_at_125_per_cent(bench):
     bench.key(Key.Key_Plus, CONTROL)
     bench.key(Key.Key_F2)

@@ -10,7 +10,7 @@ from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication
 
-from app.session.dropping import MESHES, request_of
+from app.session.dropping import MESHES, DroppedRecording, request_of
 from app.session.opening import OpenRequest
 from app.state.running import Running
 from skincal.mesh.load import read_mesh
@@ -73,9 +73,7 @@ def test_only_files_are_taken(bench):
     ("name", "sentence"),
     [
         *((f"elbow{kind}", approved("dropping.mesh", name=f"elbow{kind}")) for kind in (*MESHES, ".PLY")),
-        *((name, approved("dropping.table")) for name in ("wrench.csv", "data.log")),
         *((name, approved("dropping.nothing")) for name in ("places.json", "without")),
-        *((name, approved("dropping.recording")) for name in ("log/data.log", "log/arm/data.log", "log/robot/arm/data.log")),
         ("photographs/me.png", approved("dropping.no_session")),
     ],
 )
@@ -87,6 +85,19 @@ def test_each_kind_has_its_sentence(tmp_path, name, sentence):
     with pytest.raises(InputError) as refusal:
         request_of([dropped])
     assert str(refusal.value) == f"{dropped}: {sentence}"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["wrench.CSV", "data.log", "log/data.log", "log/arm/data.log", "log/robot/arm/data.log", "tables/b.csv"],
+)
+def test_a_recording_is_to_be_imported(tmp_path, name):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True, parents=True)
+    path.write_text("")
+    dropped = tmp_path / Path(name).parts[0]
+    assert request_of([path, path]) == DroppedRecording((path, path))
+    assert request_of([dropped]) == DroppedRecording((dropped,))
 
 
 def test_one_thing_at_a_time_that_is_there(tmp_path, recorded):

@@ -133,7 +133,7 @@ def test_a_guided_session_by_keys_alone_to_the_verdict_and_the_file(bench, plate
     hits = sum(peak == asked for asked, peak in meant)
     assert hits >= 0.4 * len(meant), "it mostly follows, and lands on a neighbour now and then; by chance it would be an eighth"
     assert hits < len(meant), "and not always"
-    assert said[-1] == "wait"
+    assert said[-1] == "enough"
     # The poke that was under way may ask for one more, before it is enough for good.
     bench.until(lambda: keys.headline == approved("guide.enough", done=8, count=8), 20_000)
     pokes = len(bench.snapshot.pokes)

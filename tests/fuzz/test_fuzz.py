@@ -12,6 +12,7 @@ import warnings
 import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from skincal.cli import main
@@ -27,7 +28,13 @@ from skincal.model.scene import load_scene
 from skincal.model.skin import read_layout
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from skincal.simulate.makers import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, XelaTalk, YarpTalk
 from skincal.streams.decoders.detect import NAMES, LinkDecoder
+from skincal.streams.decoders.framing import pack
+from skincal.streams.decoders.rdt import RECORDS
+from skincal.streams.device_address import parse_device
+from skincal.streams.device_links import Ports, open_device
+from skincal.streams.failures import FailureKind, LinkFailure
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 INPUTS = int(os.environ.get("SKINCAL_FUZZ", "300"))
@@ -160,7 +167,7 @@ def outcome_of(work, rng):
     """What the program said of the input; empty where it took it."""
     try:
         work(rng)
-    except InputError as error:
+    except (InputError, LinkFailure) as error:
         return str(error)
     return ""
 
@@ -248,6 +255,74 @@ def test_decoders(name, recorded):
         decoder.finish()
 
     try_all(name, 1, work, INPUTS)
+
+
+class Twisting:
+    """A device that answers as a simulated one does, then sends what it reads, all of it more or less changed, then is gone."""
+
+    def __init__(self, rng, talk, stream=b""):
+        self._rng, self._talk, self._stream, self._out = rng, talk, stream, b""
+
+    def _send(self, data):
+        self._out += twisted(self._rng, data) if data and self._rng.random() < 0.4 else data
+
+    def write(self, data):
+        self._send(self._talk.hear(data))
+
+    def read(self, _timeout_s):
+        if not self._out and self._talk.ready:
+            stream, self._stream = self._stream, b""
+            self._send(self._talk.wrap(stream))
+        if not self._out:
+            raise LinkFailure(FailureKind.VANISHED, "gone")
+        cut = self._rng.randint(1, len(self._out))
+        data, self._out = self._out[:cut], self._out[cut:]
+        return data
+
+    def close(self):
+        pass
+
+
+def stream_of(maker):
+    """What a maker's device sends, ten readings."""
+    encoder = MAKERS[maker].encoder()
+    if Stream.WRENCH in MAKERS[maker].carries:
+        return encoder.wrenches(np.arange(10) * 10_000, np.full((10, 6), 1.5))
+    return b"".join(encoder.skin(k * 10_000, np.arange(24.0)) for k in range(10))
+
+
+YARP_SERVER = 10000
+TALKS = {
+    "netft": ("netft://127.0.0.1:9", PageTalk),
+    "yarp": (f"yarp://h:{YARP_SERVER}/p", lambda: YarpTalk(7)),
+    "bota": ("bota:x", PlainTalk),
+    "robotiq": ("robotiq:x", PlainTalk),
+    "rtde": ("rtde://h", RtdeTalk),
+    "xela": ("xela://h", XelaTalk),
+    "papillarray": ("papillarray:x", PlainTalk),
+}
+"""Of each maker the address, and its device's side of the talk."""
+
+
+@pytest.mark.parametrize("maker", TALKS)
+def test_devices(maker):
+    """A sensor's page, a name server's answers, handshakes, frames of a websocket: opened and read until the device is gone."""
+    (address, talk), carries, stream = TALKS[maker], MAKERS[maker].carries[:1], stream_of(maker)
+
+    def work(rng):
+        def tcp(_address, _host, port):
+            return Twisting(rng, NameTalk({"/p": 7}), b"") if port == YARP_SERVER else Twisting(rng, talk(), stream)
+
+        link = open_device(address, carries, Ports(tcp, lambda *_: Twisting(rng, talk(), stream)))
+        decoder = LinkDecoder(parse_device(address).format, 24, carries)
+        with contextlib.closing(link):
+            for count in range(1000):
+                decoder.feed(link.read(0.0), count * 10_000_000)
+                if maker == "netft":  # its records are datagrams, and none come
+                    decoder.feed(pack(RECORDS, twisted(rng, stream)), count)
+                    return
+
+    try_all(maker, 1, work, INPUTS)
 
 
 def sealed(lines):

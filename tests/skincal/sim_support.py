@@ -1,5 +1,6 @@
 """Scenes and rigs that the tests of the simulator share."""
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
+from skincal.robot.target_lines import PokeTarget
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import step
 from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
@@ -51,3 +53,13 @@ def recorded_anew(folder: Path, into: Path) -> Path:
         step(pipeline, item)
     pipeline.close()
     return into
+
+
+def ask_on(hand):
+    """Have a guided hand that has reached what is asked for be asked for the same under the next number."""
+
+    def ask(answer):
+        if isinstance(hand._newest, PokeTarget):
+            hand.show(replace(hand._newest, number=answer.number + 1))
+
+    hand.answered = ask

@@ -204,7 +204,7 @@ def guess_csv(path: Path) -> tuple[Stream | None, int]:
     for stream in (Stream.WRENCH, Stream.JOINTS):
         with contextlib.suppress(InputError):
             found = _Table(stream, path)
-            if found.named or stream is Stream.WRENCH:
+            if found.named:
                 return stream, len(found.columns.values)
     return Stream.SKIN if table.named else None, len(table.columns.values)
 

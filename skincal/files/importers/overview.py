@@ -221,7 +221,10 @@ def look(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> Re
         for name, decoder in decoders.items()
         for loss, count in decoder.counts.items()
     ]
-    return RecordingPreview(kind, tuple(streams), (*opened.findings, *lost), *_force_curve(readings[Stream.WRENCH.value]))
+    # The first sentence on each file says what stands in `streams`.
+    known = {timeline.sentences()[0] for timeline in opened.timelines}
+    findings = [finding for finding in opened.findings if finding not in known] + lost
+    return RecordingPreview(kind, tuple(streams), tuple(findings), *_force_curve(readings[Stream.WRENCH.value]))
 
 
 def _values(batches: Iterable[Batch]) -> FloatArray:

@@ -23,6 +23,14 @@ NO_SEQ = -1
 SATURATED_BIT = 1
 INVALID_BIT = 2
 WRENCH_WIDTH = 6
+UNITS = {
+    Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
+    Stream.SKIN: "raw values",
+    Stream.JOINTS: "joint angles in degrees",
+}
+"""What the values of a reading are, where the device says no more."""
+UNIT_MAX = 20
+"""Characters of a unit that a device names."""
 PERIOD_WEIGHT = 1 / 16
 """Weight of the newest interval in the mean interval of a record: settles within some 16 records."""
 GAP_SLACK = 2.0
@@ -244,6 +252,8 @@ class PieceDecoder(ABC):
         self._collector = Collector(channels, carries, self.counts)
         self._splitter = self._make_splitter()
         self._first = True
+        self.units = dict(UNITS)
+        """What the values of a reading are: names and unit."""
         self.beside: dict[str, SideReading] = {}
         """What else the device measured, by name and unit, such as its temperature."""
 
@@ -268,6 +278,12 @@ class PieceDecoder(ABC):
         """Keep what was measured beside a reading."""
         new = SideReading(value, value, value)
         self.beside[name] = self.beside[name].then(new) if name in self.beside else new
+
+    def _name_unit(self, header: dict[str, str]) -> None:
+        """Keep what a board's header says of the values of its skin."""
+        unit = header.get("unit", "raw")[:UNIT_MAX]
+        if header.get("kind") == "taxel" and unit != "raw":
+            self.units[Stream.SKIN] = f"values in {unit}"
 
     @abstractmethod
     def _decode(self, piece: bytes) -> Loss | None:

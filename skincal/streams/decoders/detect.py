@@ -103,6 +103,11 @@ class LinkDecoder:
         return "" if self._chosen is None else self._chosen.note
 
     @property
+    def units(self) -> dict[Stream, str]:
+        """What the values of a reading are; nothing while the format is unknown."""
+        return {} if self._chosen is None else self._chosen.units
+
+    @property
     def beside(self) -> dict[str, SideReading]:
         """What else the device measured, by name and unit."""
         return {} if self._chosen is None else self._chosen.beside

@@ -130,7 +130,9 @@ class PapillArrayDecoder(PieceDecoder):
         if missing:
             self.counts[Loss.MISSING] += missing
         values = [value for force in forces for value in force]
-        if self._collector.width(Stream.SKIN) != len(values):
+        whole = self._collector.width(Stream.SKIN) == len(values)
+        self.units[Stream.SKIN] = f"{'Fx Fy Fz of' if whole else 'the force along'} each pillar, in N"
+        if not whole:
             values = [abs(force[2]) for force in forces]
         device_s = time_us / MICROSECONDS
         return self._collector.add(Stream.SKIN, number, device_s if device_s < STAMP_MAX else float("nan"), values)

@@ -130,6 +130,7 @@ class RtdeDecoder(PieceDecoder):
         super().__init__(channels, carries)
         self._first = False  # A connection begins with a packet.
         self._streams = [stream for stream in carries if stream in FIELDS]
+        self.units[Stream.JOINTS] = "base, shoulder, elbow and the three of the wrist in degrees"
 
     def _make_splitter(self) -> Pieces:
         return self._packets

@@ -106,6 +106,7 @@ class SkbDecoder(PieceDecoder):
         self.good += 1
         # A header that fits takes no other complaint away.
         self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
+        self._name_unit(header)
         return None
 
 

@@ -70,6 +70,7 @@ class SktDecoder(PieceDecoder):
         if letter == b"H":
             header = parse_header(rest.decode(errors="replace"))
             self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
+            self._name_unit(header)
         elif letter == b"E":
             self._collector.note = f"The board reports error {rest.decode(errors='replace')}"
         return None

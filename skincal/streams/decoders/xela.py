@@ -73,7 +73,10 @@ class XelaDecoder(PieceDecoder):
             else:
                 values += [float(int(word, 16)) for word in sensor["data"].split(",")]
         # Three channels for each taxel where the scene has as many; else the one across the skin.
-        return values if self._collector.width(Stream.SKIN) == len(values) else values[AXES - 1 :: AXES]
+        whole = self._collector.width(Stream.SKIN) == len(values)
+        unit = "in N" if self._calibrated else "as raw words"
+        self.units[Stream.SKIN] = f"{'x y z' if whole else 'the force across the skin'} of each taxel, {unit}"
+        return values if whole else values[AXES - 1 :: AXES]
 
 
 def _is_number(key: str) -> bool:

@@ -16,7 +16,7 @@ from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
 from app.scene3d.scene_state import Cloud, Comparison, Tint
 from app.scene3d.shapes import heads
 from app.session.opening import OpenRequest
-from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, sources_of
+from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, other_source, sources_of
 from app.text.compare_text import (
     MOST_MODULES,
     difference_words,
@@ -505,3 +505,17 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
     bench.until(lambda: len(bench.accepted()) >= 1)
     assert calls == []
     assert bench.window.session_view.workspace.compare._neighbours is None
+
+
+def test_two_sessions_of_one_name_are_told_apart_and_one_that_is_read_again_is_the_same():
+    monday, tuesday = Path("/a/monday/session"), Path("/a/tuesday/session")
+    first = other_source("session, free method", monday, ())
+    second = other_source("session, free method", tuesday, (first,))
+    third = other_source("session, free method", Path("/b/tuesday/session"), (first, second))
+    names = [each.name for each in (first, second, third)]
+    assert names == ["session, free method", "session, free method (tuesday)", f"session, free method ({Path('/b/tuesday')})"]
+    assert other_source("session, free method", tuesday, (first, second, third)) == second
+    places = Places(np.arange(2), None)
+    for source, x in ((first, 1.0), (second, 2.0), (first, 3.0)):
+        places.offer(source, {0: np.array([x, 0.0, 0.0])})
+    assert places.others == (first, second)

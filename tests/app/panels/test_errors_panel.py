@@ -30,7 +30,8 @@ from app.text.errors_text import (
 )
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
-from skincal.files.reference import Origin, Reference
+from skincal.files.reference import TRUTH_NAME, Origin, Reference
+from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.session.error_history import (
     MAX,
@@ -383,6 +384,33 @@ def test_a_panel_that_was_never_open_imports_no_plots():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+TYPES = """
+import sys
+from PySide6 import QtCore, QtGui, QtWidgets
+app = QtWidgets.QApplication([])
+from app.panels import plot_panels
+left = None
+def look():
+    global left
+    left = [name for module in (QtCore, QtGui, QtWidgets) for name in dir(module) if name not in vars(module)]
+plot_panels._import_pyqtgraph = look
+panel = plot_panels.ReadingsPanel()
+panel.make = QtWidgets.QWidget
+panel.show()
+panel.show_state(None)
+while not panel._imported:
+    app.processEvents()
+sys.exit(", ".join(left) or 0)
+"""
+"""What is named while the import runs would be made in its thread."""
+
+
+def test_no_type_of_qt_is_made_in_another_thread():
+    """What the window uses while it is made elsewhere ends the program."""
+    done = subprocess.run([sys.executable, "-c", TYPES], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 class Calls:
     """Counts what the course of errors costs."""
 
@@ -525,9 +553,15 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
         server.start((sys.executable, "-c", f"print({json.dumps(announced)!r}, flush=True); input()"))
     server.stop()
-    folder = tmp_path / "new"
+    folder, linked, letter = tmp_path / "new", tmp_path / "linked", tmp_path / "letter"
     pipeline = opening.begin_session(made, served.args[0], folder, order[0])
     pipeline.close()
+    linked.mkdir()
+    letter.write_text("dear", encoding="utf-8")
+    (linked / TRUTH_NAME).symlink_to(letter)
+    with pytest.raises(InputError, match="is a link"):
+        opening.begin_session(made, served.args[0], linked, order[0])
+    assert letter.read_text(encoding="utf-8") == "dear"
     found = opening.find_truth_of(folder, made)
     assert found.origin is Origin.TRUTH
     assert found.places[channel].tolist() == [0.0, 0.1, 0.2]

@@ -427,9 +427,11 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
 
 def test_devices_show_what_a_sensor_measures_beside_its_readings(qtbot):
     panel = shown(qtbot, DevicesPanel())
-    for health, expected in ((link(), False), (link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}), True)):
+    warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
+    for health, expected in ((link(), False), (warm, True)):
         panel.show_state(frame(view=reading(links=(health,)), now_s=200.0 + expected))
-        assert ("temperature 31.0 degC (30.5 to 33.2)" in panel.cards["wrench"].losses.text()) is expected
+        said = panel.cards["wrench"].losses.text()
+        assert said.startswith("Fx Fy Fz in N, Mx My Mz in N m\ntemperature 31.0 degC (30.5 to 33.2)\n5") is expected
 
 
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):

@@ -6,14 +6,14 @@ import json
 import queue
 import sys
 import threading
-from dataclasses import replace
+from contextlib import closing
 
 import numpy as np
+import pytest
 from PySide6.QtCore import Qt
 
-from app.session.controller import Controller, operator_target
-from app.session.opening import server_command
-from app.state.running import Running
+from app.__main__ import main
+from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
 from skincal.cli.record import OrderLine, _loop
@@ -22,31 +22,17 @@ from skincal.journal.reader import SessionLog
 from skincal.mesh.load import load_surface
 from skincal.model.actions import FoundAtLandmark, Stamped, to_json
 from skincal.model.readings import Chunk, LinkEvent
+from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction
+from skincal.robot.target_lines import GREETING, read_line
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.operator import NoTarget, TargetOrder, read_order, write_target
-from tests.app.guide_support import guidance, target
 from tests.app.whole_window import OPEN_MS
+from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates
+from tests.skincal.robot.robot_support import Peer
 
 LINKS = '{"links": [{"name": "skin", "address": "socket://127.0.0.1:9", "carries": ["skin"]}]}'
-
-
-def test_the_target_is_what_the_window_shows():
-    asked = target(3, 0.4)
-    wanted = operator_target(guidance(asked), Running.STREAMING)
-    assert isinstance(wanted, TargetOrder)
-    assert (wanted.channel, wanted.place.tolist(), wanted.push.tolist()) == (3, asked.place.tolist(), asked.push.tolist())
-    assert not wanted.known
-    head = operator_target(guidance(replace(asked, channel=None, landmark="elbow, outer")), Running.STREAMING)
-    assert isinstance(head, TargetOrder)
-    assert (head.channel, head.known) == (None, True)
-    assert operator_target(None, Running.STREAMING) is NoTarget.ANY, "nobody guides"
-    assert operator_target(guidance(None), Running.STREAMING) is NoTarget.WAIT, "it is enough"
-    for running in (Running.OPENING, Running.PAUSED, Running.OFFLINE):
-        assert operator_target(guidance(asked), running) is NoTarget.WAIT
-        assert operator_target(None, running) is NoTarget.WAIT
 
 
 def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
@@ -55,11 +41,11 @@ def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
     listen = f"import sys; print('{LINKS}', flush=True); open({str(heard)!r}, 'w').write(sys.stdin.read())"
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", listen))
-    for line in ("wait", "any"):
+    for line in ("pace 2", "pace 1"):
         server.tell(line)
     server.stop()
-    assert heard.read_text() == "wait\nany\n"
-    server.tell("wait")  # nobody is there any more: nothing happens
+    assert heard.read_text() == "pace 2\npace 1\n"
+    server.tell("pace 2")  # nobody is there any more: nothing happens
 
 
 def test_a_process_that_never_reads_holds_nothing_up(qtbot):
@@ -72,33 +58,6 @@ def test_a_process_that_never_reads_holds_nothing_up(qtbot):
     assert not server.running
 
 
-class Told:
-    """Stands for the process."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def tell(self, line: str) -> None:
-        self.lines.append(line)
-
-    def stop(self) -> None:
-        pass
-
-    release = stop
-
-
-def test_only_what_changed_is_told_and_only_to_a_process(tmp_path):
-    controller = Controller(tmp_path)
-    controller.ask(NoTarget.WAIT)  # real devices: nobody to tell
-    process = Told()
-    controller._server = process
-    shown = operator_target(guidance(target(3)), Running.STREAMING)
-    for wanted in (shown, shown, NoTarget.WAIT, NoTarget.WAIT, shown):
-        controller.ask(wanted)
-    assert process.lines == [write_target(shown), "wait", write_target(shown)]
-    controller.close()
-
-
 def test_the_rig_that_opens_by_default_follows():
     command = server_command(None)
     assert command[command.index("--operator") + 1] == "guided"
@@ -106,7 +65,6 @@ def test_the_rig_that_opens_by_default_follows():
 
 def test_pokes_come_where_the_window_asks_for_them(bench, said):
     bench.open_served("flat-patch")
-    assert said[0] == "wait", "nobody pokes before the session is open"
     asked: dict[int, int] = {}
 
     def poked(count: int) -> bool:
@@ -119,10 +77,16 @@ def test_pokes_come_where_the_window_asks_for_them(bench, said):
     hits = [peak_channel(contact) == asked[i] for i, contact in enumerate(contacts[:6])]
     # With an aim of 2 mm among taxels 6 mm apart; by itself it would be one of 64.
     assert sum(hits) >= 2
-    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
+    numbers = [int(line.split()[1]) for line in said if line.startswith("target ")]
+    assert numbers == list(range(1, len(numbers) + 1)), "each has a number of its own"
+    judged = [int(line.split()[1]) for line in said if line.startswith(("accepted ", "rejected "))]
+    assert len(judged) >= 5
+    assert judged == sorted(set(judged)), "and one verdict"
 
+    asked_now = [line for line in said if line.startswith("target ")]
     bench.key(Qt.Key.Key_N)
-    assert read_order(said[-1]).channel == bench.window.session_view.state.target.channel
+    bench.until(lambda: said[-1].startswith("target ") and said[-1] != asked_now[-1], 5000)
+    assert read_line(said[-1]).channel == bench.window.session_view.state.target.channel
     bench.key(Qt.Key.Key_G)
     assert said[-1] == "any"
     bench.key(Qt.Key.Key_G)
@@ -142,7 +106,7 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
     bench.until(lambda: session_view.state.target is not None and session_view.state.target.landmark != "")
     bench.until(lambda: len(bench.snapshot.at_landmarks) >= 3)
     lived = bench.recording.pipeline
-    order = read_order(said[-1])
+    order = read_line(next(line for line in reversed(said) if line.startswith("target ")))
     assert order.known == (bench.window.session_view.state.target.landmark != "")
     made = bench.recording.pipeline.session.landmark_pokes
     assert len({poke.name for poke in made}) == len(made) >= 3, "one after another, each once"
@@ -176,3 +140,58 @@ def without_a_window(folder, lived) -> None:
     assert [outcome_key(poke.outcome) for poke in here.pokes] == [outcome_key(poke.outcome) for poke in there.pokes]
     assert same_estimates(here, there)
     assert here.can_undo == there.can_undo
+
+
+def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench):
+    nobody = "socket://127.0.0.1:9"
+    scene = resource("scenes/flat-patch/scene.toml")
+    bench.open(OpenRequest(scene=scene, addresses=Addresses(nobody, nobody.replace("9", "10")), targets="0"))
+    port = bench.controller._targets.port
+    with closing(Peer(port)) as peer:
+        assert peer.line() == GREETING
+
+        def targets(line):
+            while not line.startswith("target "):
+                assert line == "wait"
+                line = on_the_side(bench, peer.line)
+            return read_line(line)
+
+        first = targets(on_the_side(bench, peer.line))
+        assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
+        peer.say(f"skip {first.number}")
+        second = read_line(on_the_side(bench, peer.line))
+        assert (second.number, second.channel != first.channel) == (first.number + 1, True)
+        peer.say(f"fault {second.number} joint 3 at its end")
+        assert on_the_side(bench, peer.line) == "wait"
+        why = approved("targets.stopped", number=second.number, why="joint 3 at its end")
+        bench.until(lambda: any(why in message.text for message in bench.messages), 5000)
+    with closing(Peer(port)) as peer:
+        assert peer.line() == GREETING
+        again = targets(on_the_side(bench, peer.line))
+        assert (again.number, again.channel) == (second.number + 1, second.channel)
+    bench.window.close()
+    with pytest.raises(OSError, match="refused"):
+        Peer(port)
+
+
+def on_the_side(bench, read):
+    """What `read` returns, while the window goes on."""
+    found = []
+    thread = threading.Thread(target=lambda: found.append(read()))
+    thread.start()
+    bench.until(lambda: bool(found), 10_000)
+    thread.join()
+    return found[0]
+
+
+WITHOUT = {
+    "--targets 7010": "no device is named",
+    "--targets x": approved("targets.no_port"),
+    "--headless --targets 1": "--headless",
+}
+
+
+@pytest.mark.parametrize("options", WITHOUT)
+def test_targets_without_devices_are_refused(options, capsys):
+    assert main(options.split()) == 2
+    assert WITHOUT[options] in capsys.readouterr().err

@@ -264,31 +264,34 @@ def test_the_same_picture_asks_for_the_same_object():
 def test_one_is_skipped_or_all_of_the_pose():
     landmarks = Landmarks(part(), plan_of(part()))
     first = shown(landmarks, of_pokes()).target.landmark
-    landmarks.skip()
-    second = shown(landmarks, of_pokes())
+    skips = (landmarks.skip(),)
+    second = shown(landmarks, replace(of_pokes(), skips=skips))
     assert second.target.landmark != first
-    assert shown(landmarks, of_pokes(pose="high")).target.landmark == first, "in another pose it is asked for"
-    shown(landmarks, of_pokes())
-    landmarks.skip(all_of_pose=True)
-    assert shown(landmarks, of_pokes()).landmark is None
-    assert shown(landmarks, of_pokes(pose="high")).landmark is not None
+    high = replace(of_pokes(pose="high"), skips=skips)
+    assert shown(landmarks, high).target.landmark == first, "in another pose it is asked for"
+    shown(landmarks, replace(of_pokes(), skips=skips))
+    skips = (*skips, landmarks.skip(all_of_pose=True))
+    assert shown(landmarks, replace(of_pokes(), skips=skips)).landmark is None
+    assert shown(landmarks, replace(of_pokes(pose="high"), skips=skips)).landmark is not None
     assert landmarks.poked(of_pokes(press(1, 500.0), pose="high")) != []
 
 
 def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
     guiding = SessionGuide(part())
 
+    skips = []
+
     def follow(revision: int):
-        return guiding.follow(of_pokes(), revision, Method.FREE, nothing, 100.0)
+        return guiding.follow(replace(of_pokes(), skips=tuple(skips)), revision, Method.FREE, nothing, 100.0)
 
     names = []
     for _ in POINTS:
         names.append(follow(1).target.landmark)
-        guiding.skip()
+        skips.append(guiding.skip())
     assert set(names) == {"corner", "other", "side"}
     skin = follow(1)
     assert skin.landmark is None
-    guiding.skip()
+    skips.append(guiding.skip())
     assert follow(1).target.channel != skin.target.channel
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from skincal.cli import listen, main
 from skincal.model.errors import plain_text
-from skincal.model.readings import Stream
+from skincal.model.readings import Chunk, Stream
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.outlets import PtyOutlet
@@ -51,7 +51,7 @@ def test_watch_shows_a_wrench_with_its_units_and_rate(capsys):
     with sending("netft", Stream.WRENCH) as address:
         assert main(["watch", address, "--seconds", "1.5"]) == 0
     out = capsys.readouterr().out
-    assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m" in out
+    assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m (Fx Fy Fz in N, Mx My Mz in N m)" in out
     assert "ATI RDT" in out
 
 
@@ -69,7 +69,7 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
 def test_watch_shows_a_skin(capsys):
     with sending("xela", Stream.SKIN) as address:
         assert main(["watch", address, "--seconds", "1"]) == 0
-    assert "4 values, 0 to 3" in capsys.readouterr().out
+    assert "4 values, 0 to 3 (the force across the skin of each taxel, as raw words)" in capsys.readouterr().out
 
 
 def test_watch_says_that_a_skin_is_no_wrench(capsys):
@@ -161,3 +161,26 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
     found = json.loads(capsys.readouterr().out)
     assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""
+
+
+def test_watch_keeps_no_more_than_it_can_read(capsys, monkeypatch):
+    """A link that sends faster than it is read: the rest is dropped, and said."""
+
+    class Flood:
+        def __init__(self, _spec, items):
+            self.items, self.end_s = items, time.monotonic() + 2.0
+
+        def start(self):
+            for _ in range(40):
+                self.items.put(Chunk("link", time.monotonic_ns(), bytes(65536)))
+
+        @property
+        def running(self):
+            return time.monotonic() < self.end_s
+
+        def stop(self):
+            pass
+
+    monkeypatch.setattr(links, "Reader", Flood)
+    assert main(["watch", "COM3"]) == 0
+    assert "bytes were dropped" in capsys.readouterr().err

@@ -230,7 +230,7 @@ def test_a_cover_goes_around_what_answered_and_then_far_from_all_pokes():
     cover.keep({1, 2})
     third = cover.next(cover.places[second])
     assert SPACING * 0.8 <= np.linalg.norm(cover.places[third] - cover.places[second]) < 2.5 * SPACING
-    cover.leave_out(third)
+    cover.leave_out(cover.places[third])
     assert cover.next(cover.places[second]) != third
     cover.keep({1})
     assert cover.next(cover.places[first]) == second, "the poke was taken back"

@@ -91,6 +91,13 @@ def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
         assert contact.responses[contact.channels.tolist().index(channel)] == contact.responses.max()
 
 
+def test_a_short_session_holds_out_so_many_that_they_say_something():
+    contacts = poked_session()[0].contacts
+    for count, expected in ((7, 7), (19, 19), (39, 39), (40, 20), (55, 27), (60, 20), (119, 23), (120, 20)):
+        assert len(held_out(contacts[:count])) == expected
+    assert [poke for poke, _ in held_out(contacts[:60])] == [contact.poke for contact in contacts[2:60:3]]
+
+
 @pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
 def test_it_is_predicted_from_what_all_the_other_pokes_say_and_nothing_else(method):
     """By another route: the taxel is solved anew from the other contacts, and the axis's distance summed up in space."""

@@ -13,8 +13,9 @@ import pytest
 import zstandard
 from mcap.opcode import Opcode
 
-from skincal.journal import writer
+from skincal.journal import mcap_file, writer
 from skincal.journal.documents import LineWriter
+from skincal.journal.mcap_file import is_closed
 from skincal.journal.reader import SessionLog, recover_session
 from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
@@ -65,6 +66,22 @@ def test_a_segment_that_is_a_link_is_refused_and_what_it_leads_to_stays(cut_off,
         with pytest.raises(InputError, match="is a link"):
             way(cut_off)
     assert letter.read_bytes() == before
+
+
+@pytest.mark.parametrize("torn", [0, 5])
+def test_recovery_writes_to_no_other_name_of_a_file(cut_off, tmp_path, torn):
+    """A stranger's hard link, or a backup of hard links: the session is made ready, its other names keep what they had."""
+    copy = shutil.copytree(cut_off, tmp_path / "copy", copy_function=os.link)
+    (copy / "session.lock").unlink()
+    path = copy / "segment-0001.jsonl"
+    os.truncate(path, path.stat().st_size - torn)
+    before = {each.name: each.read_bytes() for each in cut_off.iterdir() if each.is_file()}
+    pokes = len(load(cut_off).session.contacts)
+    resumed = resume(copy)
+    resumed.close()
+    assert len(resumed.session.contacts) == pokes >= 2
+    assert {each.name: each.read_bytes() for each in cut_off.iterdir() if each.is_file()} == before
+    assert all(each.stat().st_nlink == 1 for each in copy.glob("*.jsonl"))
 
 
 @posix
@@ -273,6 +290,7 @@ def with_documents(folder, *documents):
     lines.close(len(documents) + 1)
 
 
+LINK = {"name": "a", "address": "COM3", "carries": ["skin"], "format": "auto"}
 BAD = [
     b"[" * 6000 + b"]" * 6000,
     b"7",
@@ -286,6 +304,10 @@ BAD = [
     b'{"type": "segment"}',
     b'{"type": "segment", "format": "3"}',
     b'{"type": "segment", "format": 3, "segment": 1, "links": 7, "scene": ""}',
+    *(
+        json.dumps({"type": "segment", "format": 3, "segment": 1, "links": links, "scene": ""}).encode()
+        for links in ([LINK] * 4, [LINK | {"address": "x" * 1001}])
+    ),
     b'{"type": "action"}',
     b'{"type": "action", "do": []}',
     b'{"type": "action", "do": "exclude", "poke": 1e400}',
@@ -344,6 +366,24 @@ def test_a_million_lines_end_at_the_first_that_is_damaged(recorded):
     load(recorded)
     assert tracemalloc.get_traced_memory()[1] < 40 << 20
     tracemalloc.stop()
+
+
+def test_an_index_has_a_limit(recorded, monkeypatch):
+    """What says that it is longer is not read, and the records are."""
+    path = recorded / "segment-0001.mcap"
+    assert is_closed(path)
+    size = path.stat().st_size
+    begin = int.from_bytes(path.read_bytes()[-28:-20], "little")
+    monkeypatch.setattr(mcap_file, "SUMMARY_MOST", size - begin - 1)
+    assert not is_closed(path)
+    assert contacts_of(load(recorded)) == contacts_of(replay(recorded))
+
+
+def test_a_scene_folder_has_few_files(recorded):
+    for number in range(15):
+        (recorded / "scene" / f"{number}.toml").touch()
+    with pytest.raises(InputError, match="has 17 TOML files"):
+        load(recorded)
 
 
 def test_lines_have_a_limit(recorded):

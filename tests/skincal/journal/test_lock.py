@@ -261,6 +261,31 @@ def test_a_lock_that_is_a_link_is_refused_and_what_it_leads_to_stays(tmp_path):
     assert letter.read_text(encoding="utf-8") == "dear"
 
 
+def test_a_lock_with_a_second_name_elsewhere_is_refused_and_stays_as_it_is(tmp_path):
+    letter, folder = tmp_path / "letter", tmp_path / "s"
+    letter.write_text("dear", encoding="utf-8")
+    folder.mkdir()
+    (folder / LOCK_NAME).hardlink_to(letter)
+    with pytest.raises(InputError, match=approved_pattern("session.lock_elsewhere")):
+        SessionLock(folder)
+    assert letter.read_text(encoding="utf-8") == "dear"
+    (folder / LOCK_NAME).unlink()
+    SessionLock(folder).release()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="files that are open cannot be linked there")
+def test_a_backup_of_hard_links_does_not_hide_who_records(tmp_path):
+    """Some tools link a folder's files while it is recorded; its lock has two names then."""
+    scene = write_scene(tmp_path / "source")
+    journal = create_session(tmp_path / "s", scene, LINKS)
+    shutil.copytree(tmp_path / "s", tmp_path / "backup", copy_function=os.link)
+    assert str(os.getpid()) in writer_of(tmp_path / "s")
+    with pytest.raises(InputError, match="is being recorded"):
+        resume(tmp_path / "s")
+    journal.close()
+    assert len(load(tmp_path / "backup").session.contacts) == 0
+
+
 @pytest.mark.skipif(os.name == "nt", reason="links need rights there")
 def test_recovery_writes_through_no_link(tmp_path):
     scene = write_scene(tmp_path / "source")

@@ -88,6 +88,17 @@ def test_a_file_beyond_the_limit_is_refused_before_it_is_read(tmp_path):
         assert str(most + 1) in text
 
 
+OF_OTHERS = [r"\\h\a.stl", "//h/s/a.stl", r"\/h/a.stl", r"/\h/a.stl", r"\\.\pipe\a.stl", r"\??\UNC\h\a.stl", r"\\?\UNC\h\a.stl"]
+
+
+@pytest.mark.parametrize("name", OF_OTHERS)
+def test_no_file_of_another_machine_is_looked_for(tmp_path, name):
+    """Windows sends the user's name and a hash of the password to whoever it names."""
+    mesh, layout = f"[surface]\nunit = 'mm'\nmesh = '{name}'\n", f"modules = '{name}'\n"
+    assert "on another machine" in sentence_of(load_scene, scene(tmp_path, GOOD + mesh))
+    assert "on another machine" in sentence_of(load_scene, scene(tmp_path, GOOD + layout))
+
+
 def test_names_that_the_system_refuses(tmp_path):
     assert "cannot be read" in sentence_of(load_scene, tmp_path / ("x" * 300))
     assert "cannot be read" in sentence_of(mesh_of, tmp_path / "a\0b.stl")

@@ -1,5 +1,6 @@
-"""A simulated skinManager in a YARP network of its own, for the tests of the command and of the window."""
+"""A simulated skinManager in a YARP network of its own, and a robot at the port for targets, as tests drive them."""
 
+import socket
 import threading
 from contextlib import closing, contextmanager
 
@@ -26,3 +27,25 @@ def robot(manager):
         finally:
             done.set()
             thread.join()
+
+
+class Peer:
+    """A client as a test drives it."""
+
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), 10.0)
+        self._file = self.socket.makefile("rb")
+
+    def say(self, text):
+        self.socket.sendall(text if isinstance(text, bytes) else f"{text}\n".encode())
+
+    def line(self):
+        """The next line; None where the other side hung up."""
+        try:
+            return self._file.readline().decode().rstrip("\n") or None
+        except ConnectionError:
+            return None
+
+    def close(self):
+        self._file.close()
+        self.socket.close()

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from skincal.journal.documents import WallClock
 from skincal.journal.writer import create_session
 from skincal.model.actions import (
     AtLandmark,
@@ -45,6 +46,7 @@ def session(outcomes):
 
 def test_what_was_taken_back_is_brought_again_newest_first(session):
     first = session.snapshot()
+    session.set_clock(WallClock(5.0, 1005.0))
     session.act(Exclude(2), 7.5)
     for _ in range(3):
         session.act(Undo())
@@ -57,7 +59,7 @@ def test_what_was_taken_back_is_brought_again_newest_first(session):
     assert same_estimates(session.snapshot(), first)
     session.act(Redo())
     assert session.excluded == (2,)
-    assert session.history[-1].at_s == 7.5
+    assert session.history[-1].at_s == 1007.5
     with pytest.raises(InputError, match="nothing to redo"):
         session.act(Redo())
 

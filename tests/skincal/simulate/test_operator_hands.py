@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skincal.robot.target_lines import PokeTarget
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import OPERATORS, Guided, Habits, TargetOrder, by_habit
+from skincal.simulate.operator import OPERATORS, Guided, Habits, by_habit
 from skincal.simulate.simulated_rig import push_directions, tangents
-from tests.skincal.sim_support import make_rig
+from tests.skincal.sim_support import ask_on, make_rig
 from tests.skincal.simulate.operators_support import followed
 
 NORMALS = np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8], [0.0, -1.0, 0.0]])
@@ -61,7 +62,8 @@ def test_a_guided_hand_pushes_by_its_habits_whatever_it_pokes(channel, known):
     across = np.cos(hand.side + np.pi) * e1[0] + np.sin(hand.side + np.pi) * e2[0]
     push = np.sin(0.35) * across - np.cos(0.35) * rig.normals[row]
     guided, presses, now = Guided(rig, hand, np.random.default_rng(4)), [], 0.0
-    guided.accept(TargetOrder(None if known else channel, rig.places[row], push, known=known))
+    guided.show(PokeTarget(1, None if known else channel, rig.places[row], push, known=known))
+    ask_on(guided)
     while len(presses) < 60:
         action = guided.next(now)
         now = now + 0.1 if action is None else action.free

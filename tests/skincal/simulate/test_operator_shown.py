@@ -14,6 +14,7 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
+from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, read_line, write_line
 from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceTimeline
@@ -23,19 +24,16 @@ from skincal.simulate.operator import (
     Guided,
     Habits,
     Move,
-    NoTarget,
+    PaceOrder,
     PokeOrder,
     PoseOrder,
-    TargetOrder,
     Told,
-    read_order,
-    write_target,
 )
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.approved import approved_pattern
-from tests.skincal.sim_support import make_rig
+from tests.skincal.sim_support import ask_on, make_rig
 
 FOLLOWS = replace(Habits.careful(), ignores=0.0)
 STEP = 0.01
@@ -51,12 +49,14 @@ def target_at(rig, channel, beside=0.0, tilt=0.0):
     row = rig.row_of(channel)
     normal = rig.normals[row]
     across = tangents(normal[None])[0][0]
-    return TargetOrder(channel, rig.places[row] + beside * across, np.sin(tilt) * across - np.cos(tilt) * normal)
+    return PokeTarget(1, channel, rig.places[row] + beside * across, np.sin(tilt) * across - np.cos(tilt) * normal)
 
 
 def presses(operator, count, tell=None):
-    """Play an operator as a time line does; `tell(now)` is called before it is asked."""
+    """Play an operator as a time line does; `tell(now)` is called before it is asked. What it reached is asked for again."""
     now, done = 0.0, []
+    if isinstance(operator, Guided):
+        ask_on(operator)
     while len(done) < count:
         if tell is not None:
             tell(now)
@@ -78,7 +78,7 @@ def same(one, other):
 def test_nobody_tells_it_anything_and_it_pokes_as_auto_does(rig):
     guided, auto = (kind(rig, Habits(), np.random.default_rng(4)) for kind in (Guided, Auto))
     assert same(presses(guided, 200), presses(auto, 200))
-    guided.accept(NoTarget.ANY)
+    guided.show(NoTarget.ANY)
     assert same(presses(guided, 20), presses(auto, 20))
 
 
@@ -89,9 +89,9 @@ def test_it_pokes_where_the_ring_is_and_not_where_the_taxel_is(name):
     shown = target_at(rig, channel, beside=0.010, tilt=np.radians(20))
     ring = shown.place if rig.surface is None else nearest_points(rig.surface, shown.place[None])[0][0]
     # The ring lies on the part, though the place that is believed is 4 mm above it.
-    above = TargetOrder(channel, ring + 0.004 * rig.normals[rig.row_of(channel)], shown.push)
+    above = PokeTarget(1, channel, ring + 0.004 * rig.normals[rig.row_of(channel)], shown.push)
     guided = Guided(rig, FOLLOWS, np.random.default_rng(1))
-    guided.accept(above)
+    guided.show(above)
     done = presses(guided, 300)
     points = np.concatenate([p.pokes.points for p in done])
     if rig.surface is not None:
@@ -110,7 +110,7 @@ def test_it_pokes_where_the_ring_is_and_not_where_the_taxel_is(name):
 def test_a_place_without_a_taxel_is_poked_too(rig):
     guided = Guided(rig, FOLLOWS, np.random.default_rng(1))
     shown = replace(target_at(rig, 204, beside=0.003), channel=None)
-    guided.accept(shown)
+    guided.show(shown)
     done = presses(guided, 100)
     off = np.concatenate([p.pokes.points for p in done]) - nearest_points(rig.surface, shown.place[None])[0]
     assert np.linalg.norm(off.mean(axis=0)) < 0.001
@@ -124,9 +124,9 @@ def test_a_known_point_is_poked_at_its_own_height_and_never_left_for_another(nam
     # A screw's head, 3 mm above the skin and beside every taxel; the push that is shown leans more than a tip holds on metal.
     head = rig.places[row] + 0.004 * across + 0.003 * normal
     lean = np.radians(40)
-    shown = TargetOrder(None, head, np.sin(lean) * across - np.cos(lean) * normal, known=True)
+    shown = PokeTarget(1, None, head, np.sin(lean) * across - np.cos(lean) * normal, known=True)
     guided = Guided(rig, replace(Habits(), ignores=1.0, slide_rate=1.0, double_rate=0.0), np.random.default_rng(1))
-    guided.accept(shown)
+    guided.show(shown)
     done = presses(guided, 300)
     assert all((press.pokes.targets == -1).all() and (press.slide == 0.0).all() for press in done)
     off = np.concatenate([press.pokes.points for press in done]) - head
@@ -139,13 +139,13 @@ def test_a_known_point_is_poked_at_its_own_height_and_never_left_for_another(nam
     leans = np.degrees(np.arccos(-np.sum(pushes * normals, axis=1)))
     assert np.abs(off @ normals[0]).max() < 1e-12, "at the point's own height"
     assert leans.max() <= 28.0 + 1e-6 or rig.surface is None
-    guided.accept(target_at(rig, 204 if name == "icub-forearm" else int(rig.channels[0])))
+    guided.show(target_at(rig, 204 if name == "icub-forearm" else int(rig.channels[0])))
     assert any(press.slide.any() for press in presses(guided, 20)), "elsewhere it slides as ever"
 
 
 def test_it_goes_where_it_likes_in_one_poke_of_twelve(rig):
     guided = Guided(rig, Habits.careful(), np.random.default_rng(2))
-    guided.accept(target_at(rig, 204))
+    guided.show(target_at(rig, 204))
     targets = np.concatenate([p.pokes.targets for p in presses(guided, 1200)])
     ignored = targets != 204
     assert ignored.mean() == pytest.approx(1 / 12, abs=0.025)
@@ -156,33 +156,33 @@ def test_a_target_counts_until_a_reaction_before_the_touch(rig):
     habits = replace(FOLLOWS, approach_s=(0.6, 0.6))
     for late, expected in ((0.30, 288), (0.40, 204)):
         guided = Guided(rig, habits, np.random.default_rng(3))
-        guided.accept(target_at(rig, 204))
-        second = target_at(rig, 288)
-        one = presses(guided, 1, lambda now, at=late, other=second, hand=guided: now >= at and hand.accept(other))[0]
+        guided.show(target_at(rig, 204))
+        second = replace(target_at(rig, 288), number=2)
+        one = presses(guided, 1, lambda now, at=late, other=second, hand=guided: now >= at and hand.show(other))[0]
         assert one.begin == pytest.approx(0.6, abs=STEP)
         assert one.pokes.targets[0] == expected
-        guided.accept(second)  # too late for the one, in time for the next
+        guided.show(second)  # too late for the one, in time for the next
         assert presses(guided, 1)[0].pokes.targets[0] == 288
 
 
 def test_the_hand_waits_where_nothing_is_to_be_poked_and_goes_on(rig):
     guided = Guided(rig, FOLLOWS, np.random.default_rng(5))
-    guided.accept(target_at(rig, 204))
+    guided.show(target_at(rig, 204))
     assert guided.next(0.0) is None, "the hand is on its way"
-    guided.accept(NoTarget.WAIT)
+    guided.show(NoTarget.WAIT)
     assert [guided.next(now) for now in np.arange(0.0, 60.0, STEP)] == [None] * 6000
     assert guided.begun == 0
-    guided.accept(target_at(rig, 205))
+    guided.show(target_at(rig, 205))
     action = next(a for a in (guided.next(now) for now in np.arange(60.0, 62.0, STEP)) if a is not None)
     assert action.begin - 60.0 >= FOLLOWS.approach_s[0], "it sets out anew"
     assert action.pokes.targets[0] == 205
-    guided.accept(NoTarget.ANY)
+    guided.show(NoTarget.ANY)
     assert len(presses(guided, 10)) == 10
 
 
 def test_it_follows_over_all_poses_and_ends_after_its_pokes(rig):
     guided = Guided(rig, FOLLOWS, np.random.default_rng(6), pokes=6, poses=("2", "1"))
-    guided.accept(target_at(rig, 204))
+    guided.show(target_at(rig, 204))
     done = presses(guided, 8)
     assert [a.stance.name for a in done if isinstance(a, Move)] == ["2", "1"]
     assert guided.done
@@ -198,7 +198,7 @@ def test_the_same_seed_and_targets_give_the_same_pokes(rig):
         def tell(_now):
             if guided.begun >= pressed[0]:
                 pressed[0] += 1
-                guided.accept(target_at(rig, next(shown)))
+                guided.show(target_at(rig, next(shown)))
 
         return presses(guided, 40, tell)
 
@@ -215,53 +215,31 @@ def test_the_pace_shortens_the_ways_and_not_the_presses():
     assert usual.at_pace(1.0) == usual
 
 
-@pytest.mark.parametrize("word", list(NoTarget))
-def test_a_line_without_a_target_says_what_to_do(word):
-    assert read_order(write_target(word) + "\n") is word
-
-
-def test_a_target_survives_its_line():
-    push = np.array([0.28, -0.31, -0.91])
-    shown = TargetOrder(204, np.array([0.0123456, -0.06, 0.1]), push / np.linalg.norm(push))
-    line = write_target(shown)
-    assert line.startswith("target 204 12.35 -60.00 100.00 ")
-    read = read_order(line)
-    assert read.channel == 204
-    np.testing.assert_allclose(read.place, shown.place, atol=6e-6)
-    np.testing.assert_allclose(read.push, shown.push, atol=1e-4)
-    assert not read.known
-    for known, start in ((False, "target - 12.35 "), (True, "target + 12.35 ")):
-        line = write_target(replace(shown, channel=None, known=known))
-        assert line.startswith(start)
-        assert (read_order(line).channel, read_order(line).known) == (None, known)
-    assert np.linalg.norm(read.push) == pytest.approx(1.0, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "target", "target 204", "target 204 1 2 3", "target 204 1 2 3 0 0", "target x 1 2 3 0 0 -1",
-        "target 204 1 2 3 0 0 -1 5", "target ++ 1 2 3 0 0 -1",
-        "target 204 nan 2 3 0 0 -1", "target 204 1 inf 3 0 0 -1", "target 204 1 2 20000 0 0 -1", "target 204 1 2 3 0 0 0",
-        "target 204 1 2 3 nan 0 -1", "target 204 1 2 3 0 0 -9", "target 20.5 1 2 3 0 0 -1", "wait 3", "any taxel", "Wait",
-    ],
-)  # fmt: skip
-def test_a_line_that_is_no_target_is_named(line):
-    with pytest.raises(InputError, match=approved_pattern("operator.no_order_expected")):
-        read_order(line)
-
-
 def test_each_operator_says_what_it_does_not_take(rig, rng):
     guided, obedient = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
-        guided.accept(TargetOrder(0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
+        guided.show(PokeTarget(1, 0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
     for order in (PokeOrder(204), PoseOrder("2")):
         with pytest.raises(InputError, match=approved_pattern("operator.for_told")):
             guided.accept(order)
-    for order in (target_at(rig, 204), NoTarget.WAIT):
-        with pytest.raises(InputError, match=approved_pattern("operator.for_guided")):
-            obedient.accept(order)
+    with pytest.raises(InputError, match=approved_pattern("operator.for_guided")):
+        obedient.accept(PaceOrder(2.0))
     assert obedient.next(0.0) is None
+
+
+def test_each_number_is_poked_once_and_said_to_be_reached_when_the_hand_is_back(rig):
+    guided, answers = Guided(rig, FOLLOWS, np.random.default_rng(3)), []
+    guided.answered = answers.append
+    guided.show(replace(target_at(rig, 204), number=7))
+    (done,) = (action for now in np.arange(0.0, 9.0, STEP) if (action := guided.next(now)) is not None)
+    assert answers == [Answer(AnswerKind.REACHED, 7)]
+    assert guided.begun == 1, "and never again, until another number is asked for"
+    guided.show(replace(target_at(rig, 204), number=8))
+    again = next(action for now in np.arange(9.0, 12.0, STEP) if (action := guided.next(now)) is not None)
+    assert again.begin > done.free
+    assert answers == [Answer(AnswerKind.REACHED, 7)]
+    assert guided.next(again.free) is None
+    assert answers[1:] == [Answer(AnswerKind.REACHED, 8)]
 
 
 def guided_session(rig, pokes, seed=1):
@@ -276,7 +254,7 @@ def guided_session(rig, pokes, seed=1):
     guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
     for link in line.links:
         pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
-    asked, hits, counted, known = None, 0, 0, -1
+    asked, hits, counted, known, number = None, 0, 0, -1, 0
     while not line.finished:
         for at_ns, link, data in line.step():
             pipeline.feed(Chunk(link, at_ns, data))
@@ -289,7 +267,8 @@ def guided_session(rig, pokes, seed=1):
         known, counted = snapshot.generation, max(contacts, default=0)
         guidance = guide.update(contacts, snapshot.estimates, pipeline.session.evidence)
         asked = guidance.target.channel
-        operator.accept(TargetOrder(asked, guidance.target.place, guidance.target.push))
+        number += 1
+        operator.show(PokeTarget(number, asked, guidance.target.place, guidance.target.push))
     return hits, len(contacts)
 
 
@@ -311,7 +290,8 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
     assert np.linalg.norm(rig.places - heads[0][0], axis=1).min() > 0.03, "no taxel feels it"
     for (head, outward), felt in zip(heads, (False, True), strict=True):
         operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
-        operator.accept(read_order(write_target(TargetOrder(None, head, -outward, known=True))))
+        operator.show(read_line(write_line(PokeTarget(1, None, head, -outward, known=True))))
+        ask_on(operator)
         line = DeviceTimeline(rig, operator, np.random.default_rng(4))
         pipeline = Pipeline(
             scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface

@@ -1,4 +1,5 @@
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -6,6 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.journal.reader import SessionLog
+from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.simulate.device import DeviceSettings
 from skincal.simulate.faults import RigErrors
@@ -89,3 +91,15 @@ def test_rates_are_those_of_the_settings(tmp_path):
     for link, _, data in recorded_bytes(tmp_path / "s"):
         counts[link] += data.count(b"\x00")
     assert counts["wrench"] / counts["skin"] == pytest.approx(10.0, rel=0.02)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_the_truth_is_written_through_no_link(tmp_path):
+    """The folder may be a stranger's."""
+    letter, folder = tmp_path / "letter", tmp_path / "s"
+    letter.write_text("dear", encoding="utf-8")
+    folder.mkdir()
+    (folder / "truth.json").symlink_to(letter)
+    with pytest.raises(InputError, match="is a link"):
+        record(folder, 1, name="flat-patch")
+    assert letter.read_text(encoding="utf-8") == "dear"

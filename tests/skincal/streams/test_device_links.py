@@ -9,17 +9,20 @@ import time
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.errors import SENTENCE_MOST, InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
-from skincal.simulate.makers import NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
+from skincal.streams import links
+from skincal.streams.decoders.rtde import RtdeDialogue
 from skincal.streams.device_address import format_of, parse_device
-from skincal.streams.device_links import yarp_server
-from skincal.streams.failures import LinkFailure
+from skincal.streams.device_links import ANSWER_MAX, TalkingLink, yarp_server
+from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.intake import Intake
-from skincal.streams.links import LinkKind, LinkSpec, Reader, open_link, parse_address
+from skincal.streams.links import ADDRESS_MOST, Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
 from tests.approved import approved
 
 PATIENCE_S = 5.0
@@ -157,6 +160,42 @@ def test_yarp_name_that_is_not_known_names_some_that_are():
     assert "/icub/head/state:o" in said
 
 
+def test_a_device_that_talks_and_never_agrees_is_not_kept():
+    """At the speed of a network it would bring a gigabyte before the time is over."""
+    sent = 0
+
+    class Chatter:
+        def read(self, _timeout_s):
+            nonlocal sent
+            sent += 60_000
+            return (60_000).to_bytes(2, "big") + b"M" + bytes(59_997)
+
+        def write(self, data):
+            pass
+
+        def close(self):
+            pass
+
+    with pytest.raises(LinkFailure, match="does not answer"):
+        TalkingLink("rtde://h", Chatter(), RtdeDialogue(WRENCH))
+    assert sent <= ANSWER_MAX + 120_000
+
+
+def test_what_a_device_says_is_made_plain_and_short():
+    failure = LinkFailure(FailureKind.OTHER, f"x: \x1b[2J{'word ' * 1000}; look at it.")
+    assert len(str(failure)) <= SENTENCE_MOST
+    assert "\x1b" not in str(failure)
+    assert str(failure).endswith("; look at it.")
+
+
+def test_an_address_has_a_limit():
+    """All of it is shown before it is connected."""
+    host = "h" * (ADDRESS_MOST - len("socket://:7"))
+    assert len(spec(f"socket://{host}:7").address) == ADDRESS_MOST
+    with pytest.raises(InputError, match=f"{ADDRESS_MOST + 1} characters"):
+        spec(f"socket://{host}h:7")
+
+
 def test_no_name_server_and_one_that_is_none():
     assert "connection refused" in refusal(f"yarp://127.0.0.1:{free_port()}/x")
     with served(lying(b"SSH-2.0-OpenSSH_9\r\n", "yarp://127.0.0.1:{}/x")) as (names,):
@@ -179,6 +218,10 @@ def test_yarp_server_of_this_machine_is_read_from_its_files(tmp_path, monkeypatc
     (tmp_path / "yarp_namespace.conf").write_text("/lab\n")
     (tmp_path / "_lab.conf").write_text("10.0.0.6 10011 yarp\n")
     assert yarp_server() == ("10.0.0.6", 10011)
+    with (tmp_path / "yarp.conf").open("a") as file:
+        file.truncate(1 << 40)
+    (tmp_path / "yarp_namespace.conf").unlink()
+    assert yarp_server() == ("127.0.0.1", 10000), "a file of a terabyte is none of YARP's"
 
 
 LIES = {
@@ -230,6 +273,50 @@ def test_netft_without_its_page_says_what_to_give():
     for wrong in ("cpf=x&cpt=1", "device=hexagon"):
         assert wrong.split("=")[1].split("&")[0] in refusal(f"netft://127.0.0.1:9?{wrong}")
     open_link(spec("netft://127.0.0.1:9?device=hex")).close()
+
+
+# ------------------------------------------------------------------ more than can be worked on
+
+
+@pytest.mark.parametrize("maker", ["netft", "yarp", "rtde", "xela", "robotiq-text"])
+def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
+    """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
+    monkeypatch.setattr(links, "WAITING_MOST", 4000)
+    stream = Stream.SKIN if maker == "xela" else Stream.WRENCH
+    encoder, outlet, inbox = MAKERS[maker].encoder(), MakerOutlets(4).open(maker, stream, tcp=True), Inbox()
+    count = 0
+
+    def write():
+        nonlocal count
+        count += 1
+        one = encoder.skin(count, np.zeros(4)) if stream is Stream.SKIN else encoder._wrench(count * 2000, [1.0] * 6)
+        say(outlet, one)
+        time.sleep(0.002)
+
+    address = spec(outlet.address, (stream,))
+    intake, reader = Intake(4, [address]), Reader(address, inbox)
+    with served(outlet):
+        reader.start()
+        try:
+            while_not(lambda: intake.health(0)[0].readings > 20, inbox, intake, write)
+            for _ in range(400):  # nobody takes them
+                write()
+            held = intake.health(0)[0].readings
+            while_not(lambda: intake.health(0)[0].readings > held + 200, inbox, intake, write)
+        finally:
+            reader.stop()
+    (health,) = intake.health(0)
+    assert health.state is LinkState.OPEN
+    assert health.losses[Loss.DROPPED] > 0
+
+
+def while_not(done, inbox, intake, write):
+    end = time.monotonic() + 4 * PATIENCE_S
+    while not done():
+        assert time.monotonic() < end, intake.health(0)
+        write()
+        while not inbox.empty():
+            intake.feed(inbox.get())
 
 
 # ------------------------------------------------------------------ RTDE, websockets

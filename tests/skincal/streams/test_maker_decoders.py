@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.model.readings import TEMPERATURE, JointsBatch, Loss, SideReading, Stream, WrenchBatch
+from skincal.simulate.device import SkbEncoder, SktEncoder
 from skincal.streams.decoders.bota import BotaDecoder, crc_x25
-from skincal.streams.decoders.detect import LinkDecoder, make_decoder
+from skincal.streams.decoders.detect import NAMES, LinkDecoder, make_decoder
 from skincal.streams.decoders.framing import pack
 from skincal.streams.decoders.rdt import given_page, read_page
 from skincal.streams.decoders.robotiq import COUNT_MAX, FRAME, HEAD, crc_modbus
@@ -25,6 +26,7 @@ XELA = json.dumps(
         "1": {"taxels": 2, "data": "7F3C,7B6C,000A,0001,0002,000B"},
     }
 ).encode()
+CALIBRATED = json.dumps({"message": 1, "1": {"data": "1,2,3", "calibrated": [0.1, 0.2, 0.3]}}).encode()
 GREETING = json.dumps({"message": "Welcome", "sensors": 2}).encode()
 
 
@@ -231,9 +233,40 @@ def test_xela_takes_the_normal_or_all_three():
     assert found[0][1] == [10.0, 11.0, 255.0]
     found, _ = decode("xela", pack(1, XELA), channels=9)
     assert found[0][1] == [0x7F3C, 0x7B6C, 10, 1, 2, 11, 3, 4, 255]
-    calibrated = json.dumps({"message": 1, "1": {"data": "1,2,3", "calibrated": [0.1, 0.2, 0.3]}}).encode()
-    found, _ = decode("xela", pack(1, calibrated), channels=1)
+    found, _ = decode("xela", pack(1, CALIBRATED), channels=1)
     assert found[0][1] == [0.3]
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "channels", "words"),
+    [
+        ("xela", pack(1, XELA), None, "the force across the skin of each taxel, as raw words"),
+        ("xela", pack(1, XELA), 9, "x y z of each taxel, as raw words"),
+        ("xela", pack(1, CALIBRATED), 1, "the force across the skin of each taxel, in N"),
+        ("papillarray", records.PAPILLARRAY, 2, "the force along each pillar, in N"),
+        ("papillarray", records.PAPILLARRAY, 6, "Fx Fy Fz of each pillar, in N"),
+    ],
+)
+def test_what_a_channel_is_is_said_beside_its_unit(name, data, channels, words):
+    _, decoder = decode(name, data, channels=channels)
+    assert decoder.units[Stream.SKIN] == words
+
+
+def test_every_decoder_names_what_it_sends_with_its_unit():
+    for name in NAMES[1:]:
+        # Those of files carry one stream.
+        units = make_decoder(name, None, SKIN if name.startswith(("yarp", "csv")) else tuple(Stream)).units
+        assert units[Stream.WRENCH] == "Fx Fy Fz in N, Mx My Mz in N m"
+        assert "degrees" in units[Stream.JOINTS]
+        assert units[Stream.SKIN]
+
+
+def test_a_board_names_the_unit_of_its_skin():
+    for encoder in (SkbEncoder("f32"), SktEncoder("f32")):
+        for unit, words in (("kPa", "values in kPa"), ("raw", "raw values"), ("x" * 50, "values in " + "x" * 20)):
+            decoder = make_decoder(type(encoder).__name__[:3].lower(), 4, SKIN)
+            decoder.feed(encoder.header(0, f"n=4,unit={unit},kind=taxel", 4) + encoder.header(0, "unit=N,kind=ft", 6))
+            assert decoder.units[Stream.SKIN] == words
 
 
 def test_xela_counts_missing_messages_and_refuses_what_is_no_reading():

@@ -1,0 +1,254 @@
+"""A recording becomes a session from the menu: real files, what is seen of them first, the import, and how it is stopped."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
+
+from app.dialogs.import_dialog import ImportDialog
+from app.session.opening import OpenRequest
+from app.text.import_text import HOLDS_SESSION, NO_FOLDER, imported_words, stream_row
+from app.text_size import STEPS
+from skincal.files.importers.overview import StreamPreview
+from skincal.model.readings import Stream
+from skincal.session.importing import Imported
+from skincal.session.replay import load
+from tests.app.test_commands import dialog_of, gone, tap
+from tests.app.test_window_drop import drop, of
+from tests.app.whole_window import OPEN_MS
+from tests.app.window_support import changed, pixels
+from tests.approved import approved
+from tests.skincal.import_support import write_csv, write_yarp
+from tests.skincal.poke_script import some_pokes, write_scene
+
+Key = Qt.Key
+CONTROL = Qt.KeyboardModifier.ControlModifier
+POKES = 3
+
+
+@pytest.fixture
+def scene(tmp_path) -> Path:
+    return write_scene(tmp_path / "source").path
+
+
+@pytest.fixture
+def samples(scene):
+    from skincal.model.scene import load_scene
+
+    return some_pokes(load_scene(scene), POKES).samples
+
+
+def asked(bench) -> ImportDialog:
+    bench.key(Key.Key_I, CONTROL)
+    return dialog_of(bench, ImportDialog)
+
+
+def until_seen(bench, dialog) -> None:
+    bench.until(lambda: dialog._preview is not None or bool(dialog._trouble), OPEN_MS)
+
+
+def made(bench, scene, paths) -> ImportDialog:
+    dialog = asked(bench)
+    dialog.scene.setEditText(str(scene))
+    dialog.take(paths)
+    until_seen(bench, dialog)
+    return dialog
+
+
+def files_under(folder: Path) -> list[Path]:
+    return [path for path in folder.rglob("*") if path.is_file()] if folder.exists() else []
+
+
+def test_a_recording_is_imported_by_keys_and_opens(bench, scene, samples, tmp_path):
+    dialog = asked(bench)
+    folder = write_yarp(tmp_path / "log", samples)
+    assert not dialog.start.isEnabled()
+    for field, text in (
+        (dialog.fields[Stream.WRENCH], folder / "left_ft"),
+        (dialog.fields[Stream.SKIN], folder / "left_forearm_skin"),
+        (dialog.scene, scene),
+    ):
+        while dialog.focusWidget() is not field:
+            tap(bench, Key.Key_Tab)
+        line = field if isinstance(field, QLineEdit) else field.lineEdit()
+        line.selectAll()
+        QTest.keyClicks(field, str(text))
+    until_seen(bench, dialog)
+    assert dialog.objection.isVisible() is False
+    assert dialog.kind.text().startswith("Logs of yarpdatadumper: force/torque, skin.")
+    rows = [[dialog.streams.topLevelItem(k).text(column) for column in (0, 4)] for k in range(2)]
+    assert rows == [["Force/torque", "6"], ["Skin", "24"]]
+    assert "up to" in dialog.curve.accessibleDescription()
+    assert files_under(bench.documents) == [], "nothing is written before it is asked for"
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        while dialog.focusWidget() is not dialog.start:
+            tap(bench, Key.Key_Tab)
+        tap(bench, Key.Key_Space)
+    gone(bench, ImportDialog)
+    where = bench.controller.folder
+    assert where.parent == bench.documents
+    assert len(load(where).snapshot().contacts) == POKES
+    bench.until(lambda: bench.window.session_view.state is not None, 5000)
+    assert len(bench.snapshot.pokes) == POKES
+    assert bench.window._import is None
+    # The next one begins with this scene.
+    bench.window._drop_session()
+    assert asked(bench).scene.currentText() == str(scene)
+
+
+def test_tables_that_are_dropped_lead_to_the_same(bench, scene, samples, tmp_path):
+    folder = write_csv(tmp_path / "tables", samples)
+    assert drop(bench.window, of(folder / "b.csv"), of(folder / "a.csv"))
+    dialog = dialog_of(bench, ImportDialog)
+    dialog.scene.setEditText(str(scene))
+    until_seen(bench, dialog)
+    assert [field.text() for field in dialog.fields.values()] == [str(folder / "a.csv"), str(folder / "b.csv"), ""]
+    assert dialog.start.isEnabled()
+    # Onto the dialog, too.
+    other = write_yarp(tmp_path / "log", samples)
+    assert drop(dialog, of(other))
+    assert dialog.fields[Stream.SKIN].text() == str(other / "left_forearm_skin")
+    assert drop(dialog, of(scene))
+    assert approved("import.no_recording") in dialog.objection.text()
+
+
+def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene, samples, tmp_path, recorded):
+    folder = write_yarp(tmp_path / "log", samples)
+    dialog = made(bench, scene, [folder])
+    assert dialog.start.isEnabled()
+    dialog.scene.setCurrentText("flat-patch")
+    assert approved("overview.width", found=24, scene="flat-patch", wanted=64) in dialog.objection.text()
+    assert not dialog.start.isEnabled()
+    dialog.scene.setEditText(str(tmp_path / "gone.toml"))
+    assert "gone.toml" in dialog.objection.text()
+    dialog.scene.setEditText(str(scene))
+    assert dialog.start.isEnabled()
+    dialog.folder.setText(str(recorded))
+    assert HOLDS_SESSION in dialog.objection.text()
+    dialog.folder.setText(" ")
+    assert NO_FOLDER in dialog.objection.text()
+    dialog.folder.setText(str(tmp_path / "new"))
+    assert dialog.start.isEnabled()
+    (folder / "left_ft" / "data.log").write_text("nothing of a log\n")
+    dialog.take([folder / "left_forearm_skin"])
+    assert not dialog.start.isEnabled()
+    dialog.fields[Stream.WRENCH].setText(str(folder / "left_ft"))
+    bench.until(lambda: "left_ft" in dialog.objection.text(), OPEN_MS)
+    assert not dialog.start.isEnabled()
+    dialog.take([tmp_path / "nowhere"])
+    assert "no recording was found" in dialog.objection.text()
+
+
+def test_an_arm_needs_its_joints_or_a_pose(bench, samples, tmp_path):
+    dialog = asked(bench)
+    dialog.scene.setCurrentText("icub-forearm")
+    assert dialog.pose.count() > 2
+    dialog.take([write_yarp(tmp_path / "log", samples)])
+    until_seen(bench, dialog)
+    assert approved("overview.pose") in dialog.objection.text()
+    dialog.pose.setCurrentIndex(1)
+    assert approved("overview.pose") not in dialog.objection.text()
+    dialog.fields[Stream.JOINTS].setText("anything")
+    assert not dialog.pose.isEnabled()
+
+
+def long_import(bench, scene, tmp_path) -> tuple[ImportDialog, Path]:
+    """One that takes some seconds, begun."""
+    from skincal.model.scene import load_scene
+
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", some_pokes(load_scene(scene), 60).samples, 8)])
+    where = tmp_path / "deep" / "session"
+    dialog.folder.setText(str(where))
+    dialog.start.setFocus()
+    tap(bench, Key.Key_Space)
+    assert dialog.importing
+    bench.until(lambda: dialog.progress.value() > 0, OPEN_MS)
+    assert where.exists()
+    return dialog, where
+
+
+def test_an_import_that_is_stopped_leaves_nothing_behind(bench, scene, tmp_path):
+    dialog, _ = long_import(bench, scene, tmp_path)
+    assert not dialog.form.isEnabled()
+    assert dialog.focusWidget() is dialog.stop
+    tap(bench, Key.Key_Escape)
+    assert dialog.isVisible()
+    bench.until(lambda: not dialog.importing, OPEN_MS)
+    assert approved("import.stopped") in dialog.objection.text()
+    assert not (tmp_path / "deep").exists()
+    assert dialog.start.isEnabled()
+    tap(bench, Key.Key_Escape)
+    gone(bench, ImportDialog)
+
+
+def test_a_process_that_is_killed_leaves_nothing_behind_and_another_takes_its_place(bench, scene, tmp_path):
+    dialog, where = long_import(bench, scene, tmp_path)
+    (process,) = dialog._jobs._waiting
+    os.kill(process.pid, signal.SIGTERM)
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        pass
+    assert bench.controller.folder == where
+    assert len(load(where).snapshot().pokes) == 60
+
+
+def test_a_window_that_closes_meanwhile_leaves_nothing_behind(bench, scene, tmp_path):
+    long_import(bench, scene, tmp_path)
+    bench.window.leave()
+    bench.until(lambda: not (tmp_path / "deep").exists(), 5000)
+
+
+def test_the_scene_of_the_open_session_is_proposed(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    dialog = asked(bench)
+    assert dialog.scene.currentText() == str(bench.window.session_view.workspace.part.scene.path)
+
+
+def test_every_control_has_a_name_and_is_reached_by_the_tab_key(bench, scene, samples, tmp_path):
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    reached: list[QWidget] = []
+    while (widget := dialog.focusWidget()) not in reached:
+        reached.append(widget)
+        tap(bench, Key.Key_Tab)
+    wanted = [*dialog.fields.values(), dialog.take_folder, dialog.take_files, dialog.scene, dialog.folder, dialog.streams]
+    assert {*wanted, dialog.start, dialog.stop} <= set(reached)
+    for widget in reached:
+        assert widget.accessibleName() or (isinstance(widget, QPushButton) and widget.text()), widget
+    names = [button.accessibleName() for button in dialog.findChildren(QPushButton) if button.accessibleName()]
+    assert len(set(names)) == len(names) == 5
+
+
+@pytest.mark.parametrize("percent", [STEPS[0], STEPS[-1]])
+def test_it_fits_the_screen_in_every_size_of_the_text(bench, scene, samples, tmp_path, percent):
+    bench.window.text_size.choose(percent)
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    assert dialog.screen().availableGeometry().contains(dialog.geometry())
+    assert dialog.form.sizeHint().width() <= dialog.width()
+    for button in (dialog.start, dialog.stop):
+        assert dialog.rect().contains(button.geometry())
+    assert dialog.curve.height() >= 60
+
+
+def test_the_curve_is_drawn(bench, scene, samples, tmp_path):
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    with_curve = pixels(dialog.curve)
+    preview = dialog._preview
+    dialog.curve.show_preview(None)
+    assert changed(with_curve, pixels(dialog.curve)) > 200
+    dialog.curve.show_preview(preview)
+    assert changed(with_curve, pixels(dialog.curve)) == 0
+
+
+def test_what_is_said_of_a_stream():
+    skin = StreamPreview(Stream.SKIN, "f", 12_000, 50.0, 240.04, 24, (255.0, 12.25))
+    assert stream_row(skin) == (
+        "Skin", "12\N{NARROW NO-BREAK SPACE}000", "50 Hz", "240.0", "24", "255.0  12.2  \N{HORIZONTAL ELLIPSIS}  raw"
+    )  # fmt: skip
+    empty = StreamPreview(Stream.JOINTS, "f", 1, 0.0, 0.0, 0, ())
+    assert stream_row(empty)[2:] == ("\N{EN DASH}", "0.0", "\N{EN DASH}", "\N{EN DASH}")
+    assert imported_words(Imported(Path("s"), 3, 2)) == approved("import.done", folder="s", pokes="3 pokes", accepted=2)

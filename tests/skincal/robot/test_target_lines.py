@@ -1,0 +1,130 @@
+"""The lines between skincal and a robot: every kind there and back, cut anywhere, garbage, and how long they may be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skincal.model.errors import InputError
+from skincal.robot.target_lines import (
+    GREETING,
+    LINE_MAX,
+    Answer,
+    AnswerKind,
+    Judged,
+    LineCutter,
+    NoTarget,
+    PokeTarget,
+    Refused,
+    read_answer_line,
+    read_line,
+    write_answer,
+    write_line,
+)
+from tests.approved import approved_pattern
+
+PUSH = np.array([0.28, -0.31, -0.91])
+SHOWN = PokeTarget(
+    7, 204, np.array([0.0123456, -0.06, 0.1]), PUSH / np.linalg.norm(PUSH), False, "r_forearm", "94 deg, -0 deg/é", 9.5, 0.6
+)
+
+
+@pytest.mark.parametrize("word", list(NoTarget))
+def test_a_line_without_a_target_says_what_to_do(word):
+    assert read_line(write_line(word) + "\n") is word
+
+
+@pytest.mark.parametrize(
+    "line", [Judged(3), Judged(3, "too soft (2.1, limit 4 N)"), Refused("another robot is connected")], ids=str
+)
+def test_verdicts_survive_their_lines(line):
+    assert read_line(write_line(line)) == line
+
+
+@pytest.mark.parametrize("answer", [Answer(AnswerKind.REACHED, 3), Answer(AnswerKind.FAULT, 9, "joint 3 at its end")], ids=str)
+def test_answers_survive_their_lines(answer):
+    assert read_answer_line(write_answer(answer) + "\r") == answer
+
+
+def test_a_target_survives_its_line():
+    line = write_line(SHOWN)
+    assert line.startswith("target 7 204 r_forearm 94%20deg%2C%20-0%20deg%2F%C3%A9 0.012346 -0.060000 0.100000 ")
+    read = read_line(line)
+    assert (read.number, read.channel, read.frame, read.pose, read.force, read.hold, read.known) == (
+        7, 204, "r_forearm", "94 deg, -0 deg/é", 9.5, 0.6, False,
+    )  # fmt: skip
+    np.testing.assert_allclose(read.place, SHOWN.place, atol=6e-7)
+    np.testing.assert_allclose(read.push, SHOWN.push, atol=1e-5)
+    assert np.linalg.norm(read.push) == pytest.approx(1.0, abs=1e-12)
+    for known, start in ((False, "target 7 - "), (True, "target 7 + ")):
+        line = write_line(replace(SHOWN, channel=None, known=known, frame="", pose=""))
+        assert line.startswith(start + "- - ")
+        read = read_line(line)
+        assert (read.channel, read.known, read.frame, read.pose) == (None, known, "", "")
+
+
+GOOD = "target 7 204 r 1 0.1 0.2 0.3 0 0 -1 9.5 0.6"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "target", "target 7", GOOD + " 1", GOOD.replace("204", "x"), GOOD.replace("204", "++"), GOOD.replace("204", "20.5"),
+        GOOD.replace("0.1", "nan"), GOOD.replace("0.1", "inf"), GOOD.replace("0.1", "20"), GOOD.replace("-1", "0"),
+        GOOD.replace("-1", "-9"), GOOD.replace("9.5", "-9"), GOOD.replace("0.6", "inf"), GOOD.replace("7", "-7"),
+        "accepted", "rejected x y", "accepted " + "9" * 5000,
+    ],
+)  # fmt: skip
+def test_a_line_that_is_none_is_named(line):
+    with pytest.raises(InputError, match="is no target"):
+        read_line(line)
+
+
+def test_lines_of_later_versions_are_passed_over():
+    assert read_line(GOOD).channel == 204
+    for line in (GREETING, "", "wait 3", "pause for tea"):
+        assert read_line(line) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["reached", "reached x", "reached 7 8", "skip -1", "skip 7 now", "fault", "REACHED 7", "accepted 7", "reached \uff17",
+     "reached " + "9" * 400, "GET / HTTP/1.1", "\x00\xff"],
+)  # fmt: skip
+def test_what_no_robot_says_is_refused(line):
+    with pytest.raises(InputError, match=approved_pattern("targets.expected")):
+        read_answer_line(line)
+
+
+def test_a_fault_is_one_plain_line_of_bounded_length():
+    answer = read_answer_line("fault 3 \x1b[2Jstop\ttwice  " + "x" * 480)
+    assert "\x1b" not in answer.text
+    assert answer.text.startswith("?[2Jstop twice x")
+    assert len(answer.text) <= 200
+
+
+@given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\n"), max_size=80)), st.integers(1, 40))
+def test_lines_are_the_same_however_they_are_cut(texts, size):
+    data = "".join(f"{text}\n" for text in texts).encode()
+    lines = LineCutter()
+    found = [line for at in range(0, len(data), size) for line in lines.feed(data[at : at + size])]
+    assert found == texts
+
+
+@given(st.binary(max_size=2000))
+def test_garbage_ends_in_an_answer_or_in_the_one_exception(data):
+    try:
+        for line in LineCutter().feed(data):
+            assert read_answer_line(line) is None or line.split()[0] in {kind.value for kind in AnswerKind}
+            read_line(line)
+    except InputError:
+        pass
+
+
+@pytest.mark.parametrize("end", [b"", b"\n"])
+def test_a_line_is_bounded_whether_or_not_it_ends(end):
+    LineCutter().feed(b"x" * LINE_MAX)
+    with pytest.raises(InputError, match=approved_pattern("targets.more_than", most=LINE_MAX)):
+        LineCutter().feed(b"x" * (LINE_MAX + 1) + end)

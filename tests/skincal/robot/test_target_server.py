@@ -1,0 +1,178 @@
+"""A robot at the port for targets, over real TCP: it comes, goes and comes back, lies, floods, and takes nothing."""
+
+import socket
+import time
+from contextlib import closing, contextmanager, suppress
+
+import numpy as np
+import pytest
+
+from skincal.model.errors import InputError
+from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
+from skincal.robot.target_server import AGAIN_S, LINES_A_SECOND, RobotCame, TargetClient, TargetServer, parse_port
+from tests.approved import approved, approved_pattern
+from tests.skincal.robot.robot_support import Peer
+
+PATIENCE_S = 10.0
+
+
+def target(number):
+    return PokeTarget(number, 3, np.array([0.01, 0.02, 0.03]), np.array([0.0, 0.0, -1.0]))
+
+
+@pytest.fixture
+def server():
+    with closing(TargetServer(*parse_port("0"))) as server:
+        yield server
+
+
+@contextmanager
+def robot(server):
+    with closing(Peer(server.port)) as peer:
+        yield peer
+
+
+def taken(server, count=1, but=RobotCame.CAME):
+    """What the server heard, once there is so much of it."""
+    found, end = [], time.monotonic() + PATIENCE_S
+    while len(found) < count:
+        assert time.monotonic() < end, found
+        found += [item for item in server.take() if item is not but]
+        time.sleep(0.01)
+    return found
+
+
+def test_a_robot_hears_what_is_asked_and_answers(server):
+    server.send([target(1)])
+    with robot(server) as peer:
+        assert [peer.line(), peer.line()] == [GREETING, write_line(target(1))]
+        peer.say("reached 1")
+        assert taken(server, 2) == [f"A robot came, from {server.host}.", Answer(AnswerKind.REACHED, 1)]
+        server.send([Judged(1, "too soft"), target(2), Judged(2), NoTarget.ENOUGH])
+        said = [peer.line() for _ in range(4)]
+        assert said == ["rejected 1 too soft", write_line(target(2)), "accepted 2", "enough"]
+
+
+def test_who_comes_back_hears_again_what_is_asked_for_now(server):
+    with robot(server) as peer:
+        assert [peer.line(), peer.line()] == [GREETING, "wait"], "nothing yet"
+        server.send([target(1)])
+        assert peer.line() == write_line(target(1))
+    server.send([Judged(1), target(2)])
+    with robot(server) as peer:
+        assert [peer.line(), peer.line()] == [GREETING, write_line(target(2))]
+    assert sum(item is RobotCame.CAME for item in taken(server, 3, but=None)) == 2
+
+
+def test_one_robot_at_a_time(server):
+    with robot(server) as first:
+        assert [first.line(), first.line()] == [GREETING, "wait"]
+        with robot(server) as second:
+            assert [second.line(), second.line(), second.line()] == [GREETING, "refused another robot is connected", None]
+        server.send([target(1)])
+        assert first.line() == write_line(target(1))
+    time.sleep(0.2)
+    with robot(server) as third:
+        assert [third.line(), third.line()] == [GREETING, write_line(target(1))]
+
+
+LIES = {
+    "no answer": b"hello\n",
+    "another protocol": b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
+    "no text": bytes(range(256)) + b"\n",
+    "never ends": b"reached " * 100_000,
+    "a flood": b"reached 1\n" * 10 * LINES_A_SECOND,
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_who_lies_or_floods_is_hung_up_on_for_one_sentence(server, lie):
+    server.send([target(1)])
+    for _ in range(2):
+        with robot(server) as peer:
+            assert peer.line() == GREETING
+            with suppress(ConnectionError):
+                peer.say(LIES[lie])
+            said = peer.line()
+            while said is not None and not said.startswith("refused "):
+                said = peer.line()
+            assert said is not None or len(LIES[lie]) > 1000, "a sender that is far ahead may miss why"
+        time.sleep(AGAIN_S + 0.1)
+    sentences = [item for item in taken(server) if isinstance(item, str) and approved("targets.hung_up_on") in item]
+    assert len(sentences) == 1, "twice the same is said once"
+    with robot(server) as peer:
+        peer.say("reached 1")
+        assert taken(server)[-1] == Answer(AnswerKind.REACHED, 1), "another one is heard"
+
+
+def test_what_is_refused_elsewhere_hangs_up_too(server):
+    with robot(server) as peer:
+        peer.line(), peer.line()
+        server.refuse("it answers 'reached 9', " + approved("targets.was_asked", most=1))
+        assert peer.line() == "refused it answers 'reached 9', " + approved("targets.was_asked", most=1)
+        assert peer.line() is None
+
+
+def test_a_robot_that_takes_nothing_is_let_go_and_memory_stays_bounded(server):
+    with robot(server) as peer:
+        peer.line()
+        end = time.monotonic() + PATIENCE_S
+        said = []
+        while not any("takes nothing" in str(item) for item in said):
+            assert time.monotonic() < end
+            server.send([Judged(1, "x" * 190)] * 1000)
+            said += server.take()
+            time.sleep(0.005)
+        assert len(server._pending) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "place"), [("7010", ("127.0.0.1", 7010)), ("0.0.0.0:80", ("0.0.0.0", 80)), ("[::1]:7010", ("::1", 7010))]
+)  # fmt: skip
+def test_a_port_is_of_this_machine_alone_unless_a_host_is_told(text, place):
+    assert parse_port(text) == place
+
+
+@pytest.mark.parametrize("text", ["", "x", "70100", "-1", ":7010", "localhost", "7010:", "1.5"])
+def test_what_is_no_port_is_refused(text):
+    with pytest.raises(InputError, match=approved_pattern("targets.no_port")):
+        parse_port(text)
+
+
+def test_a_port_that_is_taken_or_a_host_that_is_not_ours_is_said(server):
+    for host, port in ((server.host, server.port), ("192.0.2.1", 7010), ("x" * 300, 7010)):
+        with pytest.raises(InputError, match="name another port"):
+            TargetServer(host, port).close()
+
+
+def test_the_client_finds_the_server_when_it_comes_and_again_after_it_went():
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    heard = []
+    with closing(TargetClient("127.0.0.1", port, heard.append)) as client:
+        for number in (1, 2):
+            with closing(TargetServer("127.0.0.1", port)) as server:
+                server.send([target(number)])
+                end = time.monotonic() + PATIENCE_S
+                while not any(isinstance(line, PokeTarget) and line.number == number for line in heard):
+                    assert time.monotonic() < end
+                    time.sleep(0.01)
+                client.say(Answer(AnswerKind.REACHED, number))
+                while not (found := [item for item in server.take() if isinstance(item, Answer)]):
+                    assert time.monotonic() < end
+                    time.sleep(0.01)
+                assert found == [Answer(AnswerKind.REACHED, number)]
+
+
+def test_a_target_that_the_client_cannot_take_is_a_fault(server):
+    def refuse(line):
+        if isinstance(line, PokeTarget):
+            raise InputError("no such taxel")
+
+    with closing(TargetClient(server.host, server.port, refuse)):
+        server.send([target(1)])
+        end = time.monotonic() + PATIENCE_S
+        while not (found := [item for item in server.take() if isinstance(item, Answer)]):
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        assert found == [Answer(AnswerKind.FAULT, 1, "no such taxel")]

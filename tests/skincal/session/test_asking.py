@@ -1,0 +1,175 @@
+"""What a robot is asked, and what its answers mean: numbers, verdicts, what crosses, faults, and lies."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.model.scene import load_scene, resource
+from skincal.robot.target_lines import Answer, AnswerKind, Judged, NoTarget, PokeTarget
+from skincal.session.asking import FELT_S, PokeAsking
+from skincal.session.snapshot import PokeRecord
+from skincal.taxels.result import Method
+from tests.approved import approved
+
+REACHED, SKIP, FAULT = AnswerKind
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def wants(channel, **changes):
+    """The guide asks for a taxel; `channel` None for enough."""
+    target = None if channel is None else Target(channel, np.array([0.01 * channel, 0.0, 0.0]), -DOWN, DOWN, 0.0, 1.0, 1.0)
+    phase = GuidePhase.ENOUGH if channel is None else GuidePhase.SWEEP
+    none, empty = np.zeros(0), np.zeros(0, dtype=np.int64)
+    found = Guidance(Method.FREE, phase, target, empty, none.reshape(0, 3), none, none, empty, (), {}, 0.5, 3, None)
+    return replace(found, **changes)
+
+
+def poke(number, start_s, reason=None, *, final=True):
+    """The record of one poke, held for 0.3 s."""
+    times = number, start_s, start_s + 0.3
+    if reason is not None:
+        outcome = Rejection(*times, reason, 2.5, 4.0, "N", np.zeros(0, dtype=np.int64), final)
+    else:
+        empty = np.zeros(0)
+        outcome = Contact(*times, DOWN, DOWN, empty.astype(np.int64), empty, np.eye(4), "", 0.0, final)
+    return PokeRecord(outcome, False)
+
+
+class Course:
+    """A session as the asking sees it, at times that the test gives."""
+
+    def __init__(self, *pokes):
+        self.asking = PokeAsking(load_scene(resource("scenes/flat-patch/scene.toml")))
+        self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
+
+    def at(self, now_s, guidance, *, streaming=True):
+        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", missed_landmarks=self.missed, at_landmarks=self.landmarks)
+        return self.asking.follow(guidance, snapshot, now_s, streaming=streaming)
+
+    def asked(self, now_s, guidance):
+        """The one target that is said now."""
+        (line,) = self.at(now_s, guidance)
+        assert isinstance(line, PokeTarget)
+        return line
+
+
+def test_a_target_says_what_the_guide_shows_once_and_all_that_a_robot_needs():
+    course = Course()
+    line = course.asked(1.0, wants(3))
+    assert (line.number, line.channel, line.known, line.frame, line.pose) == (1, 3, False, "patch", "")
+    assert line.place.tolist() == [0.03, 0.0, 0.0]
+    assert line.push.tolist() == DOWN.tolist()
+    assert (line.force, line.hold) == (9.5, 0.6), "the middle of the force window, and twice the still window"
+    assert course.at(1.1, wants(3)) == []
+    assert course.asked(1.2, wants(4)).number == 2, "what changed takes its place"
+
+
+def test_a_known_point_and_what_is_said_where_there_is_no_target():
+    course = Course()
+    head = replace(wants(3).target, channel=None, landmark="wrist, top")
+    line = course.asked(1.0, wants(3, target=head))
+    assert (line.channel, line.known) == (None, True)
+    assert course.at(1.1, None) == [NoTarget.ANY]
+    assert course.at(1.2, wants(3), streaming=False) == [NoTarget.WAIT]
+    assert course.at(1.3, wants(3), streaming=False) == []
+    assert course.at(1.4, wants(None)) == [NoTarget.ENOUGH]
+    assert course.asked(1.5, wants(3)).number == 2
+
+
+def test_a_poke_is_judged_when_it_is_final_and_the_next_target_waits_for_that():
+    course = Course(poke(1, 0.0))
+    course.asked(1.0, wants(3))
+    course.pokes.append(poke(2, 2.0, final=False))
+    for later in (wants(4), wants(None), None):
+        assert course.at(2.4, later) == []
+    course.pokes[-1] = poke(2, 2.0)
+    verdict, line = course.at(2.6, wants(4))
+    assert verdict == Judged(1)
+    assert (line.number, line.channel) == (2, 4)
+    assert course.at(2.7, wants(4)) == []
+
+
+def test_a_rejected_poke_says_why_and_the_same_is_asked_for_under_another_number():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.pokes.append(poke(1, 2.0, Reason.TOO_SOFT))
+    verdict, line = course.at(2.6, wants(3))
+    assert verdict == Judged(1, "too soft (2.5, limit 4 N)")
+    assert (line.number, line.channel) == (2, 3)
+
+
+def test_at_a_landmark_no_taxel_has_to_answer():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.pokes.append(poke(1, 2.0, Reason.NO_TAXEL))
+    course.landmarks[1] = "wrist"
+    assert course.at(2.6, wants(4))[0] == Judged(1)
+
+
+def test_a_poke_that_began_before_is_of_the_target_before_or_of_nobody():
+    course = Course()
+    course.pokes.append(poke(1, 0.5))
+    course.asked(1.0, wants(3))
+    course.pokes.append(poke(2, 0.9))
+    assert course.at(1.3, wants(3)) == [], "somebody's own poke, before anything was asked for"
+    course.asked(2.0, wants(4))
+    course.pokes.append(poke(3, 1.9))
+    assert course.at(2.3, wants(4)) == [Judged(1)]
+    course.pokes.append(poke(4, 2.2))
+    assert course.at(2.6, wants(5))[0] == Judged(2)
+
+
+def test_what_is_reached_and_not_felt_is_rejected_in_the_end():
+    course = Course()
+    course.asked(1.0, wants(3))
+    assert course.asking.hear(Answer(REACHED, 1), 2.0).lie == ""
+    assert course.at(2.0 + FELT_S - 0.1, wants(3)) == []
+    verdict, line = course.at(2.0 + FELT_S + 0.1, wants(3))
+    assert verdict == Judged(1, approved("targets.not_felt"))
+    assert line.number == 2
+
+
+def test_links_that_stop_hold_nothing_up_for_ever():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.pokes.append(poke(1, 2.0, final=False))
+    assert course.at(3.0, wants(4)) == []
+    assert [type(line) for line in course.at(9.0, wants(4))] == [Judged, PokeTarget]
+
+
+def test_skip_asks_for_another_and_what_crosses_it_is_passed_over():
+    course = Course()
+    course.asked(1.0, wants(3))
+    assert course.asking.hear(Answer(SKIP, 1), 1.1).skips
+    assert not course.asking.hear(Answer(SKIP, 1), 1.2).skips, "once"
+    assert course.asked(1.3, wants(4)).number == 2
+    for late in (Answer(REACHED, 1), Answer(SKIP, 1), Answer(FAULT, 1, "late")):
+        meaning = course.asking.hear(late, 1.4)
+        assert (meaning.skips, meaning.trouble, meaning.lie) == (False, "", "")
+
+
+@pytest.mark.parametrize("on", ["again", "another"])
+def test_after_a_fault_nothing_is_asked_for_until_the_robot_comes_again_or_wants_another(on):
+    course = Course()
+    course.asked(1.0, wants(3))
+    trouble = course.asking.hear(Answer(FAULT, 1, "protective stop"), 1.1).trouble
+    assert approved("targets.stopped", number=1, why="protective stop") in trouble
+    assert course.at(1.2, wants(3)) == [NoTarget.WAIT]
+    assert course.at(9.0, wants(4)) == []
+    if on == "again":
+        course.asking.came()
+    else:
+        assert course.asking.hear(Answer(SKIP, 1), 9.1).skips
+    assert course.asked(9.2, wants(4)).number == 2
+
+
+@pytest.mark.parametrize("number", [0, 2, 999_999_999])
+def test_a_number_that_was_never_asked_for_is_a_lie(number):
+    course = Course()
+    assert course.asking.hear(Answer(REACHED, 1), 0.5).lie, "before anything was asked for"
+    course.asked(1.0, wants(3))
+    assert approved("targets.was_asked", most=1) in course.asking.hear(Answer(REACHED, number), 1.1).lie

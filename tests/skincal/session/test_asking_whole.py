@@ -1,0 +1,167 @@
+"""Whole guided sessions over the lines: a robot under the example's client pokes to *enough*; commands play both sides."""
+
+import importlib.util
+import json
+import subprocess
+import sys
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+
+from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.scene import resource
+from skincal.robot.target_lines import NoTarget, PokeTarget
+from skincal.robot.target_server import TargetServer, parse_port
+from skincal.session.asking import RobotGuide
+from skincal.session.pipeline import Pipeline
+from skincal.simulate.courses import errors_of
+from skincal.simulate.device import DeviceTimeline
+from skincal.simulate.faults import RigErrors
+from skincal.simulate.operator import Guided, Habits
+from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Method
+from tests.approved import approved
+from tests.skincal.sim_support import make_rig
+
+VIRTUAL_S = 600.0
+
+
+@pytest.fixture(scope="module")
+def example():
+    """The example node, whose protocol half needs no ROS."""
+    spec = importlib.util.spec_from_file_location("ros2_poker", resource("examples/ros2_poker.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["ros2_poker"] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["ros2_poker"]
+
+
+class SimulatedRobot:
+    """A simulated hand that learns where to poke from the example's connection alone."""
+
+    def __init__(self, rig, example, port):
+        self._example, self.lines, self.verdicts, self.enough = example, example.Lines("127.0.0.1", port), [], False
+        self.hand = Guided(rig, Habits.careful().at_pace(4.0), np.random.default_rng(3))
+        self.hand.show(NoTarget.WAIT)
+        self.hand.answered = lambda answer: self.lines.say(f"reached {answer.number}")
+
+    def step(self):
+        for line in self.lines.read():
+            word = line.split()[0]
+            if word == "target":
+                asked = self._example.read_target(line)
+                place, push = np.array(asked.place), np.array(asked.push)
+                self.hand.show(PokeTarget(asked.number, asked.channel, place, push, asked.known_point))
+            elif word in ("wait", "enough"):
+                self.enough = word == "enough"
+                self.hand.show(NoTarget(word))
+            elif word in ("accepted", "rejected"):
+                self.verdicts.append(line)
+
+
+def play(rig, robot, server, method):
+    """Play a rig's devices in virtual time, the robot and the guide beside them, to enough; the pipeline."""
+    line = DeviceTimeline(rig, robot.hand, np.random.default_rng(4))
+    links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
+    pipeline = Pipeline(rig.scene, links, rig.surface)
+    guide = RobotGuide(pipeline, server, method)
+    for link in links:
+        pipeline.feed(LinkEvent(link.name, 0, LinkState.OPEN))
+    while not (guide.enough and robot.enough):
+        assert line.now < VIRTUAL_S, robot.verdicts[-5:]
+        for at_ns, link, data in line.step():
+            pipeline.feed(Chunk(link, at_ns, data))
+        assert guide.step(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
+        robot.step()
+    return pipeline
+
+
+def test_a_robot_pokes_to_enough_over_the_lines(example):
+    rig = make_rig(RigErrors.noise(), name="flat-patch")
+    with closing(TargetServer(*parse_port("0"))) as server:
+        robot = SimulatedRobot(rig, example, server.port)
+        with closing(robot.lines):
+            pipeline = play(rig, robot, server, Method.MODULES)
+    snapshot = pipeline.snapshot()
+    assert snapshot.closings, "some of the first places were poked once more"
+    accepted = [verdict for verdict in robot.verdicts if verdict.startswith("accepted ")]
+    numbers = [int(verdict.split()[1]) for verdict in robot.verdicts]
+    assert numbers == sorted(set(numbers)), "each number has one verdict"
+    assert len(accepted) == len(snapshot.contacts), "a verdict for each poke that counts, and for no other"
+    assert len(robot.verdicts) == len(snapshot.pokes)
+    assert errors_of(snapshot.estimates[Method.MODULES], rig).mean() < 0.0035
+
+
+def test_the_example_approaches_presses_as_wished_holds_lets_go_and_goes_back(example):
+    with closing(TargetServer(*parse_port("0"))) as server:
+        lines = example.Lines("127.0.0.1", server.port)
+        with closing(lines):
+            poker, push = example.Poker(lines), np.array([0.0, 0.6, -0.8])
+            asked = PokeTarget(3, 7, np.array([0.1, 0.2, 0.3]), push, False, "r_forearm", "94 deg, 0 deg", 8.0, 0.6)
+            server.send([asked])
+            end = time.monotonic() + 10.0
+            while poker.step(0.0) is None:
+                assert time.monotonic() < end
+            course = [poker.step(now_s) for now_s in np.arange(0.0, 4.0, 0.02)]
+            points = [point for point in course if point is not None]
+            places, forces = np.array([point.place for point in points]), np.array([point.force for point in points])
+            before = (asked.place - places) @ push
+            assert {point.frame for point in points} == {"r_forearm"}
+            np.testing.assert_allclose(places, asked.place - before[:, None] * push, atol=1e-12)
+            assert before[0] == pytest.approx(example.STANDOFF)
+            assert before[-1] == pytest.approx(example.STANDOFF)
+            assert np.abs(np.diff(before)).max() <= example.SPEED * 0.02 + 1e-9
+            assert (forces[before > 1e-9] == 0.0).all(), "no force but on the skin"
+            assert forces.max() == 8.0
+            assert (forces == 8.0).sum() * 0.02 == pytest.approx(0.6, abs=0.05)
+            x, y, z, w = points[0].quaternion()
+            turned = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+            np.testing.assert_allclose(turned, push, atol=1e-12)
+            while not (said := [item for item in server.take() if not isinstance(item, str)])[1:]:
+                assert time.monotonic() < end
+            assert (said[1].kind.value, said[1].number) == ("reached", 3)
+            server.send([NoTarget.ENOUGH])
+            while not poker.enough:
+                assert poker.step(9.0) is None
+                assert time.monotonic() < end
+
+
+def test_the_commands_play_both_sides(tmp_path):
+    """`record --targets` asks, `simulate --targets` pokes: two processes, whatever starts first."""
+    with closing(TargetServer(*parse_port("0"))) as free:
+        port = str(free.port)
+    command = [sys.executable, "-P", "-m", "skincal.cli"]
+    options = ["--serve", "--tcp", "--operator", "guided", "--careful", "--pace", "4", "--targets", port]
+    simulating = subprocess.Popen(
+        [*command, "simulate", "--scene", "flat-patch", *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    with simulating:
+        wrench, skin = (link["address"] for link in json.loads(simulating.stdout.readline())["links"])
+        out = tmp_path / "session"
+        asked = ["--wrench", wrench, "--skin", skin, "--scene", "flat-patch", "--out", str(out)]
+        recorded = subprocess.run(
+            [*command, "record", *asked, "--targets", port, "--method", "modules", "--pokes", "4", "--json"],
+            capture_output=True, text=True, timeout=90, check=False,
+        )  # fmt: skip
+        simulating.stdin.close()
+    assert recorded.returncode == 0, recorded.stderr
+    assert json.loads(recorded.stdout)["pokes"] >= 4
+    assert f"a robot is asked at 127.0.0.1:{port}" in recorded.stderr
+    assert "A robot came, from 127.0.0.1." in recorded.stderr
+
+
+def test_guided_and_targets_need_each_other(tmp_path, capsys):
+    from skincal.cli import main
+
+    for options in (["--operator", "guided"], ["--targets", "7010"]):
+        assert main(["simulate", "--scene", "flat-patch", "--serve", *options]) == 2
+        assert approved("operator.each_other") in capsys.readouterr().err
+    record = ["record", "--wrench", "x", "--skin", "y", "--scene", "flat-patch", "--out", str(tmp_path / "s")]
+    assert main([*record, "--method", "free"]) == 2
+    assert main([*record, "--targets", "no port"]) == 2
+    assert main([*record, "--targets", "0", "--method", "surface"]) == 2
+    assert "the scene has no surface method" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()

@@ -1,0 +1,126 @@
+from dataclasses import replace
+
+import pytest
+
+from skincal.cli import main
+from skincal.files.importers.overview import find_files
+from skincal.journal import writer
+from skincal.model.errors import InputError
+from skincal.session.importing import Imported, ImportRequest, StoppedError, import_recording, missing_folders, take_away
+from skincal.session.replay import load, replay
+from tests.skincal.import_support import write_csv, write_yarp
+from tests.skincal.poke_script import outcome_key, some_pokes, write_scene
+
+POKES = 4
+
+
+@pytest.fixture
+def request_of(tmp_path):
+    scene = write_scene(tmp_path / "source")
+    samples = some_pokes(scene, POKES).samples
+
+    def make(write=write_yarp, folder=tmp_path / "deep" / "session"):
+        return ImportRequest(find_files([write(tmp_path / write.__name__, samples)]), scene.path, "", folder)
+
+    return make
+
+
+def keys(pipeline):
+    return [outcome_key(record.outcome) for record in pipeline.snapshot().pokes]
+
+
+@pytest.mark.parametrize("write", [write_yarp, write_csv])
+def test_every_poke_of_a_recording_is_in_the_session(request_of, write):
+    request = request_of(write)
+    shares: list[float] = []
+    done = import_recording(request, lambda share: shares.append(share) or True)
+    assert done == Imported(request.folder, POKES, POKES)
+    assert keys(load(request.folder)) == keys(replay(request.folder))
+    assert len(keys(load(request.folder))) == POKES
+    assert shares == sorted(shares)
+    assert 0.0 <= shares[0] < 0.1
+
+
+def test_the_command_makes_the_same_session(request_of, tmp_path):
+    request = request_of()
+    import_recording(request)
+    places = [
+        str(part)
+        for name, place in (("--wrench", request.files.wrench), ("--skin", request.files.skin))
+        for part in (name, place)
+    ]
+    assert main(["import", "yarp", *places, "--scene", str(request.scene), "--out", str(tmp_path / "other")]) == 0
+    assert keys(load(tmp_path / "other")) == keys(load(request.folder))
+
+
+def test_one_that_is_stopped_leaves_nothing_behind(request_of, tmp_path):
+    request, shares = request_of(), []
+
+    def go_on(share: float) -> bool:
+        shares.append(share)
+        assert (request.folder / "segment-0001.mcap").exists()
+        return share < 0.5
+
+    with pytest.raises(StoppedError):
+        import_recording(request, go_on)
+    assert shares[-1] >= 0.5
+    assert not (tmp_path / "deep").exists()
+    import_recording(request)
+
+
+def test_what_was_in_the_folder_stays(request_of):
+    request = request_of()
+    request.folder.mkdir(parents=True)
+    (request.folder / "notes.txt").write_text("mine")
+    with pytest.raises(StoppedError):
+        import_recording(request, lambda _: False)
+    assert [path.name for path in request.folder.iterdir()] == ["notes.txt"]
+
+
+def test_an_import_into_a_session_is_refused_and_changes_nothing_in_it(request_of):
+    request = request_of()
+    import_recording(request)
+    before = {path: path.read_bytes() for path in request.folder.rglob("*") if path.is_file()}
+    with pytest.raises(InputError, match="holds a session"):
+        import_recording(request)
+    assert {path: path.read_bytes() for path in request.folder.rglob("*") if path.is_file()} == before
+
+
+def test_a_disk_that_is_full_leaves_nothing_behind(request_of, tmp_path, monkeypatch):
+    request = request_of()
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer.JournalWriter, "_add", refuse)
+    with pytest.raises(InputError, match="cannot be written"):
+        import_recording(request)
+    assert not (tmp_path / "deep").exists()
+
+
+def test_a_stream_of_nothing_is_no_session(request_of, tmp_path):
+    request = request_of()
+    wide = tmp_path / "wide"
+    wide.mkdir()
+    scene = (request.scene.parent / "patch.toml").read_text().replace("channels = 24", "channels = 25")
+    (wide / "patch.toml").write_text(scene.replace('modules = "modules.toml"\n', ""))
+    with pytest.raises(InputError, match="No session was made"):
+        import_recording(replace(request, scene=wide / "patch.toml"))
+    assert not (tmp_path / "deep").exists()
+
+
+def test_what_a_killed_process_left_is_taken_away(request_of, tmp_path):
+    request = request_of()
+    missing = missing_folders(request.folder)
+    assert missing == [request.folder, request.folder.parent]
+
+    def go_on(_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_recording(request, go_on)
+    assert request.folder.exists()
+    # The file of a lock that the system took back.
+    (request.folder / "session.lock").write_text("1\nhost\nnow\n")
+    take_away(request.folder, missing)
+    assert not (tmp_path / "deep").exists()
