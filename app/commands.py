@@ -40,7 +40,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("new", "New session...", "Ctrl+N", "Choose a scene, the devices and a folder"),
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("import", "Import a recording...", "Ctrl+I", "Make a session of logs of yarpdatadumper or of CSV files"),
-        ("addresses", "Device addresses...", "Shift+A", "Another port or host for a device of this session"),
+        ("addresses", "Device addresses...", "A", "Another port or host for a device of this session"),
         ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
         ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
@@ -59,7 +59,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         (
             "closing",
             "Closing check again",
-            "A",
+            "Shift+F",
             "Once it is enough: poke some of the first places once more; whether anything moved",
         ),
         ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),

@@ -101,7 +101,7 @@ class DevicesPanel(QScrollArea):
         super().__init__()
         self.cards: dict[str, LinkCard] = {}
         self.unpaired = quiet(wrap=True)
-        self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (Shift+A)")
+        self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (A)")
         self.change.clicked.connect(self.change_wanted)
         self._shown: tuple[object, ...] = ()
         self._shown_s = 0.0

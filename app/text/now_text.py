@@ -56,7 +56,7 @@ SETTLE_S = 0.15
 
 
 POSES_NAMED = 3
-CHANGE_HINT = "  \N{MIDDLE DOT}  Shift+A changes addresses"
+CHANGE_HINT = "  \N{MIDDLE DOT}  A changes addresses"
 _SHORT_VERDICTS = {
     LinkAnswer.NO_READING: "no readings",
     LinkAnswer.OTHER_STREAM: "another stream",
