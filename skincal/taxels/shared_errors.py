@@ -165,17 +165,15 @@ def carried(
     ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
     outward = free.transpose(0, 2, 1)
     inside = ordered.covariances(noise.skin)
+    factors = _factors(evidence, trust, places, noise, free.shape[1])
     if known[0].method is Method.FREE:
-        pushes = evidence.directions[order]
-        levers = pushes * np.sum(pushes * (places - evidence.sensors[order]), axis=1, keepdims=True)
-        share = 2.0 * noise.force**2 * (trust * evidence.weights**2)[order] / evidence.forces[order] ** 2
-        biases = np.linalg.solve(held, np.add.reduceat(share[:, None] * levers, starts)[:, :, None])
-        inside = inside + biases @ biases.transpose(0, 2, 1)
+        bends = np.sqrt(factors * (factors - 1.0))[:, None] * _bends(evidence, trust, normals, held, noise)
+        for off in (bends, _force_biases(evidence, trust, places, held, noise)):
+            inside = inside + off[:, :, None] * off[:, None]
     moves: FloatArray | None = None
     if shared is not None:
         alike, of_poses = ordered.moves(*shared(ordered.pokes, places, ordered.pairs))
         moves, inside = outward @ alike, inside + of_poses
-    factors = _factors(evidence, trust, np.array([estimate.position for estimate in known])[of], noise, free.shape[1])
     found = {estimate.channel: estimate for estimate in with_shared(known, factors, outward @ inside @ free, moves)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
 
@@ -187,6 +185,38 @@ def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: N
     off = np.sum(pairs * (evidence.nearest - places)[:, None], axis=2)
     squares = np.sum(off * np.sum(precision * off[:, None], axis=2), axis=1)
     return variance_factors(squares, trust, evidence.starts[:-1], unknowns)
+
+
+def _force_biases(
+    evidence: Evidence, trust: FloatArray, places: FloatArray, held: FloatArray, noise: NoiseSettings
+) -> FloatArray:
+    """Return (t, 3) how far the noise of forces pulls taxels, metres, whose answers' are at `places` (n, 3); as `_bends`."""
+    pushes = evidence.directions
+    levers = pushes * np.sum(pushes * (places - evidence.sensors), axis=1, keepdims=True)
+    share = 2.0 * noise.force**2 * trust * evidence.weights**2 / evidence.forces**2
+    pulled = np.add.reduceat(share[:, None] * levers, evidence.starts[:-1])
+    return np.asarray(np.linalg.solve(held, pulled[:, :, None])[:, :, 0], dtype=np.float64)
+
+
+def _bends(evidence: Evidence, trust: FloatArray, normals: FloatArray, held: FloatArray, noise: NoiseSettings) -> FloatArray:
+    """Return (t, 3) beta of `uncertainty.h`, metres: what the skin's bend makes of offsets as the scene has them.
+
+    It grows as the square of the offsets, their variance: where this is larger by a factor, beta is, and beta beta' by its
+    square.
+
+    Parameters
+    ----------
+    normals : (t, 3) float, unit, of the taxels
+    held : (t, 3, 3) float: sum of the pokes' rows
+    """
+    of, starts, shares = evidence.taxels, evidence.starts[:-1], trust * evidence.weights**2
+    out = np.sum(evidence.pairs * normals[of][:, None], axis=2)
+    steep = np.sum(out * out, axis=1) / 2.0 + (noise.force / evidence.forces) ** 2
+    lean, whole = np.add.reduceat(shares * steep, starts), np.add.reduceat(shares, starts)
+    far = shares * offset_square(evidence.weights, noise) * np.sum(evidence.directions * normals[of], axis=1)
+    pulled = np.add.reduceat((far[:, None, None] * evidence.pairs * out[:, :, None]).sum(axis=1), starts)
+    size = whole / np.where(lean > 0, lean, np.inf) / (2.0 * noise.radius)
+    return size[:, None] * np.linalg.solve(held, pulled[:, :, None])[:, :, 0]
 
 
 def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:

@@ -150,6 +150,31 @@ def test_a_taxel_that_shared_errors_leave_worse_known_than_a_module_is_blind(rng
         assert found.reason.cause is Cause.SHARED_ERRORS
 
 
+def beside_on_a_limb(rng, count, beside):
+    """Pokes on a ball, `beside` the taxel on its top (sd, m, each direction), each leaning with the skin there and tilted."""
+    radius, made = NoiseSettings().radius, pokes(rng, count)
+    for at, contact in enumerate(made):
+        normal = np.append(beside / radius * rng.standard_normal(2), 1.0)
+        normal /= np.linalg.norm(normal)
+        force = 0.25 * rng.standard_normal(3) - normal
+        force *= 9.0 / np.linalg.norm(force)
+        point = TAXEL + radius * (normal - np.array([0.0, 0.0, 1.0]))
+        made[at] = replace(contact, force=force, moment=np.cross(point - SENSOR, force))
+    return made
+
+
+def test_offsets_larger_than_the_scenes_bend_the_depth_by_their_square():
+    """A finger on two taxels lands twice as far beside one: the depth is off by four times as much, and so is its spread."""
+    noise = NoiseSettings(force=0.01, moment=0.0005, skin=0.0)
+    ratios = {}
+    for beside in (0.0015, 0.0035):
+        found = [both(beside_on_a_limb(np.random.default_rng(seed), 60, beside), noise)[0] for seed in range(30)]
+        off = np.mean([(each.position - TAXEL)[2] ** 2 for each in found])
+        ratios[beside] = np.mean([each.covariance[2, 2] for each in found]) / off
+    assert 0.3 < ratios[0.0035] / ratios[0.0015] < 2.0, "it is half of a ball's, since a limb bends one way"
+    assert ratios[0.0035] > 0.15
+
+
 def estimate(channel, covariance, moved=None):
     return Estimate(
         channel, Method.FREE, State.ESTIMATED, 9, position=np.zeros(3), covariance=covariance,
