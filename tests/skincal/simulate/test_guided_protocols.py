@@ -14,12 +14,13 @@ from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import GuidePhase
 from skincal.model.readings import LinkState, Loss
 from skincal.model.scene import resource
+from skincal.robot.target_lines import PokeTarget, read_line, write_line
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Guided, Habits, TargetOrder, read_order, write_target
+from skincal.simulate.operator import Guided, Habits
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.unmodelled import inside
 from skincal.taxels.result import Method
@@ -75,7 +76,7 @@ def guided_to_the_end(part, wrench, skin):
                 break
             target = guidance.target
             # As the line that another process gets.
-            operator.accept(read_order(write_target(TargetOrder(target.channel, target.place, target.push)) + "\n"))
+            operator.show(read_line(write_line(PokeTarget(known + 1, target.channel, target.place, target.push))))
     return pipeline, rig, guidance
 
 
