@@ -27,7 +27,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.commands import LAYERS, Commands, key_words
+from app.commands import LAYERS, Commands
 from app.dialogs.pedals import Pedals
 from app.panels.documents_menu import DocumentsMenu
 from app.panels.drop_target import DropTarget
@@ -409,12 +409,9 @@ class Window(QMainWindow):
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _show_keys(self) -> None:
-        box = QMessageBox(QMessageBox.Icon.NoIcon, "Keys", key_words(), QMessageBox.StandardButton.Close, self)
-        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        for label in box.findChildren(QLabel):
-            label.setProperty("rich", True)
-        box.button(QMessageBox.StandardButton.Close).setFocus()
-        box.open()
+        from app.dialogs.keys_dialog import KeysDialog
+
+        KeysDialog(self).open()
 
     def _show_about(self) -> None:
         self._offer("About skincal", about_words(qVersion()))
