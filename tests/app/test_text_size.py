@@ -9,6 +9,7 @@ from PySide6.QtWidgets import QApplication, QDialog, QLabel, QPushButton
 from app.dialogs.keys_dialog import KeysDialog
 from app.panels.widgets import ElidedLabel
 from app.session.opening import OpenRequest
+from app.text.now_text import Now, Tone
 from app.text_size import SETTING, STEPS
 from app.theme import HEADLINE_PT, RESULT_PT
 from tests.app.test_commands import dialog_of, gone, tap
@@ -114,6 +115,12 @@ def test_at_200_per_cent_the_window_stays_on_a_screen_of_720_pixels_with_every_t
         assert window.minimumSizeHint().height() <= 720, title
     assert window.height() == 720
     assert workspace.now.geometry().bottom() <= workspace.height()
+    # The name at its end is what the operator needs.
+    workspace.now.simulated.setText("SIMULATED  1\N{MULTIPLICATION SIGN}")
+    workspace.now.say(Now(Tone.CALM, "poke the landmark elbow, inner"))
+    bench.qtbot.wait(50)
+    assert not is_elided(workspace.now.headline)
+    assert workspace.now.headline.fitted().pointSizeF() > RESULT_PT
 
 
 def test_every_key_is_on_a_screen_of_1280_by_720_at_125_per_cent(bench):
