@@ -265,7 +265,8 @@ class RobotGuide:
         pipeline, now_s = self._pipeline, now_ns * 1e-9
         skips, sentences = take_answers(self._server, self._asking, now_s)
         for _ in range(skips):
-            self._guide.skip()
+            if (skip := self._guide.skip()) is not None:
+                pipeline.act(skip, now_ns)
         snapshot = pipeline.snapshot()
         evidence = pipeline.session.evidence
         guidance = self._guide.follow(snapshot, snapshot.generation, self._method, evidence, now_s)
