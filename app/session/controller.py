@@ -540,6 +540,9 @@ class Controller(QObject):
         self.compute(lambda: None, lambda _: self._connect(recording))
 
     def _connect(self, recording: Recording) -> None:
+        # The operator may have gone on by a key while this was waited for.
+        if self.running is Running.STREAMING:
+            return
         try:
             recording.go_on()
         except InputError as failure:

@@ -15,6 +15,7 @@ from PySide6.QtWidgets import QApplication
 
 from app.dialogs.new_session import NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
+from app.session.recording import Recording
 from app.state.running import Running
 from app.state.view_state import LinkLook
 from skincal.journal.reader import SessionLog
@@ -324,6 +325,21 @@ def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_
     log = SessionLog(folder)
     assert other.address in {link.address for link in log.links} | {link.address for link in replay(folder).links}
     assert load(folder).totals().links == replay(folder).totals().links
+
+
+def test_who_goes_on_by_a_key_before_new_addresses_are_connected_has_each_device_read_once(bench, device, monkeypatch):
+    wrench, skin, other = device(noisy(6)), device(noisy(CHANNELS)), device(noisy(CHANNELS))
+    open_patch(bench, wrench, skin)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 10_000)
+    started = []
+    start = Recording.start
+    monkeypatch.setattr(Recording, "start", lambda self: started.append(self.links) or start(self))
+    bench.controller.change_addresses(Addresses(wrench.address, other.address))
+    bench.controller.toggle()
+    later = []
+    bench.controller.compute(lambda: None, later.append)
+    bench.until(lambda: bool(later), 10_000)
+    assert [[link.address for link in links] for links in started] == [[wrench.address, other.address]]
 
 
 def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
