@@ -170,8 +170,11 @@ def test_an_address_where_nobody_listens_says_why(qtbot, page):
     name(page, "wrench", address)
     says(qtbot, page, "wrench", "no answer")
     assert "connection refused" in page.rows[Stream.WRENCH].verdict.text()
-    name(page, "wrench", "spy:///dev/ttyACM0?file=x")
-    says(qtbot, page, "wrench", "begins with spy:")
+    too_long = "1001 characters; expected at most 1000"
+    for wrong, why in (("spy:///dev/ttyACM0?file=x", "begins with spy:"), ("x" * 1001, too_long)):
+        page.fields["wrench"].clear()
+        name(page, "wrench", wrong)
+        says(qtbot, page, "wrench", why)
 
 
 def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypatch):
