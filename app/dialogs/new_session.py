@@ -139,7 +139,7 @@ class StreamRow(QWidget):
         self._typed = False
         self.field.textEdited.connect(self._type)
         self.field.returnPressed.connect(self.agree)
-        self.field.editingFinished.connect(self._leave)
+        self.field.editingFinished.connect(self.leave)
         self.box.activated.connect(self._choose)
 
     @property
@@ -150,7 +150,7 @@ class StreamRow(QWidget):
     def put(self, address: str, *, agreed: bool) -> None:
         """Have an address stand in the field."""
         self.box.setEditText(address)
-        self.named = address if agreed else ""
+        self._typed, self.named = False, address if agreed else ""
 
     def offer(self, places: Sequence[tuple[str, str]]) -> None:
         """List addresses with what is known of each; the field stays as it is."""
@@ -191,8 +191,8 @@ class StreamRow(QWidget):
     def _type(self) -> None:
         self._typed = True
 
-    def _leave(self) -> None:
-        # Who only passes through the field names nothing.
+    def leave(self) -> None:
+        """Take what was typed for named; who only passes through the field names nothing."""
         if self._typed:
             self.agree()
 
@@ -213,8 +213,8 @@ class NewSessionDialog(QDialog):
     """
 
     request_chosen = Signal(object)
-    addresses_chosen = Signal(object)
-    """`Addresses`."""
+    addresses_chosen = Signal(object, object)
+    """`Addresses`, and the set of those that the operator named or agreed to."""
     _scene: Scene | None = None
 
     def __init__(
@@ -398,6 +398,8 @@ class NewSessionDialog(QDialog):
     def swap_addresses(self) -> None:
         """Have F/T sensor and skin change places."""
         wrench, skin = self.rows[Stream.WRENCH], self.rows[Stream.SKIN]
+        for row in (wrench, skin):
+            row.leave()
         first, second = (wrench.address, wrench.named), (skin.address, skin.named)
         for row, (address, named) in ((wrench, second), (skin, first)):
             row.put(address, agreed=bool(named) and address == named)
@@ -435,11 +437,17 @@ class NewSessionDialog(QDialog):
             self.objection.setText(f"\N{BALLOT X} {error}")
             self.area.ensureWidgetVisible(self.objection)
             return
-        signal = self.request_chosen if isinstance(chosen, OpenRequest) else self.addresses_chosen
+        # A click need not take the focus out of a field.
+        for row in self.rows.values():
+            row.leave()
+        agreed = {row.named for row in self.rows.values() if row.named == row.address} - {""}
 
         def leave() -> None:
-            signal.emit(chosen)
             self.accept()
+            if isinstance(chosen, OpenRequest):
+                self.request_chosen.emit(chosen)
+            else:
+                self.addresses_chosen.emit(chosen, agreed)
 
         self._close_links(leave)
 

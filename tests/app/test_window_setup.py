@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app.dialogs.new_session import NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
 from app.state.view_state import LinkLook
+from app.text.message import connect_words
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Stream
 from skincal.model.scene import resource
@@ -379,8 +380,14 @@ def test_the_addresses_of_a_stranger_are_shown_and_not_connected_before_enter(be
         QTest.keyClick(page.fields["skin"], Key.Key_Return)
         says(qtbot, page, "skin", "good")
         assert outlet.poll()[0] is False
-        page.reject()
+        QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
+        bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+        box = QApplication.activeWindow()
+        assert box.text() == connect_words([outlet.address]), "the one that was agreed to is not asked about"
+        assert outlet.poll()[0] is False
+        box.reject()
         assert bench.controller.running is Running.OFFLINE
+        assert outlet.address not in bench.window._known_addresses()
 
 
 def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):
