@@ -356,10 +356,11 @@ class NewSessionDialog(QDialog):
         """Read the scene beside the window: it says how many values a skin has, and whether there is an arm."""
         self._read.renew()
         path = self._scene_file()
-        self._read.submit(lambda: load_scene(path), self._take_scene, lambda _: self._take_scene(None))
+        self._read.submit(lambda: load_scene(path), self._take_scene, lambda why: self._take_scene(None, why))
 
-    def _take_scene(self, scene: Scene | None) -> None:
+    def _take_scene(self, scene: Scene | None, why: str = "") -> None:
         self._scene = scene
+        self._object(why)
         self.pose.clear()
         poses = () if scene is None or scene.arm is None else tuple(scene.arm.poses)
         if len(poses) > 1 and self._present is None:
@@ -378,10 +379,9 @@ class NewSessionDialog(QDialog):
     def _look_at_addresses(self) -> None:
         """Look at what the operator named, beside the window."""
         named = {stream: row.named for stream, row in self.rows.items() if row.named and _refusal(row.named) == ""}
-        if self._scene is not None:
-            self._previews.choose(named, self._scene)
-            if named:
-                self._timer.start()
+        self._previews.choose(named, self._scene)
+        if named:
+            self._timer.start()
         self._look()
 
     def _look(self) -> None:
@@ -434,8 +434,7 @@ class NewSessionDialog(QDialog):
         try:
             chosen = self.request() if self._present is None else self.addresses()
         except InputError as error:
-            self.objection.setText(f"\N{BALLOT X} {error}")
-            self.area.ensureWidgetVisible(self.objection)
+            self._object(str(error))
             return
         # A click need not take the focus out of a field.
         for row in self.rows.values():
@@ -450,6 +449,11 @@ class NewSessionDialog(QDialog):
                 self.addresses_chosen.emit(chosen, agreed)
 
         self._close_links(leave)
+
+    def _object(self, sentence: str) -> None:
+        self.objection.setText(f"\N{BALLOT X} {sentence}" if sentence else "")
+        if sentence:
+            self.area.ensureWidgetVisible(self.objection)
 
     def _close_links(self, then: Callable[[], None]) -> None:
         """Go on once every link is closed: the session opens the same ports."""

@@ -234,6 +234,17 @@ def test_who_only_passes_through_a_field_connects_nothing(qtbot, page):
         assert page.rows[Stream.WRENCH].verdict.text() == ""
 
 
+def test_a_scene_that_cannot_be_read_is_said_and_no_link_is_judged_by_the_one_before(qtbot, page, device, tmp_path):
+    name(page, "skin", device(noisy(CHANNELS)).address)
+    row = says(qtbot, page, "skin", "good")
+    page.scene.setEditText(str(tmp_path / "gone.toml"))
+    qtbot.waitUntil(lambda: "gone.toml" in page.objection.text(), timeout=5000)
+    qtbot.waitUntil(lambda: row.verdict.text() == "", timeout=5000)
+    page.scene.setEditText(str(PATCH))
+    says(qtbot, page, "skin", "good")
+    assert page.objection.text() == ""
+
+
 @pytest.mark.parametrize("percent", [75, 100, 200])
 def test_the_page_fits_the_smallest_screen_with_every_text(bench, qtbot, device, percent):
     bench.window.text_size.choose(percent)
