@@ -154,12 +154,13 @@ class StreamRow(QWidget):
 
     def offer(self, places: Sequence[tuple[str, str]]) -> None:
         """List addresses with what is known of each; the field stays as it is."""
-        text = self.field.text()
+        text, at = self.field.text(), self.field.cursorPosition()
         self.box.clear()
         for address, what in places:
             self.box.addItem("   ".join(filter(None, (plain_text(address), shortened(plain_text(what), NAME_MOST)))), address)
         self.box.setCurrentIndex(-1)
         self.box.setEditText(text)
+        self.field.setCursorPosition(at)
 
     def show_words(self, look: LinkLook | None, words: str) -> None:
         """Show what is found, in words and by a sign."""

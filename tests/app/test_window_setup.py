@@ -245,6 +245,15 @@ def test_a_scene_that_cannot_be_read_is_said_and_no_link_is_judged_by_the_one_be
     assert page.objection.text() == ""
 
 
+def test_ports_that_are_found_leave_the_cursor_where_it_is(page):
+    row = page.rows[Stream.WRENCH]
+    row.put("/dev/ttyUSB0", agreed=False)
+    row.field.setCursorPosition(4)
+    row.offer([("/dev/ttyUSB7", "FT232R")])
+    QTest.keyClicks(row.field, "x")
+    assert row.address == "/devx/ttyUSB0"
+
+
 @pytest.mark.parametrize("percent", [75, 100, 200])
 def test_the_page_fits_the_smallest_screen_with_every_text(bench, qtbot, device, percent):
     bench.window.text_size.choose(percent)
