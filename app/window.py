@@ -423,7 +423,7 @@ class Window(QMainWindow):
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
         paused = self._lend_devices()
-        dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
+        dialog = NewSessionDialog(scene, folder, self, self._known_addresses(), waits=paused)
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
 

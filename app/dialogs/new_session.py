@@ -47,6 +47,7 @@ ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 JOINTS_HINT = "only where the arm's joints are streamed"
 NO_DEVICE = "Without any device a simulated rig is poked, and recorded to the folder like any other."
 CHANGING = "The recording waits while this page is open, and goes on with what you name. F6 swaps F/T sensor and skin."
+WAITS = "The recording of the open session waits while this page is open; Cancel goes on with it, in a new segment."
 NOT_AGREED = "this session names it, not you: Enter connects"
 LATER = "the line asks before the first poke"
 LABELS = {Stream.WRENCH: "F/&T sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
@@ -211,6 +212,7 @@ class NewSessionDialog(QDialog):
     ----------
     known : addresses that the operator named or agreed to before
     present : the addresses of the session that is open, and its scene, where these are to be changed
+    waits : whether the recording of the session that is open waits for this page
     """
 
     request_chosen = Signal(object)
@@ -225,11 +227,14 @@ class NewSessionDialog(QDialog):
         parent: QWidget | None = None,
         known: Collection[str] = (),
         present: tuple[Addresses, Scene] | None = None,
+        *,
+        waits: bool = False,
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("New session" if present is None else "Device addresses")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self._known, self._present = tuple(known), present
+        self._note = CHANGING if present is not None else f"{NO_DEVICE} {WAITS}" if waits else NO_DEVICE
         self.scene = QComboBox()
         self.scene.setEditable(True)
         self.scene.setAccessibleName("scene")
@@ -282,7 +287,7 @@ class NewSessionDialog(QDialog):
         form.addWidget(self.pose, at + 1, 1, 1, 3)
         if new:
             _add_row(form, "&Folder", self.folder, self.browse_folder)
-        form.addWidget(quiet(NO_DEVICE if new else CHANGING, wrap=True), form.rowCount(), 0, 1, 4)
+        form.addWidget(quiet(self._note, wrap=True), form.rowCount(), 0, 1, 4)
         form.addWidget(self.objection, form.rowCount(), 0, 1, 4)
         form.setRowStretch(form.rowCount(), 1)
         self._finish(inner)

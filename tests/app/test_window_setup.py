@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMessageBox
+from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.dialogs.new_session import NewSessionDialog
+from app.dialogs.new_session import WAITS, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
@@ -370,6 +370,12 @@ def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
     wrench, skin = device(noisy(6)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
     bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
+    page = shown_page(bench)
+    assert bench.controller.running is Running.PAUSED
+    assert any(WAITS in label.text() for label in page.findChildren(QLabel))
+    QTest.keyClick(page, Key.Key_Escape)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
     bench.key(Key.Key_A)
     page = shown_page(bench)
     QTest.keyClick(page, Key.Key_Escape)
