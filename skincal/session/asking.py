@@ -109,11 +109,18 @@ class PokeAsking:
         """Number of the newest poke of the session that is judged, or that was there before."""
         self._number = 0
 
-    def follow(self, guidance: Guidance | None, snapshot: Snapshot, now_s: float, *, streaming: bool) -> list[AskedLine]:
-        """Return what is to be said now; `guidance` None: nobody guides; `now_s`: host's monotonic clock, seconds."""
+    def follow(self, guidance: Guidance | None, snapshot: Snapshot, now_s: float, *, measuring: bool) -> list[AskedLine]:
+        """Return what is to be said now.
+
+        Parameters
+        ----------
+        guidance : None where nobody guides
+        now_s : host's monotonic clock, seconds
+        measuring : a poke would be measured; else nobody is asked to press
+        """
         lines: list[AskedLine] = []
         waiting = self._judge(snapshot, now_s, lines)
-        wanted = self._wanted(guidance, snapshot, streaming=streaming)
+        wanted = self._wanted(guidance, snapshot, measuring=measuring)
         if waiting and wanted is not NoTarget.WAIT:
             return lines
         if isinstance(wanted, NoTarget):
@@ -158,9 +165,9 @@ class PokeAsking:
             "or for another once it skips this one."
         )
 
-    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, *, streaming: bool) -> PokeTarget | NoTarget:
+    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, *, measuring: bool) -> PokeTarget | NoTarget:
         """Return what somebody who looks at the guide would do."""
-        if not streaming or self._held:
+        if not measuring or self._held:
             return NoTarget.WAIT
         if guidance is None:
             return NoTarget.ANY
@@ -271,7 +278,7 @@ class RobotGuide:
         evidence = pipeline.session.evidence
         guidance = self._guide.follow(snapshot, snapshot.generation, self._method, evidence, now_s)
         act_on(guidance, pipeline, now_ns)
-        lines = self._asking.follow(guidance, snapshot, now_s, streaming=True)
+        lines = self._asking.follow(guidance, snapshot, now_s, measuring=pipeline.measures(now_ns))
         self._server.send(lines)
         self.enough |= NoTarget.ENOUGH in lines
         return sentences

@@ -46,9 +46,9 @@ class Course:
         self.asking = PokeAsking(load_scene(resource("scenes/flat-patch/scene.toml")))
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
-    def at(self, now_s, guidance, *, streaming=True):
+    def at(self, now_s, guidance, *, measuring=True):
         snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", missed_landmarks=self.missed, at_landmarks=self.landmarks)
-        return self.asking.follow(guidance, snapshot, now_s, streaming=streaming)
+        return self.asking.follow(guidance, snapshot, now_s, measuring=measuring)
 
     def asked(self, now_s, guidance):
         """The one target that is said now."""
@@ -74,8 +74,8 @@ def test_a_known_point_and_what_is_said_where_there_is_no_target():
     line = course.asked(1.0, wants(3, target=head))
     assert (line.channel, line.known) == (None, True)
     assert course.at(1.1, None) == [NoTarget.ANY]
-    assert course.at(1.2, wants(3), streaming=False) == [NoTarget.WAIT]
-    assert course.at(1.3, wants(3), streaming=False) == []
+    assert course.at(1.2, wants(3), measuring=False) == [NoTarget.WAIT]
+    assert course.at(1.3, wants(3), measuring=False) == []
     assert course.at(1.4, wants(None)) == [NoTarget.ENOUGH]
     assert course.asked(1.5, wants(3)).number == 2
 
