@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 
+DRY = "nothing was sent, and of these only what the robot has otherwise would be: that is not known before it is asked"
+
+
 def add_to(app: typer.Typer) -> None:
     """Add the command of this module."""
     app.command(
@@ -44,7 +47,7 @@ def apply(
         ),
     ] = None,
     timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds to wait for each answer.")] = 2.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print what would be sent; nothing is opened.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print all that may be sent; nothing is opened.")] = False,
     layout: LayoutFile = None,
     correct: Correct = False,
     replay: Replay = False,
@@ -53,17 +56,23 @@ def apply(
     """Send positions to a running skinManager, one taxel after another, and show what it answers.
 
     Only taxels that have a position, and that the robot has elsewhere, are sent; the others stay as they are. The robot's own
-    positions are read first and kept in a file, by which this command brings them again. At the first refusal it stops.
+    positions are read first and kept in a file, by which this command brings them again, with what had none. At the first
+    refusal it stops.
     """
     from skincal.cli import report
-    from skincal.robot.skin_manager import applied_words, apply_positions, question_words
+    from skincal.robot.skin_manager import applied_words, apply_positions, check_port, question_words
 
+    check_port(to)
     positions, verdict = _positions(source, (method, part), layout, (correct, replay))
     lines = [] if verdict is None else [f"{verdict}."]
     if dry_run:
-        asked = [question_words(positions.question(channel)) for channel in positions.rows]
+        asked = [
+            question_words(question)
+            for channel in positions.rows
+            for question in (positions.question(channel), positions.trust(channel))
+        ]
         result = {"part": positions.part, "would_send": asked, "verdict": verdict}
-        report.print_result({**result, "text": [*lines, *asked, f"{len(asked)} taxels; nothing was sent"]}, as_json)
+        report.print_result({**result, "text": [*lines, *asked, f"{len(positions.rows)} taxels; {DRY}"]}, as_json)
         return
     kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
     if kept.exists() and kept.samefile(source):

@@ -123,6 +123,11 @@ def named_part(path: Path) -> str:
     return "" if found is None else found[1]
 
 
+def said_in(path: Path, comment: str) -> bool:
+    """Return whether a position file has a comment, as `rows_text` writes it."""
+    return f"# {comment}" in read_regular(path, TEXT_MOST).decode("utf-8", "replace").splitlines()
+
+
 def _format_row(row: list[float]) -> str:
     # Rounded first: adding 0.0 turns the -0 that rounding may leave into 0.
     return " ".join(f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in row)

@@ -20,10 +20,10 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.icub import DECIMALS, SKIN_PARTS, named_part, read_icub, rows_text, skin_part
+from skincal.files.icub import DECIMALS, SKIN_PARTS, named_part, read_icub, rows_text, said_in, skin_part
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, list_channels, plain_text, plural, shortened
-from skincal.streams.device_links import AskedPort, Ports
+from skincal.streams.device_links import AskedPort, Ports, asked_device
 from skincal.streams.failures import LinkFailure
 from skincal.taxels.result import Method
 
@@ -34,6 +34,8 @@ ANSWER_S = 2.0
 """s. skinManager answers between two of its cycles, of 20 to 50 ms; while it calibrates it may take a cycle more."""
 SAME = 2.0 * 10.0**-DECIMALS
 """m. Positions nearer than this are the same: a file has so many decimals."""
+HAD = "positions that skinManager had before others were applied"
+"""By this line a file says that its zeros are what the robot had; in every other zeros say that no position is known."""
 UNCHANGED = "Nothing was changed."
 FEW = 12
 """Values of an answer that are shown."""
@@ -75,9 +77,13 @@ def calibrated_positions(calibration: Calibration, method: Method, part: str | N
 
 
 def file_positions(path: Path, part: str | None) -> Positions:
-    """Return the positions of a file in the iCub's format, every row of it. Raises InputError."""
+    """Return the positions of a file in the iCub's format; rows of zeros only of one that brings back what the robot had.
+
+    Raises InputError.
+    """
     rows = read_icub(path)
-    return _positions(part or named_part(path), len(rows), range(len(rows)), rows)
+    sent = np.arange(len(rows)) if said_in(path, HAD) else np.flatnonzero(rows[:, :3].any(axis=1))
+    return _positions(part or named_part(path), len(rows), sent.tolist(), rows[sent])
 
 
 def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray) -> Positions:
@@ -120,6 +126,14 @@ def applied_words(applied: Applied, part: str) -> str:
         return f"skinManager has all {applied.same} positions of {part} already; nothing was changed"
     there = f", {applied.same} were there already" if applied.same else ""
     return f"{plural(applied.changed, 'taxel')} of {part} changed, and read again{there}"
+
+
+def check_port(address: str) -> None:
+    """Raise InputError where an address is of no port that could be asked; nothing is opened."""
+    try:
+        asked_device(address)
+    except LinkFailure as failure:
+        raise InputError(f"{failure} {UNCHANGED}") from failure
 
 
 def apply_positions(
@@ -172,8 +186,7 @@ class Application:
         if not due:
             return applied
         # Also where the same was begun before: what it left of the older positions is kept beside it.
-        comment = "positions that skinManager had before others were applied"
-        write_atomically(self._before, rows_text(positions.part, had[:, :6], comment).encode())
+        write_atomically(self._before, rows_text(positions.part, had[:, :6], HAD).encode())
         applied.before = self._before
         # Whole, and first: where it ends half way one has it to copy.
         self._tell(f"the old positions are in {self._before}: `{self._command}` brings them again")

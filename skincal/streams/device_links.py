@@ -345,6 +345,15 @@ def _open_yarp(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports)
     return TalkingLink(device.text, _yarp_transport(device, ports), YarpDialogue())
 
 
+def asked_device(address: str) -> DeviceAddress:
+    """Return what the address of a port that answers questions names; LinkFailure where it is of no YARP port."""
+    device = parse_device(address)
+    if device is None or device.scheme != "yarp":
+        usage = "yarp:/skinManager/rpc or yarp://SERVER:10000/skinManager/rpc"
+        raise LinkFailure(FailureKind.ADDRESS, f"{address} is no port of a YARP network; expected such as {usage}.")
+    return device
+
+
 class AskedPort:
     """A YARP port that answers questions (RPC), one after another; binary, as every port here.
 
@@ -354,10 +363,7 @@ class AskedPort:
     def __init__(self, address: str, ports: Ports, timeout_s: float) -> None:
         from skincal.streams.decoders.yarp_port import HELLO, Messages
 
-        device = parse_device(address)
-        if device is None or device.scheme != "yarp":
-            usage = "yarp:/skinManager/rpc or yarp://SERVER:10000/skinManager/rpc"
-            raise LinkFailure(FailureKind.ADDRESS, f"{address} is no port of a YARP network; expected such as {usage}.")
+        device = asked_device(address)
         self._address, self._timeout_s, self._messages = address, timeout_s, Messages()
         self._transport = _yarp_transport(device, ports)
         try:

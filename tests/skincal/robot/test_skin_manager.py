@@ -254,6 +254,12 @@ def test_a_dry_run_opens_nothing_and_prints_what_would_be_sent(capsys, sample):
     assert (code, told) == (0, "")
     asked = [line for line in said.splitlines() if line.startswith("set pose 5 ")]
     assert len(asked) == TAXELS
+    assert approved("apply.dry") in said
+    manager = SkinManagerOutlet(CHANNELS)
+    with robot(manager) as address:
+        _, _, sent = apply(capsys, sample, address)
+    really = [line.partition(": ")[0] for line in sent.splitlines() if line.startswith("set ")]
+    assert really == [line for line in said.splitlines() if line.startswith("set ")], "the robot had nothing"
     words = asked[0].split()
     assert words[3] == "204"
     assert all("." in word for word in words[4:]), "a whole number would be taken for a taxel"
@@ -272,4 +278,21 @@ def test_a_file_is_not_solved_and_another_address_is_no_port(capsys, sample, tmp
     capsys.readouterr()
     assert "since only a session is solved" in apply(capsys, file, "yarp:/x", "--correct")[2]
     for address in ("/dev/ttyUSB0", "netft://192.0.2.1"):
-        assert "is no port of a YARP network" in apply(capsys, sample, address)[2]
+        for more in ((), ("--dry-run",)):
+            assert "is no port of a YARP network" in apply(capsys, sample, address, *more)[2]
+
+
+def test_zeros_of_an_exported_file_erase_nothing(capsys, sample, tmp_path):
+    file = tmp_path / "robot.txt"
+    assert main(["export", str(sample), "--format", "icub", "--method", "free", "--out", str(file)]) == 0
+    blind = np.flatnonzero(~read_icub(file)[:, :3].any(axis=1)).tolist()
+    manager = SkinManagerOutlet(CHANNELS)
+    manager.poses[:] = [0.01, 0.02, 0.03, 0.0, 0.0, 1.0, 1.0]
+    had = manager.poses.copy()
+    with robot(manager) as address:
+        code, said, _ = apply(capsys, file, address)
+        assert code == 0
+        assert approved("apply.changed", count=TAXELS - 5, part="r_forearm") in said
+        np.testing.assert_array_equal(manager.poses[blind], had[blind])
+        assert apply(capsys, tmp_path / "before-r_forearm.txt", address)[0] == 0
+    np.testing.assert_allclose(manager.poses, had, atol=1e-12)
