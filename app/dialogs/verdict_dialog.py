@@ -8,8 +8,11 @@ from PySide6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
     QFormLayout,
+    QHBoxLayout,
     QHeaderView,
     QLabel,
+    QScrollArea,
+    QSizePolicy,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
@@ -17,13 +20,19 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.copying import make_copyable
-from app.panels.widgets import embolden, plain_buttons, quiet
+from app.panels.widgets import embolden, fit_to_screen, plain_buttons, quiet
+from app.text_size import scaled
 from app.theme import GAP, HEADLINE_PT
 from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
 from skincal.guide.verdict_words import figures, left_words, verdict_sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
+WIDTH_PX = 840
+LIST_PX = 100
+"""Of the list at least; both at 100 %."""
+MOST_PX = 660
+"""What is higher scrolls: a screen of 720 pixels shows all of it."""
 
 
 class VerdictDialog(QDialog):
@@ -54,6 +63,7 @@ class VerdictDialog(QDialog):
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
         self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
+        self.area, self.words = QScrollArea(), QWidget()
         self.left = QTableWidget(len(verdict.left), len(HEADINGS))
         self._channels = [left.channel for left in verdict.left]
         for row, left in enumerate(verdict.left):
@@ -75,6 +85,35 @@ class VerdictDialog(QDialog):
         self.left.itemActivated.connect(lambda item: self.taxel_wanted.emit(self._channels[item.row()]))
 
     def _arrange(self) -> None:
+        self._arrange_list()
+        embolden(self.sentence, HEADLINE_PT)
+        self.sentence.setAccessibleName("verdict")
+        form = QFormLayout()
+        for name, value in self.figures:
+            value.setWordWrap(True)
+            form.addRow(quiet(name), value)
+        words = QVBoxLayout(self.words)
+        words.setSpacing(2 * GAP)
+        words.addWidget(self.sentence)
+        words.addLayout(form)
+        words.addWidget(self.heading)
+        row = QHBoxLayout()
+        row.addWidget(self.left)
+        row.addStrut(scaled(LIST_PX) if self._channels else 0)
+        words.addLayout(row, 1)
+        for widget in (self.heading, self.left):
+            widget.setVisible(bool(self._channels))
+        self.sentence.setWordWrap(True)
+        self.area.setFrameShape(QScrollArea.Shape.NoFrame)
+        self.area.setWidgetResizable(True)
+        self.area.setWidget(self.words)
+        plain_buttons(self.buttons)
+        column = QVBoxLayout(self)
+        column.addWidget(self.area, 1)
+        column.addWidget(self.buttons)
+        self.setMinimumWidth(680)
+
+    def _arrange_list(self) -> None:
         table = self.left
         table.setAccessibleName("what is not done")
         table.setHorizontalHeaderLabels(HEADINGS)
@@ -84,37 +123,22 @@ class VerdictDialog(QDialog):
         # Tab goes on to the buttons.
         table.setTabKeyNavigation(False)
         table.setShowGrid(False)
+        # It gets what height is left, and scrolls by itself before all of the words do.
+        table.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
         table.verticalHeader().hide()
         header = table.horizontalHeader()
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         header.setStretchLastSection(True)
         header.setHighlightSections(False)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        embolden(self.sentence, HEADLINE_PT)
-        self.sentence.setAccessibleName("verdict")
-        form = QFormLayout()
-        for name, value in self.figures:
-            value.setWordWrap(True)
-            form.addRow(quiet(name), value)
-        column = QVBoxLayout(self)
-        column.setSpacing(2 * GAP)
-        column.addWidget(self.sentence)
-        column.addLayout(form)
-        column.addWidget(self.heading)
-        column.addWidget(self.left, 1)
-        column.addWidget(self.buttons)
-        for widget in (self.heading, self.left):
-            widget.setVisible(bool(self._channels))
-        self.sentence.setWordWrap(True)
-        plain_buttons(self.buttons)
-        self.setMinimumWidth(680)
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Take the height that the wrapped words need in this width, now that their fonts are known."""
+        """Take the size that the wrapped words need, now that their fonts are known, as far as a low screen has it."""
         super().showEvent(event)
-        layout = self.layout()
-        if layout is not None:
-            self.resize(self.width(), max(self.height(), layout.totalHeightForWidth(self.width())))
+        fit_to_screen(self, (WIDTH_PX, MOST_PX))
+        words = self.words.heightForWidth(self.width() - 4 * GAP)
+        height = words + self.buttons.sizeHint().height() + 4 * GAP
+        fit_to_screen(self, (WIDTH_PX, MOST_PX if self._channels else min(height, MOST_PX)))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Keep Enter in the list from the default button: it asks for the taxel of its row."""

@@ -230,6 +230,21 @@ def test_all_that_is_said_is_seen(qtbot):
         assert label.height() >= label.heightForWidth(label.width()), label.text()
 
 
+@pytest.mark.parametrize("percent", [100, 200])
+def test_on_a_screen_of_720_pixels_the_buttons_are_seen_and_the_words_scroll(qtbot, bench, percent):
+    bench.window.text_size.choose(percent)
+    left = [Left(channel, Why.TILT, ()) for channel in range(24)]
+    dialog = shown(qtbot, *left, rig=2 * "The rig can be corrected. ")
+    qtbot.wait(50)
+    assert dialog.height() <= 680
+    assert dialog.rect().contains(dialog.buttons.geometry())
+    for label in (dialog.sentence, *(value for _, value in dialog.figures)):
+        assert label.height() >= label.heightForWidth(label.width()), label.text()
+    assert dialog.area.horizontalScrollBar().maximum() == 0
+    assert (dialog.area.verticalScrollBar().maximum() > 0) is (percent == 200)
+    dialog.reject()
+
+
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
