@@ -385,8 +385,10 @@ class Controller(QObject):
 
     def _hear_robot(self) -> None:
         """Take what a robot answered."""
-        if self._targets is None or self._asking is None:
+        if self._targets is None or self._asking is None or self._recording is None:
             return
+        if self._recording.pipeline.session.unsolved > AT_ONCE:
+            return  # a skip could not be done yet
         from skincal.session.asking import take_answers
 
         skips, sentences = take_answers(self._targets, self._asking, time.monotonic())
