@@ -119,15 +119,15 @@ class ImportDialog(QDialog):
 
     imported = Signal(object, str)
     """`Imported`: the session is there; and the scene's file that was chosen for it."""
+    _scene: Scene | None = None
+    _scene_trouble = ""
+    """Why there is no scene; empty also while it is read."""
 
     def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import a recording")
         self._jobs = JobService(self)
         self._scenes, self._finds = (ThreadService(name, self) for name in ("scenes", "recordings"))
-        self._scene: Scene | None = None
-        self._scene_trouble = ""
-        """Why there is no scene; empty also while it is read."""
         self._preview: RecordingPreview | None = None
         self._trouble = ""
         """Why there is no preview."""
