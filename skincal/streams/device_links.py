@@ -29,7 +29,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
-from skincal.streams.device_address import DeviceAddress, parse_device
+from skincal.streams.device_address import DRIVER_NUMBERS, DeviceAddress, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 READY_S = 0.8
@@ -676,7 +676,7 @@ def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports:
         )
         raise LinkFailure(FailureKind.ADDRESS, sentence)
     kind = "dummy" if device.host == "dummy" else "socket" if device.host else "binary"
-    numbers = {key: int(value) for key, value in device.options.items() if value.isdigit()}
+    numbers = {key: int(value) for key, value in device.options.items() if key in DRIVER_NUMBERS}
     settings = {"kind": kind, "place": device.host or device.path, **device.options, **numbers}
     child = (sys.executable, "-P", "-m", "skincal.streams.bota_child", json.dumps(settings))
     begun_s = time.monotonic()

@@ -256,6 +256,21 @@ def test_the_drivers_frames_arrive_and_its_chatter_does_not(fake_driver):
 
 
 @pytest.mark.usefixtures("fake_driver")
+def test_a_serial_number_keeps_its_zeros(monkeypatch):
+    given = []
+
+    def started(_, command, *_others):
+        given.append(json.loads(command[-1]))
+        raise LinkFailure(FailureKind.VANISHED, "")
+
+    monkeypatch.setattr("skincal.streams.device_links.CommandLink", started)
+    monkeypatch.setattr("skincal.streams.device_links.END_S", 0.0)
+    with pytest.raises(LinkFailure):
+        open_link(LinkSpec("link", "bota:///dev/ttyACM0?serial=00123&product=7&mode=1", (Stream.WRENCH,)))
+    assert [(each["serial"], each["product"], each["mode"]) for each in given] == [("00123", "7", 1)]
+
+
+@pytest.mark.usefixtures("fake_driver")
 def test_what_the_driver_says_of_a_sensor_that_is_away_is_said():
     with pytest.raises(
         LinkFailure, match="driver has ended with code 3: Failed to open communication with the sensor"
