@@ -9,7 +9,8 @@ It takes the same words as `skincal`:
   start.py --scene NAME | FILE.toml       open the window on another part
   start.py --session DIR                  go on with a recorded session
   start.py --headless                     run the simulated session without a window
-  start.py COMMAND ...                    a command: solve, export, record, simulate, import or study
+  start.py COMMAND ...                    a command: solve, export, apply, compare, report, devices, watch,
+                                          landmarks, record, simulate, import or study
   start.py --help                         this text; once it is installed, every option and command
   start.py COMMAND --help                 installs what is missing, and lists the options of a command
 

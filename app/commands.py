@@ -34,6 +34,7 @@ class Command:
 
 SOUNDS = "Sounds"
 CORRECT = "Correct the rig"
+OBVIOUS = "Do the obvious thing"
 
 _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
     "Session": (
@@ -52,7 +53,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
     ),
     "Poke": (
-        ("space", "Pause", "Space", "Do the obvious thing: pause, go on, or show the verdict once it is enough"),
+        ("space", OBVIOUS, "Space", "Pause, go on, or show the verdict once it is enough"),
         ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
         ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
         ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
@@ -209,7 +210,7 @@ class Commands(QObject):
             ("exclude", excludes or bool(may.restore), exclude),
             ("dead", may.mark_dead or may.revive, "Use selected taxel again" if may.revive else "Do not use selected taxel"),
             ("correct", bool(correct), correct or CORRECT),
-            ("space", bool(may.space), may.space or "Pause"),
+            ("space", bool(may.space), may.space or OBVIOUS),
             ("pause", bool(may.pause), may.pause or "Pause"),
         ):
             self.actions[name].setEnabled(enabled)
@@ -231,6 +232,7 @@ class Commands(QObject):
 
 _MORE_KEYS = (
     ("1 to 7", "Tabs"),
+    ("F6", "Where devices are named: swap F/T sensor and skin"),
     ("F7, F8, F9", "Colours of the desktop, light, dark"),
     ("Arrows", "On the map: next taxel. In a list: next row"),
     ("Ctrl+C", "In a table: copies the selected rows, or all"),
