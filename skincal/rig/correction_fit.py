@@ -75,8 +75,9 @@ QUADRATIC = 0.03
 """Share of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`), where pokes speak for one."""
 STEPS_ON = 2
 """Of the fit with such a sensor, from where that with a linear one ended."""
-PLAUSIBLE = 3.0
-"""Logarithm of how many times likelier landmark pokes must be by a sensor that is not linear, for it to be taken: 20 times."""
+SURE = 5.0
+"""Logarithm of how many times likelier landmark pokes are by a sensor that is linear, or by one that is not, for it to be taken
+alone: 150 times. What the other would add is then below a tenth of the predicted error."""
 LINEAR = 6
 """Columns of the matrix C of a sensor that is linear."""
 LEFT = 0.5
@@ -313,15 +314,31 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     for _ in range(STEPS):
         between()
         fit.step()
-    if fit.doubtful:
-        other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
-        for _ in range(STEPS_ON):
-            between()
-            other.step()
-        if other.likelihood - fit.likelihood > PLAUSIBLE:
-            fit = other
+    other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
+    for _ in range(STEPS_ON):
+        between()
+        other.step()
     between()
-    return fit.answer(names)
+    return _weighed(fit, other, names)
+
+
+def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
+    """Return the answer of both fits, each as likely as the landmark pokes make it; of the other where one is all but sure.
+
+    Between them the unknowns are the mean, x = w x_1 + (1 - w) x_2, with the covariance
+    w C_1 + (1 - w) C_2 + w (1 - w) (x_1 - x_2)(x_1 - x_2)'. All else is of the likelier one.
+    """
+    gap = bent.likelihood - linear.likelihood
+    answer = (bent if gap > 0.0 else linear).answer(names)
+    if abs(gap) > SURE:
+        return answer
+    chance = 1.0 / (1.0 + float(np.exp(-gap)))
+    (one, root), (two, other) = (fit.posterior(answer.ratio, bent.columns) for fit in (linear, bent))
+    off = np.sqrt(chance * (1.0 - chance)) * (one - two)
+    every = np.column_stack([np.sqrt(1.0 - chance) * root, np.sqrt(chance) * other, off])
+    mean = (1.0 - chance) * one + chance * two
+    known = np.minimum(np.linalg.norm(every, axis=1) / (max(1.0, answer.ratio) * bent.scales), 1.0)
+    return replace(answer, correction=bent.correction(mean, every, names), unknowns=mean / bent.scales, known=known)
 
 
 class _Fit:
@@ -348,8 +365,6 @@ class _Fit:
         points = sorted({poke.name for poke in self.landmarks})
         self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
         self._shared = np.zeros((2 * len(self.landmarks),) * 2)
-        self.doubtful = False
-        """Whether more is wrong than the scene's noise and the prior explain."""
         self.likelihood = -np.inf
         """Logarithm of how likely the landmark pokes are, but for a constant that all fits share."""
         self._last: tuple[RigRows, FloatArray] | None = None
@@ -375,7 +390,6 @@ class _Fit:
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
         likelihoods = [marginal.log_likelihood(added) for added in every]
         self.likelihood = max(likelihoods)
-        self.doubtful = self.likelihood - likelihoods[0] > PLAUSIBLE
         return every[int(np.argmax(likelihoods))]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
@@ -407,19 +421,10 @@ class _Fit:
         ratio = float(np.sqrt(np.average(_squares(held, predicted), weights=self.trust) / 2.0))
         # Misses are in standard deviations; this is how many metres one of them is on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
-        _, root = _solved(base, rows, self._shared, self.trust)
-        inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
-        known, spread = np.sqrt(np.sum(inverse**2, axis=1)), self.scales[:, None] * inverse
+        unknowns, spread = self.posterior(ratio, self.columns)
         pokes = [poke.poke for poke in self.landmarks]
-        poses = zip(names, self.state.turns, self.state.shifts, strict=True)
-        motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
         return RigAnswer(
-            correction=Correction(
-                np.eye(6) + self.state.matrix[:, :LINEAR],
-                motions=motions,
-                quadratic=self.state.matrix[:, LINEAR:],
-                root=max(1.0, ratio) * (spread if len(names) <= POSES_KEPT else _first_rows(spread, 6 * self.columns)),
-            ),
+            correction=self.correction(unknowns, spread, names),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
@@ -429,7 +434,35 @@ class _Fit:
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, now.distances.tolist(), strict=True)),
             unknowns=self.state.unknowns(self.scales),
-            known=np.minimum(known, 1.0),
+            known=np.minimum(np.linalg.norm(spread, axis=1) / (max(1.0, ratio) * self.scales), 1.0),
+        )
+
+    def posterior(self, ratio: float, columns: int) -> tuple[FloatArray, FloatArray]:
+        """Return (n,) the unknowns of a sensor with so many columns of C, SI, and (n, m) a root of their covariance.
+
+        `ratio` is that of misses over what is predicted for them; columns that this sensor has not are zero.
+        """
+        assert self._last is not None
+        root = _solved(self._last[1], self._last[0], self._shared, self.trust)[1]
+        spread = max(1.0, ratio) * self.scales[:, None] * np.asarray(np.linalg.inv(root), dtype=np.float64)
+        own, size = np.arange(6 * self.columns), 6 * (columns - self.columns)
+        at = np.concatenate(
+            [columns * (own // self.columns) + own % self.columns, np.arange(6 * self.columns, len(spread)) + size]
+        )
+        unknowns, every = np.zeros(len(spread) + size), np.zeros((len(spread) + size, len(spread)))
+        unknowns[at], every[at] = self.state.unknowns(self.scales) * self.scales, spread
+        return unknowns, every
+
+    def correction(self, unknowns: FloatArray, spread: FloatArray, names: list[str]) -> Correction:
+        """Return the correction by (n,) unknowns, SI, whose covariance has the root `spread` (n, m)."""
+        of_matrix = 6 * self.columns
+        matrix, poses = unknowns[:of_matrix].reshape(6, -1), unknowns[of_matrix:].reshape(-1, 2, 3)
+        kept = len(unknowns) if len(names) <= POSES_KEPT else of_matrix
+        return Correction(
+            np.eye(6) + matrix[:, :LINEAR],
+            motions={name: rigid_motion(*pose) for name, pose in zip(names, poses, strict=True)},
+            quadratic=matrix[:, LINEAR:],
+            root=spread if spread.shape == (kept, kept) else _first_rows(spread, kept),
         )
 
     def _held_out(self, rows: RigRows, base: FloatArray) -> tuple[FloatArray, FloatArray]:
