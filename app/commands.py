@@ -239,12 +239,13 @@ _MORE_KEYS = (
 )
 
 
-def key_words() -> str:
-    """Return every key with what it does, as a table in HTML with two halves beside each other, as a screen is wide."""
+def key_words(columns: int) -> str:
+    """Return every key with what it does, as a table in HTML with so many columns beside each other, as a screen is wide."""
     known = [(" or ".join(c.keys), c.text.rstrip("\N{HORIZONTAL ELLIPSIS}")) for c in COMMANDS if c.keys]
     # Or Qt would break a line within "Ctrl++".
-    cell = "<td style='white-space: pre'>"
+    cell = "<td style='white-space: pre; padding-right: 8px'>"
     rows = [f"<tr>{cell}<b>{keys}</b></td>{cell}{words}</td></tr>" for keys, words in (*known, *_MORE_KEYS)]
-    half = (len(rows) + 1) // 2
-    halves = (f"<table cellpadding=1 cellspacing=3>{''.join(some)}</table>" for some in (rows[:half], rows[half:]))
-    return f"<table><tr>{''.join(f'<td>{each}</td>' for each in halves)}</tr></table>"
+    high = -(-len(rows) // columns)
+    parts = (rows[at : at + high] for at in range(0, len(rows), high))
+    tables = (f"<td><table cellpadding=0 cellspacing=1>{''.join(some)}</table></td>" for some in parts)
+    return f"<table><tr>{''.join(tables)}</tr></table>"

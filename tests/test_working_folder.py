@@ -7,12 +7,14 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from app.session.opening import server_command
 from skincal.model.scene import resource
+from skincal.robot.target_server import LOCAL, TargetServer
 from tools import checkout, install
 
 CHECKOUT = Path(__file__).resolve().parent.parent
@@ -89,14 +91,20 @@ def test_processes_of_a_study_run_nothing_of_the_working_folder(poisoned):
 
 
 def test_the_simulated_devices_run_nothing_of_the_working_folder(poisoned):
-    command = server_command(resource("scenes/flat-patch/scene.toml"))
-    with subprocess.Popen(command, cwd=poisoned, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with closing(TargetServer(LOCAL, 0)) as asking:
+        command = (*server_command(resource("scenes/flat-patch/scene.toml")), "--targets", f"{asking.port}")
+        links = links_served(poisoned, command)
+    assert {link["name"] for link in links} >= {"wrench", "skin"}
+    assert not (poisoned.parent / "ran").exists()
+
+
+def links_served(folder: Path, command: tuple[str, ...]) -> list[dict[str, str]]:
+    with subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         links = json.loads(process.stdout.readline())["links"]
         process.stdin.close()
-    assert {link["name"] for link in links} >= {"wrench", "skin"}
-    assert not (poisoned.parent / "ran").exists()
+    return links
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals as on Linux and macOS")

@@ -28,7 +28,7 @@ from PySide6.QtWidgets import (
 
 from app.dialogs.new_session import shipped_scenes
 from app.panels.drop_target import DropTarget
-from app.panels.widgets import Painted, fit_rows, fit_to_screen, plain_buttons, put_rows, quiet, table
+from app.panels.widgets import Painted, fit_rows, fit_to_screen, plain_buttons, plain_tip, put_rows, quiet, table
 from app.text.import_text import (
     HEADINGS,
     HOLDS_SESSION,
@@ -81,7 +81,7 @@ class ForceCurve(Painted):
         self._preview = preview
         words = "" if preview is None else curve_words(preview)
         self.setAccessibleDescription(words)
-        self.setToolTip(words)
+        self.setToolTip(plain_tip(words))
         self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:

@@ -111,9 +111,14 @@ class FittedLabel(ElidedLabel):
     """One line of large type that is drawn smaller where it does not fit, and only then ends in an ellipsis."""
 
     def fitted(self) -> QFont:
-        """Return the font in which the text is drawn: its own, or down to `LEAST_SHARE` of it."""
-        font = QFont(self.font())
-        least, step = LEAST_SHARE * font.pointSizeF(), 0.5
+        """Return the font in which the text is drawn: its own, or down to `LEAST_SHARE` of it.
+
+        Where all text is larger, large type gives way down to the same size as else, before it is cut off, but not below the
+        size of the text around.
+        """
+        font, step = QFont(self.font()), 0.5
+        least = LEAST_SHARE * font.pointSizeF()
+        least = min(least, max(least / text_scale(), QApplication.font().pointSizeF()))
         while QFontMetrics(font).horizontalAdvance(self.text()) > self.width() and font.pointSizeF() - step >= least:
             font.setPointSizeF(font.pointSizeF() - step)
         return font

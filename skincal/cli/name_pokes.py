@@ -241,8 +241,9 @@ def _append(folder: Path, actions: Iterable[Action]) -> None:
     """Write actions into a session, in a segment of their own, all at one moment: by that `_last_call` knows them together."""
     from skincal.session.replay import resume
 
-    now_ns = time.monotonic_ns()
     pipeline = resume(folder)
+    # Of the new segment's time: what lies before it has no time of day, and then no moment of its own.
+    now_ns = time.monotonic_ns()
     try:
         for action in actions:
             pipeline.act(action, now_ns)

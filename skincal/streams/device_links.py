@@ -610,14 +610,24 @@ class CommandLink:
         """See `Link`; ends the command, and what it started."""
         self._end(signal.SIGTERM)
         until_s = time.monotonic() + END_S
-        while self._threads[0].is_alive() and time.monotonic() < until_s:
+        while (self._lives() or self._threads[0].is_alive()) and time.monotonic() < until_s:
             # The thread may wait for room.
             with contextlib.suppress(queue.Empty):
                 self._brought.get(timeout=0.02)
-        if self._process.poll() is None:
+        if self._lives():
             self._end(getattr(signal, "SIGKILL", signal.SIGTERM))
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
+
+    def _lives(self) -> bool:
+        """Return whether the command runs, or anything that it started."""
+        if self._process.poll() is None or sys.platform == "win32":
+            return self._process.poll() is None
+        try:
+            os.killpg(self._process.pid, 0)
+        except OSError:
+            return False
+        return True
 
     def _end(self, number: int) -> None:
         with contextlib.suppress(OSError):

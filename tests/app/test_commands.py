@@ -6,10 +6,11 @@ import pytest
 from PySide6.QtCore import QEvent, QSettings, Qt
 from PySide6.QtGui import QAction, QKeyEvent, QKeySequence
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QDialog, QMessageBox
+from PySide6.QtWidgets import QApplication, QDialog
 
 from app.commands import COMMANDS, key_words
 from app.dialogs.export_dialog import ExportDialog
+from app.dialogs.keys_dialog import KeysDialog
 from app.dialogs.new_session import NewSessionDialog
 from app.dialogs.pedals import MODIFIERS, PEDALS, USED_BY_WIDGETS, Pedals, PedalsDialog, key_name, objection
 from app.session.opening import OpenRequest
@@ -40,7 +41,7 @@ def test_every_entry_of_every_menu_has_a_key_of_its_own(bench, recorded):
     elsewhere = [a for a in bench.window.findChildren(QAction) if a.shortcuts() and a not in actions]
     assert elsewhere == []
     for command in COMMANDS:
-        assert all(f"<b>{key}" in key_words() or f"or {key}<" in key_words() for key in command.keys)
+        assert all(f"<b>{key}" in key_words(2) or f"or {key}<" in key_words(2) for key in command.keys)
 
 
 def dialog_of(bench, kind: type[QDialog]):
@@ -93,9 +94,9 @@ def test_a_pedal_is_learnt_by_keys_and_acts_as_the_space_bar(bench, recorded):
     assert len(pressed) == 2
 
     bench.key(Key.Key_F2)
-    dialog_of(bench, QMessageBox)
+    dialog_of(bench, KeysDialog)
     tap(bench, Key.Key_F13)
-    gone(bench, QMessageBox)
+    gone(bench, KeysDialog)
     assert len(pressed) == 2
 
 

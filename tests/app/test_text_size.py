@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import pytest
 from PySide6.QtCore import QSettings, Qt
-from PySide6.QtWidgets import QApplication, QDialog, QLabel, QMessageBox
+from PySide6.QtWidgets import QApplication, QDialog, QLabel, QPushButton
 
+from app.dialogs.keys_dialog import KeysDialog
 from app.panels.widgets import ElidedLabel
 from app.session.opening import OpenRequest
+from app.text.now_text import Now, Tone
 from app.text_size import SETTING, STEPS
 from app.theme import HEADLINE_PT, RESULT_PT
-from tests.app.test_commands import dialog_of
+from tests.app.test_commands import dialog_of, gone, tap
 from tests.app.whole_window import Bench
 from tests.app.window_support import is_elided
 
@@ -113,12 +115,36 @@ def test_at_200_per_cent_the_window_stays_on_a_screen_of_720_pixels_with_every_t
         assert window.minimumSizeHint().height() <= 720, title
     assert window.height() == 720
     assert workspace.now.geometry().bottom() <= workspace.height()
+    # The name at its end is what the operator needs.
+    workspace.now.simulated.setText("SIMULATED  1\N{MULTIPLICATION SIGN}")
+    workspace.now.say(Now(Tone.CALM, "poke the landmark elbow, inner"))
+    bench.qtbot.wait(50)
+    assert not is_elided(workspace.now.headline)
+    assert workspace.now.headline.fitted().pointSizeF() > RESULT_PT
 
 
 def test_every_key_is_on_a_screen_of_1280_by_720_at_125_per_cent(bench):
     bench.key(Key.Key_Plus, CONTROL)
     bench.key(Key.Key_F2)
-    box = dialog_of(bench, QMessageBox)
+    box = dialog_of(bench, KeysDialog)
     assert box.width() <= 1280
     assert box.height() <= 680, "with the frame of the desktop"
+    assert box.area.verticalScrollBar().maximum() == box.area.horizontalScrollBar().maximum() == 0
     box.reject()
+
+
+def test_at_200_per_cent_the_keys_are_scrolled_on_a_screen_of_720_pixels_and_in_one_direction(bench):
+    for _ in STEPS:
+        bench.key(Key.Key_Plus, CONTROL)
+    bench.key(Key.Key_F2)
+    box = dialog_of(bench, KeysDialog)
+    assert (box.width() <= 1280, box.height() <= 680) == (True, True)
+    down = box.area.verticalScrollBar()
+    assert down.maximum() + box.area.viewport().height() >= box.list.sizeHint().height() > 680
+    assert box.area.horizontalScrollBar().maximum() == 0
+    assert isinstance(box.focusWidget(), QPushButton)
+    tap(bench, Key.Key_Tab)
+    tap(bench, Key.Key_PageDown)
+    assert down.value() > 0
+    tap(bench, Key.Key_Escape)
+    gone(bench, KeysDialog)

@@ -28,9 +28,9 @@ def processes(monkeypatch) -> list[int | None]:
     """The numbers of the processes that were asked."""
     pids, ask = [], ProcessService.ask
 
-    def noted(self, *arguments):
+    def noted(self, *arguments, **watch):
         try:
-            return ask(self, *arguments)
+            return ask(self, *arguments, **watch)
         finally:
             pids.append(self.pid)
 

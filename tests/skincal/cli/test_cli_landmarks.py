@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,8 @@ def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(
     answered(capsys, "landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
     answered(capsys, "landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
     now = load(folder)
+    times = [entry.at_s for entry in now.session.history[-5:]]
+    assert times[0] == times[1] < times[2] == times[3] == times[4] < time.time(), "each call has its time of day"
     assert now.session.at_landmarks == {2: "bolt"}
     assert now.session.landmarks[-1].place == pytest.approx([-0.0015, 0.002, 0.00325])
     assert same_estimates(now.snapshot(), replay(folder).snapshot())
@@ -308,6 +311,7 @@ def test_a_file_that_does_not_fit_is_refused(small, tmp_path, text, sentence, ca
 
 HOLD = """
 import sys
+import time
 from pathlib import Path
 from skincal.journal.lock import SessionLock
 lock = SessionLock(Path(sys.argv[1]))

@@ -6,13 +6,14 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import resource
-from skincal.robot.target_lines import NoTarget, PokeTarget
+from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
 from skincal.session.asking import RobotGuide
 from skincal.session.pipeline import Pipeline
@@ -77,6 +78,65 @@ def play(rig, robot, server, method):
         assert guide.step(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
         robot.step()
     return pipeline
+
+
+class Resting:
+    """A rig that nobody pokes, recorded while a robot is asked; what is said to the robot, and its answers, without a port."""
+
+    def __init__(self):
+        rig = make_rig(RigErrors.noise(), name="flat-patch")
+        hand = Guided(rig, Habits.careful(), np.random.default_rng(3))
+        hand.show(NoTarget.WAIT)
+        self.line = DeviceTimeline(rig, hand, np.random.default_rng(4))
+        self.links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self.line.links.items()]
+        self.pipeline = Pipeline(rig.scene, self.links, rig.surface)
+        self.said, self.answers = [], []
+        server = SimpleNamespace(send=self.said.extend, take=lambda: [self.answers.pop()] if self.answers else [])
+        self.guide = RobotGuide(self.pipeline, server, Method.MODULES)
+
+    def hear(self, state=LinkState.OPEN):
+        for link in self.links:
+            self.pipeline.feed(LinkEvent(link.name, self.now_ns, state))
+
+    def run(self, seconds):
+        """The rig's devices send for so long; what was said last."""
+        end = self.line.now + seconds
+        while self.line.now < end:
+            for at_ns, link, data in self.line.step():
+                self.pipeline.feed(Chunk(link, at_ns, data))
+            self.guide.step(self.now_ns)
+        return self.said[-1]
+
+    @property
+    def now_ns(self):
+        return round(self.line.now * 1e9)
+
+
+def test_nobody_is_asked_to_press_while_nothing_measures():
+    rig = Resting()
+    rig.hear(LinkState.LOST)
+    rig.guide.step(rig.now_ns)
+    assert rig.said == [NoTarget.WAIT], "no device was ever there"
+    rig.hear()
+    assert isinstance(rig.run(1.0), PokeTarget)
+    rig.pipeline.feed(LinkEvent(rig.links[0].name, rig.now_ns, LinkState.LOST))
+    rig.guide.step(rig.now_ns + 30_000_000)
+    assert rig.said[-1] is NoTarget.WAIT
+    rig.hear()
+    assert isinstance(rig.run(1.0), PokeTarget), "again"
+    rig.guide.step(rig.now_ns + 2_100_000_000)
+    assert rig.said[-1] is NoTarget.WAIT, "silent"
+
+
+def test_a_robot_that_skips_is_asked_for_another_poke():
+    rig = Resting()
+    rig.hear()
+    first = rig.run(1.0)
+    rig.answers.append(Answer(AnswerKind.SKIP, first.number))
+    second = rig.run(0.2)
+    assert second.number == first.number + 1
+    assert second.channel != first.channel
+    assert len(rig.pipeline.snapshot().skips) == 1, "in the session, as from the window"
 
 
 def test_a_robot_pokes_to_enough_over_the_lines(example):

@@ -86,11 +86,15 @@ class Orchestra:
 
     def _talk(self, brought):
         """Let the devices answer until all are asked for readings."""
+        end = time.monotonic() + PATIENCE_S
         while True:
             for outlet in self.outlets.values():
                 outlet.poll()
             if brought.opened >= self.links.keys() and all(map(is_asked, self.outlets.values())):
                 return
+            assert time.monotonic() < end, (
+                f"{brought.opened} are open; {[each for each in brought.items if hasattr(each, 'state')]}"
+            )
             brought.wait(0.01)
 
     def close(self):

@@ -10,11 +10,12 @@ from skincal.cli import main
 from skincal.journal.writer import create_session
 from skincal.model.actions import AskLandmark
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.robot.target_lines import NoTarget, PokeTarget
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.makers import MAKERS
-from skincal.simulate.operator import Guided, Habits, NoTarget, TargetOrder
+from skincal.simulate.operator import Guided, Habits
 from skincal.streams.links import LinkSpec
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig
@@ -34,7 +35,7 @@ def recorded(folder, maker, wiring):
     rig = make_rig(RigErrors.noise())
     scene = rig.scene
     operator = Guided(rig, replace(Habits.careful().at_pace(4.0), ignores=0.0), np.random.default_rng(1), poses=(POSE,))
-    operator.accept(NoTarget.WAIT)
+    operator.show(NoTarget.WAIT)
     speakers = {Stream.WRENCH: maker}
     line = DeviceTimeline(rig, operator, np.random.default_rng(2), DeviceSettings(speakers=speakers, wrench_hz=500.0))
     board = next(board for board in line._boards if board.stream is Stream.WRENCH)
@@ -68,9 +69,9 @@ def recorded(folder, maker, wiring):
 
     for count, mark in enumerate(scene.landmarks, 1):
         pipeline.act(AskLandmark(mark.name), START_NS + round(line.now * 1e9))
-        operator.accept(TargetOrder(None, mark.place, -mark.normal, known=True))
+        operator.show(PokeTarget(count, None, mark.place, -mark.normal, known=True))
         play(count)
-        operator.accept(NoTarget.WAIT)
+        operator.show(NoTarget.WAIT)
     pipeline.close()
 
 

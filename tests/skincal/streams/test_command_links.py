@@ -89,6 +89,24 @@ def test_a_command_ends_with_what_it_started_as_its_link_is_closed(tmp_path):
     assert not _runs(child)
 
 
+@posix
+@pytest.mark.parametrize("quiet", ["", ">/dev/null 2>&1 "], ids=["holds the pipe", "holds nothing"])
+def test_a_child_that_outlives_its_command_and_wants_no_end_is_ended_too(tmp_path, quiet):
+    mark = tmp_path / "child"
+    stubborn = f"trap '' TERM; echo $$ > {mark}.new; mv {mark}.new {mark}; while :; do sleep 0.1; done"
+    (tmp_path / "child.sh").write_text(stubborn)
+    (tmp_path / "command.sh").write_text(f"echo 1 2\nsh {tmp_path}/child.sh {quiet}&\nsleep 0.5\n")
+    with opened(f"run:sh {tmp_path}/command.sh") as link:
+        end = time.monotonic() + PATIENCE_S
+        while not (mark.exists() and link._process.poll() is not None) and time.monotonic() < end:
+            time.sleep(0.02)
+    end = time.monotonic() + PATIENCE_S
+    while (_runs(int(mark.read_text())) or link._threads[0].is_alive()) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not _runs(int(mark.read_text()))
+    assert not link._threads[0].is_alive()
+
+
 def _runs(pid):
     try:
         os.kill(pid, 0)
