@@ -75,8 +75,9 @@ QUADRATIC = 0.03
 """Share of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`), where pokes speak for one."""
 STEPS_ON = 2
 """Of the fit with such a sensor, from where that with a linear one ended."""
-PLAUSIBLE = 3.0
-"""Logarithm of how many times likelier landmark pokes must be by a sensor that is not linear, for it to be taken: 20 times."""
+SURE = 5.0
+"""Logarithm of how many times likelier landmark pokes are by a sensor that is linear, or by one that is not, for it to be taken
+alone: 150 times. What the other would add is then below a tenth of the predicted error."""
 LINEAR = 6
 """Columns of the matrix C of a sensor that is linear."""
 LEFT = 0.5
@@ -313,15 +314,37 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     for _ in range(STEPS):
         between()
         fit.step()
-    if fit.doubtful:
-        other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
-        for _ in range(STEPS_ON):
-            between()
-            other.step()
-        if other.likelihood - fit.likelihood > PLAUSIBLE:
-            fit = other
+    other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
+    for _ in range(STEPS_ON):
+        between()
+        other.step()
     between()
-    return fit.answer(names)
+    return _weighed(fit, other, names)
+
+
+def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
+    """Return the answer of both fits, each as likely as landmark pokes make it; of one alone where it is all but sure.
+
+    Before landmarks speak, either is as likely. Between them the unknowns are the mean, x = w x_1 + (1 - w) x_2, with the
+    covariance w C_1 + (1 - w) C_2 + w (1 - w) (x_1 - x_2)(x_1 - x_2)'. What was tried on held-out pokes is the likelier one.
+    """
+    # A fit that doubts a poke does not explain it: likelihoods are compared over the pokes that count by both.
+    counts = np.minimum(linear.trust, bent.trust)
+    gap = bent.likelihood(counts) - linear.likelihood(counts)
+    answer = (bent if gap > 0.0 else linear).answer(names)
+    if abs(gap) > SURE:
+        return answer
+    chance = 1.0 / (1.0 + float(np.exp(-gap)))
+    (one, root), (two, other) = linear.posterior(bent.columns), bent.posterior(bent.columns)
+    mean, off = (1.0 - chance) * one + chance * two, np.sqrt(chance * (1.0 - chance)) * (one - two)
+    every = np.column_stack([np.sqrt(1.0 - chance) * root, np.sqrt(chance) * other, off])
+    return replace(
+        answer,
+        correction=bent.correction(mean, max(1.0, answer.ratio) * every, names),
+        distances=dict(zip(answer.distances, bent.passed(mean).tolist(), strict=True)),
+        unknowns=mean / bent.scales,
+        known=bent.share_of_prior(every),
+    )
 
 
 class _Fit:
@@ -348,10 +371,6 @@ class _Fit:
         points = sorted({poke.name for poke in self.landmarks})
         self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
         self._shared = np.zeros((2 * len(self.landmarks),) * 2)
-        self.doubtful = False
-        """Whether more is wrong than the scene's noise and the prior explain."""
-        self.likelihood = -np.inf
-        """Logarithm of how likely the landmark pokes are, but for a constant that all fits share."""
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
@@ -360,23 +379,33 @@ class _Fit:
         rows = self._landmark_rows(self.state)
         for _ in range(ROUNDS):
             self.trust = _trusted(rows, self._shared, *_solved(base, rows, self._shared, self.trust), self.trust)
-        self._shared = self._likeliest(base, rows)
+        self._shared, _ = self._likeliest(base, rows, self.trust)
         step, _ = _solved(base, rows, self._shared, self.trust)
         self._last = (rows, base)
         self.state = self.state.moved(step, self.scales)
         if self.groups is not None:
             self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
 
-    def _likeliest(self, base: FloatArray, rows: RigRows) -> FloatArray:
-        """Return (2 m, 2 m) what is added to the covariance of landmark pokes, the likeliest of `PLACES_OFF` and `NOISIER`."""
+    def likelihood(self, trust: FloatArray) -> float:
+        """Return the logarithm of how likely landmark pokes are, (m,) by how far each counts, but for what all fits share."""
+        assert self._last is not None
+        rows, base = self._last
+        return self._likeliest(base, rows, trust)[1]
+
+    def _likeliest(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, float]:
+        """Return what is added to the covariance of landmark pokes, the likeliest of `PLACES_OFF` and `NOISIER`.
+
+        Returns
+        -------
+        (2 m, 2 m), and the logarithm of how likely the pokes are with it, but for a constant.
+        """
         of_place = (rows.of_place[:, :, None] * self._at_landmark[:, None, :, None]).reshape(2 * len(self.landmarks), -1)
         alike = of_place @ of_place.T
-        own, marginal = np.eye(len(alike)), _Marginal(base, rows, self.trust)
+        own, marginal = np.eye(len(alike)), _Marginal(base, rows, trust)
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
         likelihoods = [marginal.log_likelihood(added) for added in every]
-        self.likelihood = max(likelihoods)
-        self.doubtful = self.likelihood - likelihoods[0] > PLAUSIBLE
-        return every[int(np.argmax(likelihoods))]
+        best = int(np.argmax(likelihoods))
+        return every[best], likelihoods[best]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -400,26 +429,17 @@ class _Fit:
         """Return what came out, tried on held-out pokes where the rows stood last."""
         assert self._last is not None
         rows, base = self._last
-        reported, now = self._landmark_rows(RigState.at_prior(len(names), self.columns)), self._landmark_rows(self.state)
+        reported = self._landmark_rows(RigState.at_prior(len(names), self.columns))
         held, predicted = self._held_out(rows, base)
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
         # Squared misses in their predicted standard deviations: two numbers a poke.
         ratio = float(np.sqrt(np.average(_squares(held, predicted), weights=self.trust) / 2.0))
         # Misses are in standard deviations; this is how many metres one of them is on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
-        _, root = _solved(base, rows, self._shared, self.trust)
-        inverse = np.asarray(np.linalg.inv(root), dtype=np.float64)
-        known, spread = np.sqrt(np.sum(inverse**2, axis=1)), self.scales[:, None] * inverse
+        unknowns, spread = self.posterior(self.columns)
         pokes = [poke.poke for poke in self.landmarks]
-        poses = zip(names, self.state.turns, self.state.shifts, strict=True)
-        motions = {name: rigid_motion(turn, shift) for name, turn, shift in poses}
         return RigAnswer(
-            correction=Correction(
-                np.eye(6) + self.state.matrix[:, :LINEAR],
-                motions=motions,
-                quadratic=self.state.matrix[:, LINEAR:],
-                root=max(1.0, ratio) * (spread if len(names) <= POSES_KEPT else _first_rows(spread, 6 * self.columns)),
-            ),
+            correction=self.correction(unknowns, max(1.0, ratio) * spread, names),
             used=bool(after < BETTER * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
@@ -427,9 +447,50 @@ class _Fit:
             plain_ratio=float(np.sqrt(before / 2.0)),
             points=len({poke.name for poke in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
-            distances=dict(zip(pokes, now.distances.tolist(), strict=True)),
-            unknowns=self.state.unknowns(self.scales),
-            known=np.minimum(known, 1.0),
+            distances=dict(zip(pokes, self.passed(unknowns).tolist(), strict=True)),
+            unknowns=unknowns / self.scales,
+            known=self.share_of_prior(spread),
+        )
+
+    def posterior(self, columns: int) -> tuple[FloatArray, FloatArray]:
+        """Return (n,) the unknowns, SI, and (n, k) a root of their covariance.
+
+        `columns` are those of C, at least its own; what a sensor of more has besides is zero.
+        """
+        assert self._last is not None
+        rows, base = self._last
+        root = _solved(base, rows, self._shared, self.trust)[1]
+        own, size = len(self.scales), 6 * columns
+        at = np.concatenate(
+            [
+                np.arange(size).reshape(6, columns)[:, : self.columns].ravel(),
+                np.arange(size, size + own - 6 * self.columns),
+            ]
+        )
+        unknowns, spread = np.zeros(at[-1] + 1), np.zeros((at[-1] + 1, own))
+        unknowns[at] = self.state.unknowns(self.scales) * self.scales
+        spread[at] = self.scales[:, None] * np.asarray(np.linalg.inv(root), dtype=np.float64)
+        return unknowns, spread
+
+    def share_of_prior(self, spread: FloatArray) -> FloatArray:
+        """Return (n,) the sd of each unknown, by a root (n, k) of their covariance, over that of its prior, at most 1."""
+        return np.minimum(np.linalg.norm(spread, axis=1) / self.scales, 1.0)
+
+    def passed(self, unknowns: FloatArray) -> FloatArray:
+        """Return (m,) metres, how far each landmark is passed under (n,) unknowns, SI."""
+        at_prior = RigState.at_prior(len(self.state.turns), self.columns)
+        return self._landmark_rows(at_prior.moved(unknowns / self.scales, self.scales)).distances
+
+    def correction(self, unknowns: FloatArray, spread: FloatArray, names: list[str]) -> Correction:
+        """Return the correction by (n,) unknowns, SI, whose covariance has the root `spread` (n, m)."""
+        of_matrix = 6 * self.columns
+        matrix, poses = unknowns[:of_matrix].reshape(6, -1), unknowns[of_matrix:].reshape(-1, 2, 3)
+        kept = len(unknowns) if len(names) <= POSES_KEPT else of_matrix
+        return Correction(
+            np.eye(6) + matrix[:, :LINEAR],
+            motions={name: rigid_motion(*pose) for name, pose in zip(names, poses, strict=True)},
+            quadratic=matrix[:, LINEAR:],
+            root=spread if spread.shape == (kept, kept) else _first_rows(spread, kept),
         )
 
     def _held_out(self, rows: RigRows, base: FloatArray) -> tuple[FloatArray, FloatArray]:
