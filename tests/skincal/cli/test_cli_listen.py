@@ -114,7 +114,7 @@ ORDER = "\x1b[2Jgone\u202e\rnot there"
 def hostile(monkeypatch):
     """A device whose driver gives an order to the terminal as its reason."""
 
-    def refuse(_):
+    def refuse(*_):
         raise LinkFailure(FailureKind.ADDRESS, ORDER)
 
     monkeypatch.setattr(links, "open_link", refuse)

@@ -478,7 +478,7 @@ def test_file_that_is_no_port():
 
 
 def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
-    def broken(_spec):
+    def broken(*_):
         raise ZeroDivisionError("oops")
 
     monkeypatch.setattr("skincal.streams.links.open_link", broken)
