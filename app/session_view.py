@@ -60,7 +60,6 @@ from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.actions import (
     Action,
     AtLandmark,
-    BeginClosing,
     Exclude,
     MarkDead,
     Redo,
@@ -522,9 +521,11 @@ class SessionView(QObject):
 
     def check_again(self) -> None:
         """Make the closing check once more."""
-        self._act_and_follow(BeginClosing(wanted=True))
-        if self._guidance is not None and self._guidance.closing is None:
+        again = None if self._tick is None else self.guide.check_again(self._tick.snapshot)
+        if again is None:
             self.said.emit(Message(NOTHING_TO_CHECK))
+        else:
+            self._act_and_follow(again)
 
     def _act_and_follow(self, action: Action | None) -> None:
         if action is not None:

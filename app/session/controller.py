@@ -28,7 +28,7 @@ from app.session.opening import (
 )
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import STILL_SOLVING, Message, kept_words, refused_words
+from app.text.message import NO_SESSION, STILL_SOLVING, Message, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -84,6 +84,13 @@ BRISK = 2
 
 ANY_PORT = 0
 """For the simulated operator: whichever is free."""
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
 
 
 class TickSchedule:
@@ -182,6 +189,8 @@ class Controller(QObject):
         self._threads = ThreadService("background", self)
         self._endings = ThreadService("ending", self)
         """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
+        self._applying = ThreadService("applying", self)
+        """Brings positions to a robot, which may be slow, and is never left half way."""
         self._processes: ProcessService | None = None
         """Made with the first review."""
         self._jobs: JobService | None = None
@@ -293,6 +302,9 @@ class Controller(QObject):
         self._endings.wait()
         self._endings.deliver()
         self._endings.close()
+        # A robot that falls silent ends it within an answer's time.
+        self._applying.wait()
+        self._applying.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
         if self._server is not None:
@@ -373,8 +385,10 @@ class Controller(QObject):
 
     def _hear_robot(self) -> None:
         """Take what a robot answered."""
-        if self._targets is None or self._asking is None:
+        if self._targets is None or self._asking is None or self._recording is None:
             return
+        if self._recording.pipeline.session.unsolved > AT_ONCE:
+            return  # a skip could not be done yet
         from skincal.session.asking import take_answers
 
         skips, sentences = take_answers(self._targets, self._asking, time.monotonic())
@@ -642,10 +656,7 @@ class Controller(QObject):
 
             methods = session.methods if FORMATS[ExportFormat(format_)].every_method else (method,)
             verdicts = verdicts_of(part, snapshot, methods, rig)
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise InputError(f"{path.parent}: cannot be made ({error.strerror}); choose another folder.") from error
+            _make_folder(path.parent)
             return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
         self.compute(write, done, failed)
@@ -658,6 +669,7 @@ class Controller(QObject):
         done : gets a sentence, every question with its answer, and `good`: whether all went well
         """
         if self._recording is None:
+            done(NO_SESSION, (), good=False)
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             done(STILL_SOLVING, (), good=False)
@@ -670,12 +682,12 @@ class Controller(QObject):
             from skincal.robot.skin_manager import ANSWER_S, applied_words, apply_positions, calibrated_positions
 
             positions = calibrated_positions(calibration, method, None)
-            folder.mkdir(parents=True, exist_ok=True)
+            _make_folder(folder)
             before = folder / f"before-{positions.part}.txt"
             words = applied_words(apply_positions(address, positions, before, ANSWER_S, lines.append), positions.part)
             return f"{words[:1].upper()}{words[1:]}."
 
-        self.compute(send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False))
+        self._applying.submit(send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False))
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
         """Write the report of what is recorded, in a process of its own.

@@ -12,6 +12,7 @@ REPORTING = "The report is being written; it is said when it is there."
 ADDRESS_WIDTH = 120
 """Characters of a line of the question about addresses: one word that long fits a window of 1280 pixels."""
 NO_ADDRESSES = "No device of this session has an address: its rig is simulated, or nothing is open. Ctrl+N names devices."
+NO_SESSION = "No session is open; open one first."
 STILL_SOLVING = "All taxels are being solved anew, and what is shown is from before: try again in some seconds."
 
 

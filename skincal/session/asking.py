@@ -97,8 +97,6 @@ class PokeAsking:
     """Turns what the guide wants into lines for a robot, and its answers into what they mean."""
 
     def __init__(self, scene: Scene) -> None:
-        limits = scene.contacts
-        self._force, self._hold = (limits.force_min + limits.force_max) / 2.0, HOLDS * limits.still_s
         self._frame, self._has_arm = scene.link, scene.arm is not None
         self._asked: deque[_Asked] = deque(maxlen=REMEMBERED)
         self._said: NoTarget | None = None
@@ -174,9 +172,10 @@ class PokeAsking:
         target = guidance.target
         if target is None:
             return NoTarget.ENOUGH if guidance.enough else NoTarget.WAIT
-        pose = snapshot.pose if self._has_arm else ""
+        pose, limits = snapshot.pose if self._has_arm else "", snapshot.thresholds
+        force, hold = (limits.force_min + limits.force_max) / 2.0, HOLDS * limits.still_s
         known = bool(target.landmark)
-        return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, self._force, self._hold)
+        return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, force, hold)
 
     def _is_asked(self, wanted: PokeTarget) -> bool:
         """Return whether just that is asked for already; the arm's pose aside, whose name follows its joints' tremor."""

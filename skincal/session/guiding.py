@@ -18,7 +18,7 @@ from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
-from skincal.model.actions import AskPoke, SkipClosing, SkipLandmark, SkipPoke
+from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark
 from skincal.modules.pose import ModuleModel
 from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
@@ -188,6 +188,12 @@ class SessionGuide:
             return SkipClosing("", "")
         return self.landmarks.skip(all_of_pose=True)
 
+    def check_again(self, snapshot: Snapshot) -> BeginClosing | None:
+        """Return what begins another closing check; None where nothing would be asked for in it."""
+        now = self._guidance
+        possible = now is not None and self.closing.begun(now, snapshot, self.landmarks) is not None
+        return BeginClosing(wanted=True) if possible else None
+
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
             layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
@@ -355,10 +361,14 @@ class ClosingGuide:
         number, asked = len(snapshot.closings), None
         if number and not is_over(snapshot):
             asked = self._next(snapshot.closings[-1], number, guidance, snapshot, landmarks)
-        if asked is None and is_due(snapshot):
-            last = max((record.outcome.poke for record in snapshot.pokes), default=0)
-            asked = self._next(ClosingRound(last), number + 1, guidance, snapshot, landmarks)
-        return asked
+        return self.begun(guidance, snapshot, landmarks) if asked is None and is_due(snapshot) else asked
+
+    def begun(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
+        """Return the guidance with the first place of a check that begins now; None before enough, or where it has none."""
+        if not guidance.enough:
+            return None
+        last = max((record.outcome.poke for record in snapshot.pokes), default=0)
+        return self._next(ClosingRound(last), len(snapshot.closings) + 1, guidance, snapshot, landmarks)
 
     def _next(
         self, begun: ClosingRound, number: int, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide

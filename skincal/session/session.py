@@ -62,6 +62,8 @@ if TYPE_CHECKING:
 MARKED = "marked by the operator"
 """Reason of a channel that the operator left out."""
 
+NUMBER_MOST = 1e6
+"""Of places (m), directions and poses in actions: far beyond any, and products of them are numbers."""
 NOTES = (AskLandmark, AskPoke, MissedLandmark, SkipClosing, SkipLandmark, SkipPoke)
 """Actions that say what was asked for, or found: no steps of the operator's, so that undo passes them over."""
 
@@ -530,7 +532,8 @@ class Session:
 
 
 def _check_numbers(action: Action, sizes: Collection[int], *values: Sequence[float]) -> None:
-    """Raise InputError where a place or a direction of an action has another number of coordinates, or is not finite."""
-    if any(len(each) not in sizes or not all(map(math.isfinite, each)) for each in values):
-        expected = " or ".join(map(str, sorted(sizes)))
-        raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected} finite numbers.")
+    """Raise InputError where a place or a direction of an action has another number of coordinates, or larger ones."""
+    # NaN fails every comparison.
+    if any(len(each) not in sizes or not all(abs(value) <= NUMBER_MOST for value in each) for each in values):
+        expected = f"{' or '.join(map(str, sorted(sizes)))} numbers up to {NUMBER_MOST:g}"
+        raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected}.")

@@ -39,7 +39,8 @@ class Scheme:
 
 
 RUN, RAN = "run:", "ran:"
-DRIVER_OPTIONS = ("mode", "submode", "baud", "product", "serial")
+DRIVER_NUMBERS = ("mode", "submode", "baud")
+DRIVER_OPTIONS = (*DRIVER_NUMBERS, "product", "serial")
 
 
 SCHEMES: Mapping[str, Scheme] = MappingProxyType(
@@ -124,7 +125,7 @@ def _driver_form(address: str, parts: SplitResult) -> DeviceAddress | None:
     host, path, options = parts.hostname or "", parts.path, dict(parse_qsl(parts.query))
     if bool(host) == (len(path) > 1) or parts.port is not None or parts.username is not None:
         return None
-    if not all(options[key].isascii() and options[key].isdigit() for key in ("mode", "submode", "baud") if key in options):
+    if not all(options[key].isascii() and options[key].isdigit() for key in DRIVER_NUMBERS if key in options):
         return None
     port = path if path.count("/") > 1 else path.removeprefix("/")  # /dev/ttyACM0, but COM7
     return DeviceAddress(address, "bota-driver", "bota", host, path=port, options=options)

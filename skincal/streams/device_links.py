@@ -29,7 +29,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
-from skincal.streams.device_address import DeviceAddress, parse_device
+from skincal.streams.device_address import DRIVER_NUMBERS, DeviceAddress, parse_device
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 READY_S = 0.8
@@ -654,6 +654,13 @@ DRIVER_S = 10.0
 """s for the maker's driver to find its sensor: one on a serial port starts anew for three seconds."""
 
 
+def driver_settings(device: DeviceAddress) -> dict[str, str | int]:
+    """Return what `bota_child` is told: a serial number of digits stays as it is written."""
+    kind = "dummy" if device.host == "dummy" else "socket" if device.host else "binary"
+    numbers = {key: int(device.options[key]) for key in DRIVER_NUMBERS if key in device.options}
+    return {"kind": kind, "place": device.host or device.path, **device.options, **numbers}
+
+
 def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
     del carries, ports
     if find_spec("bota_driver") is None:
@@ -662,10 +669,7 @@ def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports:
             "python -m pip install bota-driver (the extra bota of skincal) installs it."
         )
         raise LinkFailure(FailureKind.ADDRESS, sentence)
-    kind = "dummy" if device.host == "dummy" else "socket" if device.host else "binary"
-    numbers = {key: int(value) for key, value in device.options.items() if value.isdigit()}
-    settings = {"kind": kind, "place": device.host or device.path, **device.options, **numbers}
-    child = (sys.executable, "-P", "-m", "skincal.streams.bota_child", json.dumps(settings))
+    child = (sys.executable, "-P", "-m", "skincal.streams.bota_child", json.dumps(driver_settings(device)))
     begun_s = time.monotonic()
     try:
         link = CommandLink(device.text, child, DRIVER_S, FailureKind.VANISHED, "the maker's driver")

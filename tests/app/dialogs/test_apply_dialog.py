@@ -1,6 +1,7 @@
 """Positions go to a running robot from the window: it asks first, says what the session has come to, and shows the answers."""
 
 import shutil
+import socket
 
 import numpy as np
 from PySide6.QtCore import Qt
@@ -8,6 +9,8 @@ from PySide6.QtTest import QTest
 
 from app.dialogs.apply_dialog import ApplyDialog
 from app.session.opening import OpenRequest
+from app.session.recording import Storage
+from app.text.message import NO_SESSION
 from skincal.model.scene import resource
 from skincal.simulate.maker_outlets import SkinManagerOutlet
 from tests.app.whole_window import OPEN_MS
@@ -63,3 +66,27 @@ def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench
     again = asked(bench)
     assert again.address.text() == address
     again.reject()
+
+
+def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_works_on(bench, tmp_path, monkeypatch):
+    folder = shutil.copytree(resource("sessions/sample"), tmp_path / "mine")
+    bench.open(OpenRequest(session=folder))
+    dialog = asked(bench)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        dialog.address.setText(f"yarp://127.0.0.1:{silent.getsockname()[1]}/skinManager/rpc")
+        dialog.apply.click()
+        beside: list[int] = []
+        bench.controller.compute(lambda: 1, beside.append)
+        bench.until(lambda: beside == [1])
+        assert not dialog.apply.isEnabled(), "a robot that does not answer holds up nothing else"
+        assert ended(bench, dialog).endswith(approved("apply.unchanged"))
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(Storage, "lasting", tmp_path / "file" / "mine")
+    dialog.apply.click()
+    assert approved("apply.no_folder") in ended(bench, dialog)
+    monkeypatch.setattr(bench.controller, "_recording", None)
+    dialog.apply.click()
+    assert NO_SESSION in ended(bench, dialog)
+    monkeypatch.undo()
+    dialog.reject()
+    bench.until(lambda: not bench.window.findChildren(ApplyDialog), OPEN_MS)

@@ -14,6 +14,7 @@ import pytest
 from PySide6.QtCore import Qt
 
 from app.__main__ import main
+from app.session.controller import AT_ONCE
 from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
@@ -28,6 +29,7 @@ from skincal.rig.correction import RIG, Correction
 from skincal.robot.target_lines import GREETING, read_line
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
+from skincal.session.session import Session
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates
@@ -166,7 +168,7 @@ def resting():
         devices.stdin.close()
 
 
-def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resting):
+def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resting, monkeypatch):
     bench.open(OpenRequest(scene=FLAT, addresses=resting, targets="0"))
     port = bench.controller._targets.port
     with closing(Peer(port)) as peer:
@@ -180,7 +182,11 @@ def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resti
 
         first = targets(on_the_side(bench, peer.line))
         assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
-        peer.say(f"skip {first.number}")
+        with monkeypatch.context() as solving:
+            solving.setattr(Session, "unsolved", AT_ONCE + 1)
+            peer.say(f"skip {first.number}")
+            bench.qtbot.wait(300)
+        # What it says while all taxels are being solved is done once they are.
         second = read_line(on_the_side(bench, peer.line))
         assert (second.number, second.channel != first.channel) == (first.number + 1, True)
         peer.say(f"fault {second.number} joint 3 at its end")

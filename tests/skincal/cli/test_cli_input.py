@@ -391,6 +391,12 @@ def test_help_has_an_example(run, command):
     assert f"skincal {command}".strip() in out.partition("Example")[2]
 
 
+def test_the_help_names_what_the_window_takes(run):
+    _, out, _ = run("--help")
+    for option in ("scene", "wrench", "skin", "joints", "targets", "new", "session", "headless"):
+        assert f"--{option}" in out
+
+
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name not in ("", "import")])
 def test_every_command_can_print_json(run, command):
     assert "--json" in run(*command.split(), "--help")[1]

@@ -43,11 +43,13 @@ class Course:
     """A session as the asking sees it, at times that the test gives."""
 
     def __init__(self, *pokes):
-        self.asking = PokeAsking(load_scene(resource("scenes/flat-patch/scene.toml")))
+        scene = load_scene(resource("scenes/flat-patch/scene.toml"))
+        self.asking, self.thresholds = PokeAsking(scene), scene.contacts
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
     def at(self, now_s, guidance, *, measuring=True):
-        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", missed_landmarks=self.missed, at_landmarks=self.landmarks)
+        at = {"at_landmarks": self.landmarks, "missed_landmarks": self.missed, "thresholds": self.thresholds}
+        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", **at)
         return self.asking.follow(guidance, snapshot, now_s, measuring=measuring)
 
     def asked(self, now_s, guidance):
@@ -66,6 +68,14 @@ def test_a_target_says_what_the_guide_shows_once_and_all_that_a_robot_needs():
     assert (line.force, line.hold) == (9.5, 0.6), "the middle of the force window, and twice the still window"
     assert course.at(1.1, wants(3)) == []
     assert course.asked(1.2, wants(4)).number == 2, "what changed takes its place"
+
+
+def test_thresholds_that_change_change_what_is_wished():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.thresholds = replace(course.thresholds, force_min=4.0, force_max=6.0, still_s=0.5)
+    line = course.asked(1.1, wants(3))
+    assert (line.number, line.force, line.hold) == (2, 5.0, 1.0)
 
 
 def test_a_known_point_and_what_is_said_where_there_is_no_target():

@@ -254,6 +254,18 @@ def test_undo_takes_a_check_back_with_its_pokes():
     assert it.look().closing.number == 2
 
 
+def test_it_is_begun_again_only_where_something_can_be_poked_once_more():
+    it = Sessions(RigErrors.noise())
+    it.close()
+    it.look()
+    assert it.guide.check_again(it.session.snapshot()) == BeginClosing(wanted=True)
+    it.session.set_current_pose("nobody has poked in it", np.eye(4))
+    it.look()
+    assert it.guide.check_again(it.session.snapshot()) is None
+    begun = SessionGuide(lay_part(it.rig.scene, it.rig.surface, ()))
+    assert begun.check_again(it.session.snapshot()) is None, "before anything is asked for"
+
+
 def test_after_more_work_it_is_asked_for_again():
     it = Sessions(RigErrors.noise())
     it.close()

@@ -1,6 +1,7 @@
 """Actions as JSON, and a session under them: exclusion, undo, dead channels, poses."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import Arm, DhLink
-from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo, from_json, to_json
+from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, SkipPoke, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec
 from skincal.session.session import Session
@@ -190,6 +191,8 @@ def test_undo_after_an_exclusion_of_the_last_poke_restores_it(outcomes):
         (Restore(1), "counts already"),
         (SetPose("sideways"), approved("session.pose_unknown")),
         (MarkDead(24), "expected 0 to 23"),
+        (SkipPoke("free", 3, (0.0, 0.0, 0.0), (0.0, 1e308, 1e308)), "expected 3 numbers up to 1e"),
+        (SkipPoke("free", 3, (0.0, 0.0, math.nan), (0.0, 0.0, -1.0)), "expected 3 numbers up to 1e"),
     ],
     ids=str,
 )

@@ -23,6 +23,7 @@ from skincal.session.replay import resume
 from skincal.streams.bota_child import driver_config, encode_frame
 from skincal.streams.decoders.bota import BotaDecoder
 from skincal.streams.device_address import format_of, parse_device
+from skincal.streams.device_links import driver_settings
 from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.links import LinkSpec, Reader, open_link, parse_address
 from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
@@ -252,6 +253,12 @@ def test_the_drivers_frames_arrive_and_its_chatter_does_not(fake_driver):
     assert decoder.beside[TEMPERATURE].now == 36.5
     if sys.platform != "win32":  # there a process is ended without a word
         assert fake_driver.read_text() == "deactivated"
+
+
+def test_only_what_is_a_number_is_told_to_the_driver_as_one():
+    device = parse_device("bota:///dev/ttyACM0?serial=00123&product=7&mode=3&baud=921600")
+    told = {"serial": "00123", "product": "7", "mode": 3, "baud": 921600}
+    assert driver_settings(device) == {"kind": "binary", "place": "/dev/ttyACM0", **told}
 
 
 @pytest.mark.usefixtures("fake_driver")
