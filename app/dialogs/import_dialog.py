@@ -44,6 +44,7 @@ from app.text.import_text import (
 from app.text_size import scaled
 from app.theme import GAP, Colours
 from app.workers.processes import JobService, Watch, import_job, look_job
+from app.workers.threads import ThreadService
 from skincal.files.importers.overview import RecordingFiles, RecordingPreview, find_files
 from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
@@ -118,11 +119,15 @@ class ImportDialog(QDialog):
 
     imported = Signal(object, str)
     """`Imported`: the session is there; and the scene's file that was chosen for it."""
+    _scene: Scene | None = None
+    _scene_trouble = ""
+    """Why there is no scene; empty also while it is read."""
 
     def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import a recording")
         self._jobs = JobService(self)
+        self._scenes, self._finds = (ThreadService(name, self) for name in ("scenes", "recordings"))
         self._preview: RecordingPreview | None = None
         self._trouble = ""
         """Why there is no preview."""
@@ -251,11 +256,11 @@ class ImportDialog(QDialog):
         """Take files, or a folder of them: each is taken for the stream that it looks like."""
         if self.importing:
             return
-        try:
-            found = find_files(paths)
-        except (InputError, OSError) as error:
-            self._preview, self._trouble = None, str(error)
-            self._judge()
+        self._finds.renew()
+        self._finds.submit(lambda: _find(paths), self._found, lambda why: self._looked(None, why))
+
+    def _found(self, found: RecordingFiles) -> None:
+        if self.importing:
             return
         for stream, place in zip(self.fields, (found.wrench, found.skin, found.joints), strict=True):
             self.fields[stream].setText("" if place is None else str(place))
@@ -266,9 +271,6 @@ class ImportDialog(QDialog):
         """Return which files are named."""
         places = (Path(text) if (text := field.text().strip()) else None for field in self.fields.values())
         return RecordingFiles(*places)
-
-    def _scene(self) -> Scene:
-        return load_scene(self._scene_file())
 
     def _scene_file(self) -> Path:
         # Not the box's index, which stays as it was when another text is typed.
@@ -308,14 +310,19 @@ class ImportDialog(QDialog):
         self._judge()
 
     def _scene_chosen(self) -> None:
+        """Read the scene beside the window."""
+        self._scene, self._scene_trouble = None, ""
+        path = self._scene_file()
+        self._scenes.renew()
+        self._scenes.submit(lambda: load_scene(path), self._take_scene, lambda why: self._take_scene(None, why))
+        self._judge()
+
+    def _take_scene(self, scene: Scene | None, trouble: str = "") -> None:
         """Offer the arm poses of the scene; the only one is taken."""
+        self._scene, self._scene_trouble = scene, trouble
         chosen = self.pose.currentText()
         self.pose.clear()
-        try:
-            arm = self._scene().arm
-        except InputError:
-            arm = None
-        poses = [] if arm is None else list(arm.poses)
+        poses = [] if scene is None or scene.arm is None else list(scene.arm.poses)
         self.pose.addItems(poses if len(poses) == 1 else ["", *poses])
         self.pose.setCurrentText(chosen)
         self._judge()
@@ -355,10 +362,10 @@ class ImportDialog(QDialog):
         preview = self._preview
         pose = "" if self.fields[Stream.JOINTS].text().strip() else self.pose.currentText()
         self.pose.setEnabled(self.pose.count() > 1 and not self.fields[Stream.JOINTS].text().strip())
-        try:
-            found = (self._trouble,) if preview is None else preview.misfits(self._scene(), pose)
-        except InputError as error:
-            found = (str(error),)
+        if preview is None:
+            found = (self._trouble,)
+        else:
+            found = (self._scene_trouble,) if self._scene is None else preview.misfits(self._scene, pose)
         return (*filter(None, (*found, _folder_objection(self.folder.text().strip()))),)
 
     def _judge(self) -> None:
@@ -367,7 +374,7 @@ class ImportDialog(QDialog):
             return
         found = self._objections()
         self._object(" ".join(found))
-        self.start.setEnabled(self._preview is not None and not found)
+        self.start.setEnabled(self._preview is not None and self._scene is not None and not found)
 
     def _object(self, sentence: str) -> None:
         self.objection.setText(f"\N{BALLOT X} {sentence}")
@@ -437,6 +444,15 @@ class ImportDialog(QDialog):
         """End what is done beside the window, by force; of an import nothing is left behind."""
         self._watching.stop()
         self._jobs.close()
+        for service in (self._scenes, self._finds):
+            service.close(0.0)
+
+
+def _find(paths: Sequence[Path]) -> RecordingFiles:
+    try:
+        return find_files(paths)
+    except OSError as error:
+        raise InputError(str(error)) from error
 
 
 def _folder_objection(text: str) -> str:

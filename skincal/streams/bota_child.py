@@ -12,6 +12,8 @@ import json
 import os
 import signal
 import sys
+import threading
+import time
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -22,6 +24,8 @@ KINDS = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": "Bota_Dummy"
 MODE, SUBMODE = 2, 7
 """As in the maker's example: force, torque, acceleration and angular rate."""
 FAILED = 3
+LEAVE_S = 1.0
+"""s for the driver to leave its sensor."""
 
 
 def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
@@ -82,8 +86,18 @@ def _leave(*_: object) -> NoReturn:
     sys.exit()
 
 
+def _leave_with_parent() -> None:
+    """Wait for the end of stdin, which the parent holds, and end the process."""
+    sys.stdin.buffer.read()
+    signal.raise_signal(signal.SIGTERM)
+    time.sleep(LEAVE_S)
+    # A driver that hangs hears no signal.
+    os._exit(FAILED)
+
+
 def main(text: str) -> None:
-    """Run until the parent ends it."""
+    """Run until the parent ends it, or is gone."""
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     # The sensor is left as it was found: see `finally` above.
     signal.signal(signal.SIGTERM, _leave)
     out = os.dup(1)

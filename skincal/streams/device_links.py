@@ -58,6 +58,8 @@ class Ports:
     """From the address as the operator wrote it, for sentences, a host and a port."""
     serial: Callable[[str, int], Link]
     """From the port's name and its baud rate."""
+    given_up: Callable[[], bool] = lambda: False
+    """Whether nobody waits for the link any more."""
 
 
 class TalkingLink:
@@ -528,6 +530,8 @@ LINE_MAX = 300
 """Bytes kept of what a command says of its end."""
 WAITING_CHUNKS = 64
 """Reads that wait; a command that prints faster waits itself."""
+GIVEN_UP_S = 0.1
+"""s. While a command is waited for it is asked this often whether anybody still wants it."""
 END_S = 1.0
 """s that a command has to end, once it is told to."""
 
@@ -541,13 +545,24 @@ class CommandLink:
     ready_s : how long the constructor waits for the first bytes
     after : what its end means for the link
     who : what a sentence calls it
+    given_up : ends the waiting
+    stdin : of the command
     """
 
-    def __init__(self, address: str, command: Sequence[str] | str, ready_s: float, after: FailureKind, who: str) -> None:
+    def __init__(
+        self,
+        address: str,
+        command: Sequence[str] | str,
+        ready_s: float,
+        after: FailureKind,
+        who: str,
+        given_up: Callable[[], bool] = lambda: False,
+        stdin: int = subprocess.DEVNULL,
+    ) -> None:
         self._address, self._after, self._who = address, after, f"{address}: {who}"
         # A pipe: without this a script in Python would hand its lines on by eight thousand bytes.
         surroundings = {**os.environ, "PYTHONUNBUFFERED": "1"}
-        streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        streams: dict[str, Any] = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         try:
             self._process = subprocess.Popen(command, bufsize=0, start_new_session=True, env=surroundings, **streams)
         except (OSError, ValueError) as error:
@@ -560,7 +575,9 @@ class CommandLink:
             thread.start()
         self._early = b""
         try:
-            self._early = self.read(ready_s)
+            until_s = time.monotonic() + ready_s
+            while not (self._early or given_up()) and (left_s := until_s - time.monotonic()) > 0:
+                self._early = self.read(min(left_s, GIVEN_UP_S))
         except LinkFailure as failure:
             self.close()
             raise LinkFailure(FailureKind.ADDRESS if after is FailureKind.ENDED else after, str(failure)) from failure
@@ -624,6 +641,8 @@ class CommandLink:
             self._end(getattr(signal, "SIGKILL", signal.SIGTERM))
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(END_S)
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
     def _lives(self) -> bool:
         """Return whether the command runs, or anything that it started."""
@@ -662,7 +681,7 @@ def driver_settings(device: DeviceAddress) -> dict[str, str | int]:
 
 
 def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
-    del carries, ports
+    del carries
     if find_spec("bota_driver") is None:
         sentence = (
             f"{device.text}: newer Bota sensors are read by the maker's driver, which is not installed; "
@@ -672,7 +691,9 @@ def _open_bota_driver(device: DeviceAddress, carries: tuple[Stream, ...], ports:
     child = (sys.executable, "-P", "-m", "skincal.streams.bota_child", json.dumps(driver_settings(device)))
     begun_s = time.monotonic()
     try:
-        link = CommandLink(device.text, child, DRIVER_S, FailureKind.VANISHED, "the maker's driver")
+        # The end of its stdin tells it that this program is gone, however it went.
+        after, who, stdin = FailureKind.VANISHED, "the maker's driver", subprocess.PIPE
+        link = CommandLink(device.text, child, DRIVER_S, after, who, ports.given_up, stdin)
     except LinkFailure:
         # A process for each attempt: not ten a second.
         time.sleep(max(0.0, begun_s + END_S - time.monotonic()))

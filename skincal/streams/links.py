@@ -21,7 +21,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib import import_module
@@ -82,9 +82,12 @@ class LinkSpec:
     """One of `skincal.streams.decoders.detect.NAMES`."""
 
     def __post_init__(self) -> None:
-        length = len(self.address)
-        if length > ADDRESS_MOST:
-            raise InputError(f"{self.address}: the address has {length} characters; expected at most {ADDRESS_MOST}.")
+        _check_length(self.address)
+
+
+def _check_length(address: str) -> None:
+    if len(address) > ADDRESS_MOST:
+        raise InputError(f"{address}: the address has {len(address)} characters; expected at most {ADDRESS_MOST}.")
 
 
 class LinkKind(Enum):
@@ -110,10 +113,11 @@ class Address:
 def parse_address(address: str) -> Address:
     """Return what an address names; nothing is opened.
 
-    Raises InputError: no link that is known has such an address; the sentence says which have.
+    Raises InputError: no link that is known has such an address, the sentence says which have; or it is too long.
     """
     if not address:
         raise InputError(f"The address is empty; expected {KNOWN}.")
+    _check_length(address)
     if address.startswith(SOCKET_PREFIX):
         return Address(LinkKind.TCP, *_host_and_port(address))
     if parse_device(address) is not None:
@@ -147,8 +151,12 @@ def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ..
     )
 
 
-def open_link(spec: LinkSpec) -> Link:
+def open_link(spec: LinkSpec, given_up: Callable[[], bool] = lambda: False) -> Link:
     """Open what a link's address names.
+
+    Parameters
+    ----------
+    given_up : whether nobody waits for it any more; asked where opening takes seconds, from any thread
 
     Raises LinkFailure with a sentence: not there, in use, permission denied, refused, address not understood.
     """
@@ -162,7 +170,7 @@ def open_link(spec: LinkSpec) -> Link:
         # Only now, as each device's own modules in there: a scene costs what its devices need.
         from skincal.streams.device_links import Ports, open_device
 
-        return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink))
+        return open_device(spec.address, spec.carries, Ports(TcpLink, SerialLink, given_up))
     if address.kind is LinkKind.FILE:
         return PlaybackLink(Path(address.place), spec, address.number)
     port = SerialLink(address.place, address.number)
@@ -612,8 +620,10 @@ class Reader:
     def _try_once(self) -> bool:
         """Open the link and read it until it fails or is to stop; say whether to leave it at that."""
         try:
-            link = open_link(self._spec)
+            link = open_link(self._spec, self._stop.is_set)
         except LinkFailure as failure:
+            if self._stop.is_set():
+                return True
             self._could_not_open(failure)
             return failure.kind is FailureKind.ADDRESS
         self._opened = True

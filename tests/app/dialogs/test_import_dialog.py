@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
 
+from app.dialogs import import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
 from app.text.import_text import HOLDS_SESSION, NO_FOLDER, imported_words, stream_row
@@ -51,6 +53,7 @@ def asked(bench) -> ImportDialog:
 
 def until_seen(bench, dialog) -> None:
     bench.until(lambda: dialog._preview is not None or bool(dialog._trouble), OPEN_MS)
+    bench.until(lambda: dialog._scene is not None, OPEN_MS)
 
 
 def made(bench, scene, paths) -> ImportDialog:
@@ -113,7 +116,7 @@ def test_tables_that_are_dropped_lead_to_the_same(bench, scene, samples, tmp_pat
     # Onto the dialog, too.
     other = write_yarp(tmp_path / "log", samples)
     assert drop(dialog, of(other))
-    assert dialog.fields[Stream.SKIN].text() == str(other / "left_forearm_skin")
+    bench.until(lambda: dialog.fields[Stream.SKIN].text() == str(other / "left_forearm_skin"), 5000)
     assert drop(dialog, of(scene))
     assert approved("import.no_recording") in dialog.objection.text()
 
@@ -123,12 +126,13 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     dialog = made(bench, scene, [folder])
     assert dialog.start.isEnabled()
     dialog.scene.setCurrentText("flat-patch")
-    assert approved("overview.width", found=24, scene="flat-patch", wanted=64) in dialog.objection.text()
+    words = approved("overview.width", found=24, scene="flat-patch", wanted=64)
+    bench.until(lambda: words in dialog.objection.text(), 5000)
     assert not dialog.start.isEnabled()
     dialog.scene.setEditText(str(tmp_path / "gone.toml"))
-    assert "gone.toml" in dialog.objection.text()
+    bench.until(lambda: "gone.toml" in dialog.objection.text(), 5000)
     dialog.scene.setEditText(str(scene))
-    assert dialog.start.isEnabled()
+    bench.until(dialog.start.isEnabled, 5000)
     dialog.folder.setText(str(recorded))
     assert HOLDS_SESSION in dialog.objection.text()
     dialog.folder.setText(" ")
@@ -139,18 +143,34 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     assert dialog.start.isEnabled()
     (folder / "left_ft" / "data.log").write_text("nothing of a log\n")
     dialog.take([folder / "left_forearm_skin"])
-    assert not dialog.start.isEnabled()
+    bench.until(lambda: not dialog.start.isEnabled(), 5000)
     dialog.fields[Stream.WRENCH].setText(str(folder / "left_ft"))
     bench.until(lambda: "left_ft" in dialog.objection.text(), OPEN_MS)
     assert not dialog.start.isEnabled()
     dialog.take([tmp_path / "nowhere"])
-    assert "no recording was found" in dialog.objection.text()
+    bench.until(lambda: "no recording was found" in dialog.objection.text(), 5000)
+
+
+def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monkeypatch):
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    threads = []
+    for name in ("load_scene", "find_files"):
+        real = getattr(import_dialog, name)
+        monkeypatch.setattr(import_dialog, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
+    dialog.folder.setText(str(tmp_path / "elsewhere"))
+    dialog.scene.setEditText("flat-patch")
+    dialog.take([tmp_path / "log"])
+    bench.until(lambda: len(threads) == 2, 5000)
+    bench.qtbot.wait(100)
+    assert len(threads) == 2, "a letter of the folder reads no scene"
+    assert threading.main_thread() not in threads
+    until_seen(bench, dialog)
 
 
 def test_an_arm_needs_its_joints_or_a_pose(bench, samples, tmp_path):
     dialog = asked(bench)
     dialog.scene.setCurrentText("icub-forearm")
-    assert dialog.pose.count() > 2
+    bench.until(lambda: dialog.pose.count() > 2, OPEN_MS)
     dialog.take([write_yarp(tmp_path / "log", samples)])
     until_seen(bench, dialog)
     assert approved("overview.pose") in dialog.objection.text()

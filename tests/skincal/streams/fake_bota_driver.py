@@ -67,6 +67,9 @@ class BotaDriver:
         self._count = 0
 
     def configure(self):
+        if hangs := os.environ.get("BOTA_HANGS"):
+            Path(hangs).write_text(str(os.getpid()))
+            time.sleep(60)
         return True
 
     def activate(self):

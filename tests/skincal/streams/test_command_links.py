@@ -6,6 +6,7 @@ import os
 import queue
 import re
 import shutil
+import subprocess
 import sys
 import time
 from contextlib import closing
@@ -262,12 +263,70 @@ def test_only_what_is_a_number_is_told_to_the_driver_as_one():
 
 
 @pytest.mark.usefixtures("fake_driver")
+def test_a_serial_number_keeps_its_zeros(monkeypatch):
+    given = []
+
+    def started(_, command, *_others):
+        given.append(json.loads(command[-1]))
+        raise LinkFailure(FailureKind.VANISHED, "")
+
+    monkeypatch.setattr("skincal.streams.device_links.CommandLink", started)
+    monkeypatch.setattr("skincal.streams.device_links.END_S", 0.0)
+    with pytest.raises(LinkFailure):
+        open_link(LinkSpec("link", "bota:///dev/ttyACM0?serial=00123&product=7&mode=1", (Stream.WRENCH,)))
+    assert [(each["serial"], each["product"], each["mode"]) for each in given] == [("00123", "7", 1)]
+
+
+@pytest.mark.usefixtures("fake_driver")
 def test_what_the_driver_says_of_a_sensor_that_is_away_is_said():
     with pytest.raises(
         LinkFailure, match="driver has ended with code 3: Failed to open communication with the sensor"
     ) as failed:
         open_link(LinkSpec("link", "bota://10.0.0.9", (Stream.WRENCH,)))
     assert failed.value.kind is FailureKind.VANISHED
+
+
+@pytest.fixture
+def hanging(tmp_path, monkeypatch):
+    """A driver that hangs in `configure`; return a function that waits for it and returns the number of its process."""
+    mark = tmp_path / "hangs"
+    monkeypatch.setenv("BOTA_HANGS", str(mark))
+
+    def pid():
+        end = time.monotonic() + PATIENCE_S
+        while not (mark.exists() and mark.read_text()) and time.monotonic() < end:
+            time.sleep(0.02)
+        return int(mark.read_text())
+
+    return pid
+
+
+@posix
+@pytest.mark.usefixtures("fake_driver")
+def test_a_reader_is_stopped_while_the_driver_hangs_and_its_process_is_gone(hanging):
+    items = queue.SimpleQueue()
+    reader = Reader(LinkSpec("wrench", "bota://192.168.0.45", (Stream.WRENCH,)), items)
+    reader.start()
+    child = hanging()
+    reader.stop()
+    assert not reader.running
+    assert not _runs(child)
+    assert items.empty(), "who stopped it is told of no fault"
+
+
+@posix
+@pytest.mark.usefixtures("fake_driver")
+def test_a_driver_that_hangs_goes_with_the_program_that_started_it(hanging):
+    program = "from skincal.streams.links import *\nfrom skincal.model.readings import Stream\n"
+    program += "open_link(LinkSpec('wrench', 'bota://192.168.0.45', (Stream.WRENCH,)))"
+    parent = subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.DEVNULL)
+    child = hanging()
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + 20.0
+    while _runs(child) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not _runs(child)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("bota_driver") is not None, reason="the maker's driver is installed")
