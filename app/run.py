@@ -52,8 +52,11 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     Raises
     ------
     InputError
-        They contradict each other, or the scene does not exist.
+        They contradict each other, or what they name is no scene or no session.
     """
+    from skincal.journal.reader import find_segments
+    from skincal.model.scene import load_scene
+
     addresses = Addresses(options.wrench, options.skin, options.joints)
     check_addresses(addresses)
     if options.targets:
@@ -63,13 +66,13 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
         if not addresses and options.session is None:
             raise InputError("--targets asks a robot, and no device is named; expected --wrench and --skin with it.")
     if options.session is not None:
-        if not options.session.is_dir():
-            raise InputError(f"{options.session}: there is no such folder; expected that of a recorded session.")
+        find_segments(options.session)
         return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
     # The usual scene is looked up later, beside the window: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
-    if scene is not None and not scene.is_file():
-        raise InputError(f"{scene}: there is no such file; check the path.")
+    if scene is not None:
+        # Refused before there is a window that could show nothing.
+        load_scene(scene)
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())

@@ -99,7 +99,15 @@ def test_an_environment_of_another_python_is_not_taken(checkout: Path) -> None:
 def test_help_is_shown_before_anything_is_installed(word: str, capfd: pytest.CaptureFixture[str]) -> None:
     assert launch.start([word]) == 0
     said = capfd.readouterr().out
-    assert all(words in said for words in ("start.py --session DIR", "start.py COMMAND --help", "apply, compare, report, devices, watch", "README.md"))
+    assert all(
+        words in said
+        for words in (
+            "start.py --session DIR",
+            "start.py COMMAND --help",
+            "apply, compare, report, devices, watch",
+            "README.md",
+        )
+    )
     assert not places.VENV.exists()
 
 

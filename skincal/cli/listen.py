@@ -14,6 +14,7 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.record import stopping
 from skincal.cli.terminal import say
+from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkState, Loss, SkinBatch, Stream, WrenchBatch
 
 if TYPE_CHECKING:
@@ -60,11 +61,14 @@ class Watched:
         self._began_s = time.monotonic()
         self.readings: Counter[Stream] = Counter()
         self.newest: dict[Stream, str] = {}
+        self.states: set[LinkState] = set()
+        """What became of it so far."""
 
     def take(self, item: Chunk | LinkEvent) -> None:
         """Take what the reader brought."""
         if isinstance(item, LinkEvent):
             self._ear.follow(item)
+            self.states.add(item.state)
             if item.state is LinkState.OPEN:
                 self._decoder = self._make()
             return
@@ -155,6 +159,8 @@ def watch(
                 say(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
     finally:
         reader.stop()
+    if LinkState.FAILED in watched.states and LinkState.OPEN not in watched.states:
+        raise InputError(f"{link} could not be opened, as said above; `skincal devices` lists what is here.")
 
 
 def _take(watched: Watched, items: Inbox, due_s: float) -> None:
@@ -174,6 +180,8 @@ def devices(as_json: Json = False) -> None:
     import json
 
     found = [_on_port(name, description) for name, description in _ports()]
+    if not found:
+        say("No serial port was found; plug a device in.", err=True)
     names, trouble = _yarp_ports()
     found += [{"address": f"yarp:{name}", "what": f"YARP port at {host}:{number}"} for name, (host, number) in names]
     if as_json:
@@ -181,7 +189,7 @@ def devices(as_json: Json = False) -> None:
         return
     for each in found:
         say(f"{each['address']}  {each['what']}")
-    say(trouble if trouble else f"{len(names)} YARP ports", err=True)
+    say(trouble if trouble else plural(len(names), "YARP port"), err=True)
     say("Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST.")
 
 
@@ -233,4 +241,4 @@ def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
     try:
         return yarp_ports(), ""
     except LinkFailure as failure:
-        return [], f"No YARP: {failure}"
+        return [], str(failure)

@@ -8,7 +8,10 @@ from typing import Annotated
 import typer
 
 from skincal.cli.calibrate import Json, SessionArgument
+from skincal.model.errors import InputError
 from skincal.taxels.result import Method
+
+PAGES = (".html", ".htm")
 
 
 def add_to(app: typer.Typer) -> None:
@@ -29,5 +32,7 @@ def write(
     from skincal.cli import report
     from skincal.reporting.page import write_report
 
+    if out.suffix.lower() not in PAGES:
+        raise InputError(f"{out}: a report is a page for the browser; expected --out with a name that ends in .html.")
     verdict = write_report(session, out, method)
     report.print_result({"file": out, "verdict": verdict, "text": [verdict, f"wrote {out}"]}, as_json)

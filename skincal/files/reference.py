@@ -23,6 +23,7 @@ from skincal.taxels.differences import Repeatability, repeatability
 from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
+FORMS = "a truth.json, a calibration's JSON or CSV, or an iCub position file"
 RIG_KEY = "rig"
 """In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
 """A simulated session has one beside its segments."""
@@ -190,8 +191,12 @@ def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
         ) from None
     from skincal.files.icub import read_icub
 
+    try:
+        rows = read_icub(path)
+    except InputError as error:
+        raise InputError(f"{error} Known places are read from {FORMS}.") from None
     # Zeros stand for no position in such a file.
-    places = {channel: place for channel, place in enumerate(read_icub(path)[:, :3]) if np.any(place != 0.0)}
+    places = {channel: place for channel, place in enumerate(rows[:, :3]) if np.any(place != 0.0)}
     return (PlaceSet(path.name, "", places),)
 
 

@@ -122,7 +122,8 @@ class SessionLandmarks:
     def check_name(self, name: str) -> None:
         """Refuse a landmark that is not there with an InputError; an empty name is none."""
         if name and all(name != landmark.name for landmark in self.landmarks):
-            known = ", ".join(landmark.name for landmark in self.landmarks) or "none: the scene has no landmarks"
+            # In quotes: there are commas in names.
+            known = ", ".join(repr(landmark.name) for landmark in self.landmarks) or "none: the scene has no landmarks"
             raise InputError(f"There is no landmark {name!r}; expected one of {known}.")
 
     def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:

@@ -33,7 +33,9 @@ def find_places(named: str) -> PlaceSet:
         There is no such session or file, or it does not have what is named.
     """
     head, _, last = named.rpartition(":")
-    path, which = (Path(head), last) if head and last in WORDS and not Path(named).exists() else (Path(named), "")
+    path, which = (Path(head), last) if head and not Path(named).exists() and Path(head).exists() else (Path(named), "")
+    if which and which not in WORDS:
+        raise InputError(f"{named}: {which!r} names no places of {head}; expected one of {', '.join(WORDS)} after the colon.")
     if path.is_dir():
         return session_places(path, which)
     if which in (PLAN, TRUTH):

@@ -192,7 +192,7 @@ def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
     """Return name, host and number of ports that the name server of this machine's YARP knows. Raises LinkFailure."""
     from skincal.streams.device_links import Ports, ask_names, yarp_server
 
-    return sorted(ask_names("YARP", yarp_server(), "", Ports(TcpLink, SerialLink)).items())[:PORTS_LISTED]
+    return sorted(ask_names("No YARP", yarp_server(), "", Ports(TcpLink, SerialLink)).items())[:PORTS_LISTED]
 
 
 def split_baud(address: str) -> tuple[str, int]:

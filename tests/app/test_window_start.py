@@ -76,6 +76,10 @@ def test_devices_without_a_display_end_in_a_sentence_and_code_2():
         ("['--wrench', 'spy:///dev/null?file=x', '--skin', 'b']", approved("links.refused_scheme_clause", scheme="spy")),
         ("['--scene', 'nowhere/scene.toml']", "nowhere"),
         ("['--session', 'nowhere']", "nowhere"),
+        ("['--session', 'README.md']", "README.md: not a session (it is no folder)"),
+        ("['--session', 'docs']", "docs: not a session (no segment-0001.mcap in it)"),
+        ("['--scene', 'README.md']", "README.md: "),
+        ("['--scene', 'docs']", "docs: is a folder"),
         ("['--colour']", "--colour"),
     ],
 )

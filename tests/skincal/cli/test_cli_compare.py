@@ -47,6 +47,11 @@ def test_a_file_of_a_session_repeats_it_and_its_plan_does_not(capsys, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (
+            (f"{SAMPLE}:foo", str(SAMPLE)),
+            approved("places.not_named", named=f"{SAMPLE}:foo", which="foo", head=SAMPLE),
+        ),
+        ((str(Path(__file__)), str(SAMPLE)), approved("places.forms")),
         (("nowhere.csv", "nowhere.csv"), approved("layout_file.no_such_file")),
         ((f"{SAMPLE}/truth.json:plan", str(SAMPLE)), "only the folder of a session has a plan"),
         ((str(SAMPLE), f"{SAMPLE}/truth.json:free"), "has no places of the free method"),

@@ -262,7 +262,7 @@ def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys)
     [
         (["--at", "12"], approved("landmark.no_pair", where="--at 12")),
         (["--at", "x=head"], approved("landmark.no_pair", where="--at x=head")),
-        (["--at", "1=nose"], approved("landmark.unknown", name="nose", known="head, tail, left")),
+        (["--at", "1=nose"], approved("landmark.unknown", name="nose", known="'head', 'tail, left'")),
         (["--at", "9=head"], approved("landmark.no_axis", poke=9)),
         (["--at", "5=head"], approved("landmark.no_axis", poke=5)),
         (

@@ -101,6 +101,12 @@ def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
     assert approved("links.no_reading_tried", tried="115200, 460800, 19200")[:-1] in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("address", ["socket://127.0.0.1:1", "/dev/ttyNone1"])
+def test_watch_of_what_is_never_opened_ends_as_the_users_fault(address, capsys):
+    assert main(["watch", address, "--seconds", "0.5"]) == 2
+    assert approved("links.never_opened", address=address) in capsys.readouterr().err
+
+
 def test_watch_refuses_what_is_no_address(capsys):
     assert main(["watch", "spy://x"]) == 2
     assert "begins with spy:" in capsys.readouterr().err
@@ -161,6 +167,16 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
     found = json.loads(capsys.readouterr().out)
     assert [each["address"] for each in found["devices"]] == ["yarp:/icub/skin/right_forearm", "yarp:/skinManager/rpc"]
     assert found["yarp"] == ""
+
+
+def test_devices_says_that_nothing_is_plugged_in_and_that_there_is_no_yarp(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(listen, "_ports", list)
+    monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n", encoding="utf-8")
+    assert main(["devices"]) == 0
+    said = capsys.readouterr().err
+    assert approved("links.no_port_at_all") in said
+    assert said.count("YARP") == 1
 
 
 def test_watch_keeps_no_more_than_it_can_read(capsys, monkeypatch):

@@ -229,3 +229,5 @@ def test_the_command_writes_the_report_and_says_in_a_sentence_what_is_wrong(tmp_
     assert main(["report", str(tmp_path), "--out", str(out)]) == 2
     assert "Traceback" not in capsys.readouterr().err
     assert main(["report", str(SAMPLE), "--out", str(tmp_path)]) == 2
+    assert main(["report", str(SAMPLE), "--out", str(tmp_path / "report.txt")]) == 2
+    assert not (tmp_path / "report.txt").exists()
