@@ -423,7 +423,7 @@ class Window(QMainWindow):
         scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
         folder = dated_folder(self._documents, datetime.now().astimezone())
         paused = self._lend_devices()
-        dialog = NewSessionDialog(scene, folder, self, self._known_addresses())
+        dialog = NewSessionDialog(scene, folder, self, self._known_addresses(), waits=paused)
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
 
@@ -442,9 +442,11 @@ class Window(QMainWindow):
         dialog.addresses_chosen.connect(self._use_addresses)
         self._open_page(dialog, paused=paused)
 
-    def _use_addresses(self, addresses: Addresses) -> None:
-        self._remember({addresses.wrench, addresses.skin, addresses.joints} - {""})
-        self.controller.change_addresses(addresses)
+    def _use_addresses(self, addresses: Addresses, agreed: Iterable[str]) -> None:
+        """Read the devices there; of what the session's file names and nobody has agreed to is asked first, as ever."""
+        self._remember(agreed)
+        named = tuple(filter(None, (addresses.wrench, addresses.skin, addresses.joints)))
+        self._once_agreed(named, lambda: self.controller.change_addresses(addresses))
 
     def _lend_devices(self) -> bool:
         """Let go of devices that a page will look at, since a port has one reader; return whether they were read."""
@@ -496,18 +498,22 @@ class Window(QMainWindow):
             self.open(OpenRequest(session=Path(folder)))
 
     def _ask_first(self, addresses: tuple[str, ...]) -> None:
-        """Ask before devices are connected that a recorded session names: it may be a stranger's.
+        """Ask before devices are connected that a recorded session names: it may be a stranger's."""
+        self._once_agreed(addresses, lambda: self.controller.go_on(confirmed=True))
 
-        An address that the operator named or agreed to before is not asked about again.
-        """
-        if set(self._known_addresses()).issuperset(addresses):
-            self.controller.go_on(confirmed=True)
-            return
-        self._offer("Connect to these devices?", connect_words(addresses), "Connect", lambda: self._agree(addresses))
+    def _once_agreed(self, addresses: Iterable[str], connect: Callable[[], object]) -> None:
+        """Ask before devices are connected; what the operator named or agreed to before is not asked about again."""
+        known = self._known_addresses()
+        new = [address for address in addresses if address not in known]
 
-    def _agree(self, addresses: tuple[str, ...]) -> None:
-        self._remember(addresses)
-        self.controller.go_on(confirmed=True)
+        def agree() -> None:
+            self._remember(new)
+            connect()
+
+        if new:
+            self._offer("Connect to these devices?", connect_words(new), "Connect", agree)
+        else:
+            connect()
 
     def _offer(self, title: str, text: str, yes: str = "", do: Callable[[], object] = lambda: None) -> None:
         """Ask, beside everything else, and do something where the answer is yes; without a `yes` only say it."""

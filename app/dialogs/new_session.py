@@ -47,6 +47,7 @@ ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 JOINTS_HINT = "only where the arm's joints are streamed"
 NO_DEVICE = "Without any device a simulated rig is poked, and recorded to the folder like any other."
 CHANGING = "The recording waits while this page is open, and goes on with what you name. F6 swaps F/T sensor and skin."
+WAITS = "The recording of the open session waits while this page is open; Cancel goes on with it, in a new segment."
 NOT_AGREED = "this session names it, not you: Enter connects"
 LATER = "the line asks before the first poke"
 LABELS = {Stream.WRENCH: "F/&T sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
@@ -139,7 +140,7 @@ class StreamRow(QWidget):
         self._typed = False
         self.field.textEdited.connect(self._type)
         self.field.returnPressed.connect(self.agree)
-        self.field.editingFinished.connect(self._leave)
+        self.field.editingFinished.connect(self.leave)
         self.box.activated.connect(self._choose)
 
     @property
@@ -150,16 +151,17 @@ class StreamRow(QWidget):
     def put(self, address: str, *, agreed: bool) -> None:
         """Have an address stand in the field."""
         self.box.setEditText(address)
-        self.named = address if agreed else ""
+        self._typed, self.named = False, address if agreed else ""
 
     def offer(self, places: Sequence[tuple[str, str]]) -> None:
         """List addresses with what is known of each; the field stays as it is."""
-        text = self.field.text()
+        text, at = self.field.text(), self.field.cursorPosition()
         self.box.clear()
         for address, what in places:
             self.box.addItem("   ".join(filter(None, (plain_text(address), shortened(plain_text(what), NAME_MOST)))), address)
         self.box.setCurrentIndex(-1)
         self.box.setEditText(text)
+        self.field.setCursorPosition(at)
 
     def show_words(self, look: LinkLook | None, words: str) -> None:
         """Show what is found, in words and by a sign."""
@@ -191,8 +193,8 @@ class StreamRow(QWidget):
     def _type(self) -> None:
         self._typed = True
 
-    def _leave(self) -> None:
-        # Who only passes through the field names nothing.
+    def leave(self) -> None:
+        """Take what was typed for named; who only passes through the field names nothing."""
         if self._typed:
             self.agree()
 
@@ -210,11 +212,12 @@ class NewSessionDialog(QDialog):
     ----------
     known : addresses that the operator named or agreed to before
     present : the addresses of the session that is open, and its scene, where these are to be changed
+    waits : whether the recording of the session that is open waits for this page
     """
 
     request_chosen = Signal(object)
-    addresses_chosen = Signal(object)
-    """`Addresses`."""
+    addresses_chosen = Signal(object, object)
+    """`Addresses`, and the set of those that the operator named or agreed to."""
     _scene: Scene | None = None
 
     def __init__(
@@ -224,11 +227,14 @@ class NewSessionDialog(QDialog):
         parent: QWidget | None = None,
         known: Collection[str] = (),
         present: tuple[Addresses, Scene] | None = None,
+        *,
+        waits: bool = False,
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("New session" if present is None else "Device addresses")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self._known, self._present = tuple(known), present
+        self._note = CHANGING if present is not None else f"{NO_DEVICE} {WAITS}" if waits else NO_DEVICE
         self.scene = QComboBox()
         self.scene.setEditable(True)
         self.scene.setAccessibleName("scene")
@@ -281,7 +287,7 @@ class NewSessionDialog(QDialog):
         form.addWidget(self.pose, at + 1, 1, 1, 3)
         if new:
             _add_row(form, "&Folder", self.folder, self.browse_folder)
-        form.addWidget(quiet(NO_DEVICE if new else CHANGING, wrap=True), form.rowCount(), 0, 1, 4)
+        form.addWidget(quiet(self._note, wrap=True), form.rowCount(), 0, 1, 4)
         form.addWidget(self.objection, form.rowCount(), 0, 1, 4)
         form.setRowStretch(form.rowCount(), 1)
         self._finish(inner)
@@ -356,10 +362,11 @@ class NewSessionDialog(QDialog):
         """Read the scene beside the window: it says how many values a skin has, and whether there is an arm."""
         self._read.renew()
         path = self._scene_file()
-        self._read.submit(lambda: load_scene(path), self._take_scene, lambda _: self._take_scene(None))
+        self._read.submit(lambda: load_scene(path), self._take_scene, lambda why: self._take_scene(None, why))
 
-    def _take_scene(self, scene: Scene | None) -> None:
+    def _take_scene(self, scene: Scene | None, why: str = "") -> None:
         self._scene = scene
+        self._object(why)
         self.pose.clear()
         poses = () if scene is None or scene.arm is None else tuple(scene.arm.poses)
         if len(poses) > 1 and self._present is None:
@@ -378,10 +385,9 @@ class NewSessionDialog(QDialog):
     def _look_at_addresses(self) -> None:
         """Look at what the operator named, beside the window."""
         named = {stream: row.named for stream, row in self.rows.items() if row.named and _refusal(row.named) == ""}
-        if self._scene is not None:
-            self._previews.choose(named, self._scene)
-            if named:
-                self._timer.start()
+        self._previews.choose(named, self._scene)
+        if named:
+            self._timer.start()
         self._look()
 
     def _look(self) -> None:
@@ -398,6 +404,8 @@ class NewSessionDialog(QDialog):
     def swap_addresses(self) -> None:
         """Have F/T sensor and skin change places."""
         wrench, skin = self.rows[Stream.WRENCH], self.rows[Stream.SKIN]
+        for row in (wrench, skin):
+            row.leave()
         first, second = (wrench.address, wrench.named), (skin.address, skin.named)
         for row, (address, named) in ((wrench, second), (skin, first)):
             row.put(address, agreed=bool(named) and address == named)
@@ -432,16 +440,26 @@ class NewSessionDialog(QDialog):
         try:
             chosen = self.request() if self._present is None else self.addresses()
         except InputError as error:
-            self.objection.setText(f"\N{BALLOT X} {error}")
-            self.area.ensureWidgetVisible(self.objection)
+            self._object(str(error))
             return
-        signal = self.request_chosen if isinstance(chosen, OpenRequest) else self.addresses_chosen
+        # A click need not take the focus out of a field.
+        for row in self.rows.values():
+            row.leave()
+        agreed = {row.named for row in self.rows.values() if row.named == row.address} - {""}
 
         def leave() -> None:
-            signal.emit(chosen)
             self.accept()
+            if isinstance(chosen, OpenRequest):
+                self.request_chosen.emit(chosen)
+            else:
+                self.addresses_chosen.emit(chosen, agreed)
 
         self._close_links(leave)
+
+    def _object(self, sentence: str) -> None:
+        self.objection.setText(f"\N{BALLOT X} {sentence}" if sentence else "")
+        if sentence:
+            self.area.ensureWidgetVisible(self.objection)
 
     def _close_links(self, then: Callable[[], None]) -> None:
         """Go on once every link is closed: the session opens the same ports."""

@@ -361,13 +361,14 @@ class Controller(QObject):
         recording = self._recording
         if recording is None:
             return
-        streaming = self.running is Running.STREAMING
+        now_ns, streaming = time.monotonic_ns(), self.running is Running.STREAMING
         if streaming:
             from skincal.session.asking import act_on
 
-            act_on(guidance, recording.pipeline, time.monotonic_ns())
+            act_on(guidance, recording.pipeline, now_ns)
         if self._targets is not None and self._asking is not None and self._shown is not None:
-            lines = self._asking.follow(guidance, self._shown, time.monotonic(), streaming=streaming)
+            measuring = streaming and recording.pipeline.measures(recording.seen_ns(now_ns))
+            lines = self._asking.follow(guidance, self._shown, now_ns * 1e-9, measuring=measuring)
             self._targets.send(lines)
 
     def _hear_robot(self) -> None:
@@ -476,8 +477,7 @@ class Controller(QObject):
         self._shown, self._news = snapshot, False
         if snapshot.landmarks:
             self._review(recording.pipeline.session, snapshot)
-        # While readings wait, the moment that is shown is the one they came to, not now.
-        reached_ns = recording.reached_ns if recording.behind and recording.reached_ns else now_ns
+        reached_ns = recording.seen_ns(now_ns)
         live = recording.pipeline.live(reached_ns)
         evidence = recording.pipeline.session.evidence
         unsolved = self._schedule.worth_saying(recording.pipeline.session.unsolved, now_ns)

@@ -91,8 +91,10 @@ class Previews:
         self._ending: list[Reader] = []
         self._closed = False
 
-    def choose(self, addresses: Mapping[Stream, str], scene: Scene) -> None:
+    def choose(self, addresses: Mapping[Stream, str], scene: Scene | None) -> None:
         """Look at these addresses and no others; returns at once, and does nothing once the links were let go.
+
+        Without a scene, which says how many values are right, at none.
 
         Raises
         ------
@@ -101,8 +103,10 @@ class Previews:
         """
         if self._closed:
             return
-        joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
-        wanted = {(spec, scene.skin.channels, joints) for spec in describe_links(addresses)}
+        wanted: set[tuple[LinkSpec, int, int]] = set()
+        if scene is not None:
+            joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
+            wanted = {(spec, scene.skin.channels, joints) for spec in describe_links(addresses)}
         for gone in self._open.keys() - wanted:
             self._end(gone)
         for new in wanted - self._open.keys():

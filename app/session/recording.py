@@ -134,6 +134,10 @@ class Recording:
         """Whether readings wait."""
         return not self._queue.empty()
 
+    def seen_ns(self, now_ns: int) -> int:
+        """Return the moment that the pipeline has come to: while readings wait it is that of the newest, not now."""
+        return self.reached_ns if self.behind and self.reached_ns else now_ns
+
     def drain(self, limit_s: float = float("inf")) -> bool:
         """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything."""
         end = time.perf_counter() + limit_s

@@ -39,7 +39,7 @@ def apply(
         Path | None,
         typer.Option(
             help="File for the positions that the robot has now; else before-PART.txt beside what is applied. An older one is "
-            "kept as .bak, .bak-2, ...",
+            "kept as .bak, .bak-2, ...; where that file is applied itself, -undone is added to its name.",
             show_default=False,
         ),
     ] = None,
@@ -66,6 +66,9 @@ def apply(
         report.print_result({**result, "text": [*lines, *asked, f"{len(asked)} taxels; nothing was sent"]}, as_json)
         return
     kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
+    if kept.exists() and kept.samefile(source):
+        # Going back may end half way; the same command again must find what it began with.
+        kept = kept.with_stem(f"{kept.stem}-undone")
     applied = apply_positions(to, positions, kept, timeout, None if as_json else _say)
     answers = [{"asked": asked, "answered": answered} for asked, answered in applied.asked]
     result: dict[str, Any] = {"part": positions.part, "changed": applied.changed, "same": applied.same}

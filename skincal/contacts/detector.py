@@ -343,7 +343,7 @@ class ContactDetector:
         pressing = bool(force @ force > 0.0)
         channels = self._answering(self.responses)
         return Progress(
-            phase=self._phase(),
+            phase=self.phase,
             force=force,
             axis_point=axis_point(force, moment) if pressing else np.zeros(3),
             channels=channels,
@@ -351,7 +351,9 @@ class ContactDetector:
             still=0.0 if press is None else min(1.0, press.still),
         )
 
-    def _phase(self) -> PressPhase:
+    @property
+    def phase(self) -> PressPhase:
+        """What it waits for, or how far a poke is."""
         tare, press = self._tares.tare, self._press
         if self._last is None:
             return PressPhase.NO_DATA

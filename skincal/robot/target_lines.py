@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate, takewhile
 from typing import TypeAlias
 from urllib.parse import quote, unquote
 
@@ -15,19 +16,29 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, shortened
+from skincal.model.scene import SECONDS_MOST, SETTING_MOST
 
 GREETING = "skincal targets 1"
 """The first line on every connection: what speaks, and the version of the lines."""
 LINE_MAX = 512
 """Bytes of a line, either way: a target has about 150, the rest is for long names and for words."""
+NAME_MAX = 160
+"""Bytes of a name in a target: two of them, with the numbers, stay below `LINE_MAX`."""
 WORDS_MAX = 200
 """Characters of a reason or a fault."""
+WORDS_BYTES = 400
+"""Bytes of the same: a letter may have four."""
 NO_TAXEL = "-"
 """Stands for the channel of a target that is a place at which a taxel may be, and for a name that there is not."""
 KNOWN_POINT = "+"
 """Stands for the channel of a target that is a known point of the part: a screw head, a corner."""
 FAR = 10.0
 """m. No part reaches so far from its frame's origin: coordinates beyond are a mistake."""
+
+FORCE_MAX = SETTING_MOST
+"""N. What thresholds of a scene allow; a robot has limits of its own."""
+HOLD_MAX_S = 2.0 * SECONDS_MOST
+"""s. Twice the longest still window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +130,15 @@ def write_line(line: AskedLine) -> str:
             return f"rejected {line.number} {_words(line.reason)}" if line.reason else f"accepted {line.number}"
         case PokeTarget():
             what = (KNOWN_POINT if line.known else NO_TAXEL) if line.channel is None else line.channel
-            names = " ".join(quote(name, safe="") or NO_TAXEL for name in (line.frame, line.pose))
+            names = " ".join(_name(name) for name in (line.frame, line.pose))
             place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((line.place, 6), (line.push, 5)))
             return f"target {line.number} {what} {names} {place} {push} {line.force:.2f} {line.hold:.2f}"
+
+
+def _name(name: str) -> str:
+    """Return a name as one word of at most `NAME_MAX` bytes; a longer one loses its end, by whole letters."""
+    fitting = accumulate((quote(letter, safe="", errors="replace") for letter in name), initial="")
+    return max(takewhile(lambda word: len(word) <= NAME_MAX, fitting), key=len) or NO_TAXEL
 
 
 def read_line(line: str) -> AskedLine | None:
@@ -156,7 +173,7 @@ def _target_of(words: list[str]) -> PokeTarget:
     place, push, force, hold = values[:3], values[3:6], float(values[6]), float(values[7])
     size = float(np.linalg.norm(push))
     # NaN fails every comparison.
-    if not ((np.abs(place) < FAR).all() and 0.5 < size < 2.0 and 0 < force < 1000 and 0 <= hold < 100):
+    if not ((np.abs(place) < FAR).all() and 0.5 < size < 2.0 and 0 < force <= FORCE_MAX and 0 <= hold <= HOLD_MAX_S):
         raise ValueError(words)
     channel = None if what in (NO_TAXEL, KNOWN_POINT) else _number(what)
     frame, pose = ("" if name == NO_TAXEL else unquote(name) for name in (frame, pose))
@@ -196,7 +213,8 @@ def _number(word: str) -> int:
 
 
 def _words(text: str) -> str:
-    return shortened(plain_text(" ".join(text.split())), WORDS_MAX)
+    words = shortened(plain_text(" ".join(text.split())), WORDS_MAX)
+    return words.encode("utf-8", "replace")[:WORDS_BYTES].decode("utf-8", "ignore")
 
 
 class LineCutter:

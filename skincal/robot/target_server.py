@@ -275,8 +275,8 @@ class TargetClient:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            # Nobody listens yet, or no more: it is tried again.
-            with contextlib.suppress(OSError), socket.create_connection(self._place, AGAIN_S) as connection:
+            # Nobody listens yet, or no more, or who listens says what is no target: it is tried again.
+            with contextlib.suppress(OSError, InputError), socket.create_connection(self._place, AGAIN_S) as connection:
                 self._talk(connection)
             self._stop.wait(AGAIN_S)
 

@@ -97,8 +97,6 @@ class PokeAsking:
     """Turns what the guide wants into lines for a robot, and its answers into what they mean."""
 
     def __init__(self, scene: Scene) -> None:
-        limits = scene.contacts
-        self._force, self._hold = (limits.force_min + limits.force_max) / 2.0, HOLDS * limits.still_s
         self._frame, self._has_arm = scene.link, scene.arm is not None
         self._asked: deque[_Asked] = deque(maxlen=REMEMBERED)
         self._said: NoTarget | None = None
@@ -109,11 +107,18 @@ class PokeAsking:
         """Number of the newest poke of the session that is judged, or that was there before."""
         self._number = 0
 
-    def follow(self, guidance: Guidance | None, snapshot: Snapshot, now_s: float, *, streaming: bool) -> list[AskedLine]:
-        """Return what is to be said now; `guidance` None: nobody guides; `now_s`: host's monotonic clock, seconds."""
+    def follow(self, guidance: Guidance | None, snapshot: Snapshot, now_s: float, *, measuring: bool) -> list[AskedLine]:
+        """Return what is to be said now.
+
+        Parameters
+        ----------
+        guidance : None where nobody guides
+        now_s : host's monotonic clock, seconds
+        measuring : a poke would be measured; else nobody is asked to press
+        """
         lines: list[AskedLine] = []
         waiting = self._judge(snapshot, now_s, lines)
-        wanted = self._wanted(guidance, snapshot, streaming=streaming)
+        wanted = self._wanted(guidance, snapshot, measuring=measuring)
         if waiting and wanted is not NoTarget.WAIT:
             return lines
         if isinstance(wanted, NoTarget):
@@ -158,18 +163,19 @@ class PokeAsking:
             "or for another once it skips this one."
         )
 
-    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, *, streaming: bool) -> PokeTarget | NoTarget:
+    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, *, measuring: bool) -> PokeTarget | NoTarget:
         """Return what somebody who looks at the guide would do."""
-        if not streaming or self._held:
+        if not measuring or self._held:
             return NoTarget.WAIT
         if guidance is None:
             return NoTarget.ANY
         target = guidance.target
         if target is None:
             return NoTarget.ENOUGH if guidance.enough else NoTarget.WAIT
-        pose = snapshot.pose if self._has_arm else ""
+        pose, limits = snapshot.pose if self._has_arm else "", snapshot.thresholds
+        force, hold = (limits.force_min + limits.force_max) / 2.0, HOLDS * limits.still_s
         known = bool(target.landmark)
-        return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, self._force, self._hold)
+        return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, force, hold)
 
     def _is_asked(self, wanted: PokeTarget) -> bool:
         """Return whether just that is asked for already; the arm's pose aside, whose name follows its joints' tremor."""
@@ -271,7 +277,7 @@ class RobotGuide:
         evidence = pipeline.session.evidence
         guidance = self._guide.follow(snapshot, snapshot.generation, self._method, evidence, now_s)
         act_on(guidance, pipeline, now_ns)
-        lines = self._asking.follow(guidance, snapshot, now_s, streaming=True)
+        lines = self._asking.follow(guidance, snapshot, now_s, measuring=pipeline.measures(now_ns))
         self._server.send(lines)
         self.enough |= NoTarget.ENOUGH in lines
         return sentences

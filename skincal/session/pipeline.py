@@ -148,7 +148,7 @@ class Pipeline:
         detector = self._detector
         name, link_from_sensor = self._poses.current
         progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
-        if is_silent(detector.last_s, now_ns * 1e-9):
+        if not self._has_samples(now_ns):
             progress = replace(progress, phase=PressPhase.NO_DATA)
         times, wrench = self._intake.recent_wrench()
         return LiveView(
@@ -160,6 +160,18 @@ class Pipeline:
             links=self._intake.health(now_ns),
             losses_unpaired=self._intake.unpaired,
         )
+
+    def measures(self, now_ns: int) -> bool:
+        """Return whether a poke would be measured now: samples of open links that live, in an arm pose that is known."""
+        # A pose that was chosen holds without joints.
+        unneeded = {Stream.JOINTS} if self.session.pose or self.scene.arm is None else set[Stream]()
+        needed = {link.name for link in self.links if set(link.carries) - unneeded}
+        _, link_from_sensor = self._poses.current
+        down = needed & (self._intake.away | self._intake.frozen)
+        return self._has_samples(now_ns) and not down and link_from_sensor is not None
+
+    def _has_samples(self, now_ns: int) -> bool:
+        return self._detector.phase is not PressPhase.NO_DATA and not is_silent(self._detector.last_s, now_ns * 1e-9)
 
     def totals(self) -> Totals:
         """Return how many readings the whole session has had, and lost."""

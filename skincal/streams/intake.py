@@ -396,6 +396,11 @@ class Intake:
         return frozenset(name for name, link in self._links.items() if link.ear.frozen)
 
     @property
+    def away(self) -> frozenset[str]:
+        """Names of the links that are not open."""
+        return frozenset(name for name, link in self._links.items() if link.state is not LinkState.OPEN)
+
+    @property
     def unpaired(self) -> int:
         """Skin frames that found no wrench, LATE or UNPAIRED; the losses of the skin's link count them by reason."""
         return self._pairing.counts.total()
@@ -461,7 +466,7 @@ class LinkIntake:
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
         self._beside_before: dict[str, SideReading] = {}
-        self._state, self._text = LinkState.LOST, "not opened yet"
+        self.state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
         self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_NS // RATE_STEP_NS + 1)
@@ -471,8 +476,8 @@ class LinkIntake:
 
     def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
         """Return the readings that bytes complete, each batch with the arrival of its last bytes."""
-        if self._last_ns == 0 and self._state is LinkState.LOST:
-            self._state, self._text = LinkState.OPEN, ""
+        if self._last_ns == 0 and self.state is LinkState.LOST:
+            self.state, self._text = LinkState.OPEN, ""
         self._last_ns = chunk.host_ns
         # Found before the batches are dated: after a loss a count of readings no longer tells the time.
         before = self._broken()
@@ -497,7 +502,7 @@ class LinkIntake:
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
-        self._state, self._text = event.state, event.text
+        self.state, self._text = event.state, event.text
         return batches
 
     def _broken(self) -> int:
@@ -516,13 +521,13 @@ class LinkIntake:
 
     def health(self, now_ns: int, pairing: Mapping[Loss, int] = MappingProxyType({})) -> LinkHealth:
         """Return the figures of the link; `pairing` holds the losses of the pairing, which count for the skin's link."""
-        text = self._text or (self._decoder.note if self._state is LinkState.OPEN else "")
+        text = self._text or (self._decoder.note if self.state is LinkState.OPEN else "")
         losses = self._before + self._decoder.counts + Counter(pairing)
         spec, rate, verdict = self.spec, self._rate_until(now_ns), self.ear.judge(now_ns)
         units = "; ".join(words for stream, words in self._decoder.units.items() if stream in spec.carries)
         return LinkHealth(
             spec.name,
-            self._state,
+            self.state,
             text,
             spec.carries,
             self._decoder.name,

@@ -82,9 +82,12 @@ class LinkSpec:
     """One of `skincal.streams.decoders.detect.NAMES`."""
 
     def __post_init__(self) -> None:
-        length = len(self.address)
-        if length > ADDRESS_MOST:
-            raise InputError(f"{self.address}: the address has {length} characters; expected at most {ADDRESS_MOST}.")
+        _check_length(self.address)
+
+
+def _check_length(address: str) -> None:
+    if len(address) > ADDRESS_MOST:
+        raise InputError(f"{address}: the address has {len(address)} characters; expected at most {ADDRESS_MOST}.")
 
 
 class LinkKind(Enum):
@@ -110,10 +113,11 @@ class Address:
 def parse_address(address: str) -> Address:
     """Return what an address names; nothing is opened.
 
-    Raises InputError: no link that is known has such an address; the sentence says which have.
+    Raises InputError: no link that is known has such an address, the sentence says which have; or it is too long.
     """
     if not address:
         raise InputError(f"The address is empty; expected {KNOWN}.")
+    _check_length(address)
     if address.startswith(SOCKET_PREFIX):
         return Address(LinkKind.TCP, *_host_and_port(address))
     if parse_device(address) is not None:

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.dialogs.new_session import NewSessionDialog
+from app.dialogs.new_session import WAITS, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
 from app.state.view_state import LinkLook
+from app.text.message import connect_words
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Stream
 from skincal.model.scene import resource
@@ -170,8 +171,11 @@ def test_an_address_where_nobody_listens_says_why(qtbot, page):
     name(page, "wrench", address)
     says(qtbot, page, "wrench", "no answer")
     assert "connection refused" in page.rows[Stream.WRENCH].verdict.text()
-    name(page, "wrench", "spy:///dev/ttyACM0?file=x")
-    says(qtbot, page, "wrench", "begins with spy:")
+    too_long = "1001 characters; expected at most 1000"
+    for wrong, why in (("spy:///dev/ttyACM0?file=x", "begins with spy:"), ("x" * 1001, too_long)):
+        page.fields["wrench"].clear()
+        name(page, "wrench", wrong)
+        says(qtbot, page, "wrench", why)
 
 
 def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypatch):
@@ -228,6 +232,26 @@ def test_who_only_passes_through_a_field_connects_nothing(qtbot, page):
         page.folder.setFocus()
         assert outlet.poll()[0] is False
         assert page.rows[Stream.WRENCH].verdict.text() == ""
+
+
+def test_a_scene_that_cannot_be_read_is_said_and_no_link_is_judged_by_the_one_before(qtbot, page, device, tmp_path):
+    name(page, "skin", device(noisy(CHANNELS)).address)
+    row = says(qtbot, page, "skin", "good")
+    page.scene.setEditText(str(tmp_path / "gone.toml"))
+    qtbot.waitUntil(lambda: "gone.toml" in page.objection.text(), timeout=5000)
+    qtbot.waitUntil(lambda: row.verdict.text() == "", timeout=5000)
+    page.scene.setEditText(str(PATCH))
+    says(qtbot, page, "skin", "good")
+    assert page.objection.text() == ""
+
+
+def test_ports_that_are_found_leave_the_cursor_where_it_is(page):
+    row = page.rows[Stream.WRENCH]
+    row.put("/dev/ttyUSB0", agreed=False)
+    row.field.setCursorPosition(4)
+    row.offer([("/dev/ttyUSB7", "FT232R")])
+    QTest.keyClicks(row.field, "x")
+    assert row.address == "/devx/ttyUSB0"
 
 
 @pytest.mark.parametrize("percent", [75, 100, 200])
@@ -346,6 +370,12 @@ def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
     wrench, skin = device(noisy(6)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
     bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
+    page = shown_page(bench)
+    assert bench.controller.running is Running.PAUSED
+    assert any(WAITS in label.text() for label in page.findChildren(QLabel))
+    QTest.keyClick(page, Key.Key_Escape)
+    bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
     bench.key(Key.Key_A)
     page = shown_page(bench)
     QTest.keyClick(page, Key.Key_Escape)
@@ -376,8 +406,14 @@ def test_the_addresses_of_a_stranger_are_shown_and_not_connected_before_enter(be
         QTest.keyClick(page.fields["skin"], Key.Key_Return)
         says(qtbot, page, "skin", "good")
         assert outlet.poll()[0] is False
-        page.reject()
+        QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
+        bench.until(lambda: isinstance(QApplication.activeWindow(), QMessageBox), 5000)
+        box = QApplication.activeWindow()
+        assert box.text() == connect_words([outlet.address]), "the one that was agreed to is not asked about"
+        assert outlet.poll()[0] is False
+        box.reject()
         assert bench.controller.running is Running.OFFLINE
+        assert outlet.address not in bench.window._known_addresses()
 
 
 def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):

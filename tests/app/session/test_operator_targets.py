@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import subprocess
 import sys
 import threading
 from contextlib import closing
@@ -142,10 +143,31 @@ def without_a_window(folder, lived) -> None:
     assert here.can_undo == there.can_undo
 
 
-def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench):
+FLAT = resource("scenes/flat-patch/scene.toml")
+
+
+def test_nobody_is_asked_to_press_where_no_device_answers(bench, said):
     nobody = "socket://127.0.0.1:9"
-    scene = resource("scenes/flat-patch/scene.toml")
-    bench.open(OpenRequest(scene=scene, addresses=Addresses(nobody, nobody.replace("9", "10")), targets="0"))
+    bench.open(OpenRequest(scene=FLAT, addresses=Addresses(nobody, nobody.replace("9", "10")), targets="0"))
+    bench.until(lambda: bench.window.session_view.state.target is not None)
+    bench.until(lambda: bool(said))
+    bench.qtbot.wait(300)
+    assert said == ["wait"]
+
+
+@pytest.fixture
+def resting():
+    """The addresses of devices that nobody touches."""
+    command = [sys.executable, "-P", "-m", "skincal.cli", "simulate", "--scene", "flat-patch", "--serve", "--tcp"]
+    devices = subprocess.Popen([*command, "--operator", "told"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    with devices:
+        links = json.loads(devices.stdout.readline())["links"]
+        yield Addresses(*(link["address"] for link in links))
+        devices.stdin.close()
+
+
+def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resting):
+    bench.open(OpenRequest(scene=FLAT, addresses=resting, targets="0"))
     port = bench.controller._targets.port
     with closing(Peer(port)) as peer:
         assert peer.line() == GREETING

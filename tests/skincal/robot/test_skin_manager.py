@@ -135,6 +135,32 @@ def test_a_refusal_half_way_says_how_far_it_came_and_what_brings_the_old_ones_ag
     assert not read_icub(sample / "before-r_forearm.txt").any()
 
 
+def test_going_back_goes_on_where_it_was_refused(capsys, sample):
+    class Once(Stubborn):
+        refused = False
+
+        def refuse(self, words):
+            if Once.refused:
+                return SkinManagerTalk.answer(self, words)
+            Once.refused = True
+            return [1, "ERROR: pose was not set"]
+
+    calibrated = SkinManagerOutlet(CHANNELS)
+    with robot(calibrated) as address:
+        assert apply(capsys, sample, address)[0] == 0
+    before = sample / "before-r_forearm.txt"
+    old = before.read_bytes()
+    manager = StubbornOutlet(Once.refuse, kind=Once)
+    manager.poses[:] = calibrated.poses
+    with robot(manager) as address:
+        assert apply(capsys, before, address)[0] == 2
+        assert manager.poses[:, :3].any(), "half way"
+        assert apply(capsys, before, address)[0] == 0
+    assert not manager.poses[:, :3].any(), "all back"
+    assert before.read_bytes() == old
+    assert read_icub(sample / "before-r_forearm-undone.txt")[:, :3].any()
+
+
 @pytest.mark.parametrize("answer", [["Unknown command."], [], [2], [1]])
 def test_any_other_answer_to_a_change_is_a_refusal(capsys, sample, answer):
     manager = StubbornOutlet(lambda *_: answer)

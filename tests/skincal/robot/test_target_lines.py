@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
+from skincal.model.scene import SECONDS_MOST, SETTING_MOST
 from skincal.robot.target_lines import (
     GREETING,
     LINE_MAX,
@@ -63,6 +64,23 @@ def test_a_target_survives_its_line():
         assert line.startswith(start + "- - ")
         read = read_line(line)
         assert (read.channel, read.known, read.frame, read.pose) == (None, known, "", "")
+
+
+def test_what_thresholds_allow_survives_its_line():
+    # A still window of a minute, held twice; the middle of the widest force window.
+    read = read_line(write_line(replace(SHOWN, hold=2.0 * SECONDS_MOST, force=SETTING_MOST / 2.0)))
+    assert (read.hold, read.force) == (120.0, 500_000.0)
+
+
+def test_a_line_is_bounded_whatever_the_names():
+    link = "腕" * 60
+    line = write_line(replace(SHOWN, number=999_999_999, channel=99_999, place=-SHOWN.place, frame=link, pose="é" * 100))
+    assert len(line.encode()) <= LINE_MAX
+    read = read_line(line)
+    assert read.frame == link[: len(read.frame)] != ""
+    assert read.pose == "é" * len(read.pose) != ""
+    for words in (Judged(3, "腕" * 300), Refused("腕" * 300)):
+        assert len(write_line(words).encode()) <= LINE_MAX
 
 
 GOOD = "target 7 204 r 1 0.1 0.2 0.3 0 0 -1 9.5 0.6"

@@ -176,3 +176,21 @@ def test_a_target_that_the_client_cannot_take_is_a_fault(server):
             assert time.monotonic() < end
             time.sleep(0.01)
         assert found == [Answer(AnswerKind.FAULT, 1, "no such taxel")]
+
+
+@pytest.mark.parametrize("garbage", [b"x" * 2000, b"target 1 2\n"])
+def test_the_client_comes_again_after_what_is_no_line(garbage):
+    heard = []
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listening,
+        closing(TargetClient("127.0.0.1", listening.getsockname()[1], heard.append)),
+    ):
+        listening.settimeout(PATIENCE_S)
+        with listening.accept()[0] as first:
+            first.sendall(garbage)
+            with listening.accept()[0] as second:
+                second.sendall(b"wait\n")
+                end = time.monotonic() + PATIENCE_S
+                while heard != [NoTarget.WAIT]:
+                    assert time.monotonic() < end
+                    time.sleep(0.01)

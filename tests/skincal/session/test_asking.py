@@ -43,12 +43,14 @@ class Course:
     """A session as the asking sees it, at times that the test gives."""
 
     def __init__(self, *pokes):
-        self.asking = PokeAsking(load_scene(resource("scenes/flat-patch/scene.toml")))
+        scene = load_scene(resource("scenes/flat-patch/scene.toml"))
+        self.asking, self.thresholds = PokeAsking(scene), scene.contacts
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
-    def at(self, now_s, guidance, *, streaming=True):
-        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", missed_landmarks=self.missed, at_landmarks=self.landmarks)
-        return self.asking.follow(guidance, snapshot, now_s, streaming=streaming)
+    def at(self, now_s, guidance, *, measuring=True):
+        at = {"at_landmarks": self.landmarks, "missed_landmarks": self.missed, "thresholds": self.thresholds}
+        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", **at)
+        return self.asking.follow(guidance, snapshot, now_s, measuring=measuring)
 
     def asked(self, now_s, guidance):
         """The one target that is said now."""
@@ -68,14 +70,22 @@ def test_a_target_says_what_the_guide_shows_once_and_all_that_a_robot_needs():
     assert course.asked(1.2, wants(4)).number == 2, "what changed takes its place"
 
 
+def test_thresholds_that_change_change_what_is_wished():
+    course = Course()
+    course.asked(1.0, wants(3))
+    course.thresholds = replace(course.thresholds, force_min=4.0, force_max=6.0, still_s=0.5)
+    line = course.asked(1.1, wants(3))
+    assert (line.number, line.force, line.hold) == (2, 5.0, 1.0)
+
+
 def test_a_known_point_and_what_is_said_where_there_is_no_target():
     course = Course()
     head = replace(wants(3).target, channel=None, landmark="wrist, top")
     line = course.asked(1.0, wants(3, target=head))
     assert (line.channel, line.known) == (None, True)
     assert course.at(1.1, None) == [NoTarget.ANY]
-    assert course.at(1.2, wants(3), streaming=False) == [NoTarget.WAIT]
-    assert course.at(1.3, wants(3), streaming=False) == []
+    assert course.at(1.2, wants(3), measuring=False) == [NoTarget.WAIT]
+    assert course.at(1.3, wants(3), measuring=False) == []
     assert course.at(1.4, wants(None)) == [NoTarget.ENOUGH]
     assert course.asked(1.5, wants(3)).number == 2
 

@@ -112,6 +112,22 @@ class Resting:
         return round(self.line.now * 1e9)
 
 
+def test_nobody_is_asked_to_press_while_nothing_measures():
+    rig = Resting()
+    rig.hear(LinkState.LOST)
+    rig.guide.step(rig.now_ns)
+    assert rig.said == [NoTarget.WAIT], "no device was ever there"
+    rig.hear()
+    assert isinstance(rig.run(1.0), PokeTarget)
+    rig.pipeline.feed(LinkEvent(rig.links[0].name, rig.now_ns, LinkState.LOST))
+    rig.guide.step(rig.now_ns + 30_000_000)
+    assert rig.said[-1] is NoTarget.WAIT
+    rig.hear()
+    assert isinstance(rig.run(1.0), PokeTarget), "again"
+    rig.guide.step(rig.now_ns + 2_100_000_000)
+    assert rig.said[-1] is NoTarget.WAIT, "silent"
+
+
 def test_a_robot_that_skips_is_asked_for_another_poke():
     rig = Resting()
     rig.hear()

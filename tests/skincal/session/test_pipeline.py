@@ -122,6 +122,21 @@ def test_the_end_of_the_last_recording_settles_the_last_poke():
     assert outcomes_of(pipeline)[0].final
 
 
+def test_a_poke_is_measured_while_samples_come_from_a_sensor_that_lives():
+    items = as_chunks(Script(small_scene()).quiet().samples)
+    pipeline, now_ns = played(items), items[-1].host_ns
+    assert not Pipeline(small_scene(), LINKS, None).measures(now_ns)
+    assert pipeline.measures(now_ns)
+    for link in LINKS:
+        played_on = played(items)
+        played_on.feed(LinkEvent(link.name, now_ns, LinkState.LOST))
+        assert not played_on.measures(now_ns), link.name
+    items = as_chunks(Script(small_scene(), force_noise=0.1).quiet(5.0).samples, per_frame=1)
+    end_ns = items[-1].host_ns
+    assert played(items).measures(end_ns)
+    assert not played(repeating(items, end_ns - 2_000_000_000, end_ns)).measures(end_ns), "frozen"
+
+
 def arm_scene():
     chain = (DhLink(0.1, 0.0, 0.0, 0.0), DhLink(0.2, 0.0, 0.5, 0.0))
     return small_scene(arm=ArmSpec(Arm((1, 2), chain, np.eye(4)), {"up": np.array([0.1, 0.2]), "down": np.array([0.4, 0.6])}))
@@ -133,8 +148,11 @@ def test_a_chosen_pose_goes_into_the_contact():
     assert pipeline.snapshot().link_from_sensor is None
     pipeline.act(SetPose("down"), 0)
     assert pipeline.snapshot().pose == "down"
-    for item in as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples):
+    items = as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples)
+    for item in items:
         pipeline.feed(item)
+    assert pipeline.measures(items[-1].host_ns)
+    assert not played(items, scene).measures(items[-1].host_ns), "where no pose is known a poke is of no use"
     (contact,) = outcomes_of(pipeline)
     assert contact.pose == "down"
     np.testing.assert_array_equal(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4, 0.6])))

@@ -76,7 +76,7 @@ def guided_to_the_end(part, wrench, skin):
             if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
                 break
             # As the line that another process gets.
-            for said in asking.follow(guidance, snapshot, line.now, streaming=True):
+            for said in asking.follow(guidance, snapshot, line.now, measuring=True):
                 operator.show(read_line(write_line(said) + "\n"))
     return pipeline, rig, guidance
 
