@@ -13,7 +13,7 @@ from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import GAP
 from app.units import count
-from skincal.model.readings import LinkHealth
+from skincal.model.readings import LinkHealth, Stream
 from skincal.sentences import beside_words
 
 BEHIND_SAID_S = 0.6
@@ -72,8 +72,8 @@ class LinkCard(QFrame):
         grid.addWidget(self.detail, 2, 1, 1, 2)
         grid.addWidget(self.losses, 3, 1, 1, 2)
 
-    def set(self, words: LinkWords, health: LinkHealth) -> None:
-        """Show how the link does."""
+    def set(self, words: LinkWords, health: LinkHealth, unpaired: int) -> None:
+        """Show how the link does; `unpaired` skin frames found no wrench, which is said where the wrench comes from."""
         self.sign.setText(link_sign(words.look))
         self.sign.setToolTip(plain_tip(words.look.value))
         self.name.setText(words.name)
@@ -88,11 +88,14 @@ class LinkCard(QFrame):
         self.detail.setVisible(bool(words.detail))
         lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
         said = f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost")
-        self.losses.setText("\n".join(filter(None, (health.units, beside_words(health.beside), said))))
+        late = ""
+        if unpaired and Stream.WRENCH in health.carries:
+            late = f"{count(unpaired, 'skin frame')} had no wrench at their time: it came late, in bursts, or not at all."
+        self.losses.setText("\n".join(filter(None, (health.units, beside_words(health.beside), said, late))))
 
 
 class DevicesPanel(QScrollArea):
-    """One card a link, and what was lost between them."""
+    """One card a link."""
 
     change_wanted = Signal()
     """The devices are elsewhere."""
@@ -100,7 +103,6 @@ class DevicesPanel(QScrollArea):
     def __init__(self) -> None:
         super().__init__()
         self.cards: dict[str, LinkCard] = {}
-        self.unpaired = quiet(wrap=True)
         self.change = QPushButton("Change addresses\N{HORIZONTAL ELLIPSIS}  (A)")
         self.change.clicked.connect(self.change_wanted)
         self._shown: tuple[object, ...] = ()
@@ -108,7 +110,6 @@ class DevicesPanel(QScrollArea):
         inner = on_panel(self)
         self._column = QVBoxLayout(inner)
         self._column.setContentsMargins(GAP, GAP, GAP, GAP)
-        self._column.addWidget(self.unpaired)
         self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addStretch(1)
         self.setWidget(inner)
@@ -127,14 +128,12 @@ class DevicesPanel(QScrollArea):
         for name in self.cards.keys() - {words.name for words in links}:
             self.cards.pop(name).deleteLater()
         for words, health in zip(links, state.live.links, strict=True):
-            self._card(words.name).set(words, health)
-        missing = state.live.losses_unpaired
-        self.unpaired.setText(f"{count(missing, 'skin frame')} without a wrench." if missing else "")
+            self._card(words.name).set(words, health, state.live.losses_unpaired)
 
     def _card(self, name: str) -> LinkCard:
         if name not in self.cards:
             self.cards[name] = LinkCard()
-            # Above the line of unpaired frames and the stretch.
+            # Above the button and the stretch.
             self._column.insertWidget(len(self.cards) - 1, self.cards[name])
         return self.cards[name]
 

@@ -32,7 +32,7 @@ ADVICE: Mapping[Reason, str] = {
     Reason.TOO_MANY_TAXELS: "Use a smaller tip, or press less.",
     Reason.NOT_CONNECTED: "Something else touches the skin: clear it.",
     Reason.SATURATED: "Beyond the sensor's range: press less.",
-    Reason.READINGS_LOST: "See Devices for what was lost.",
+    Reason.READINGS_LOST: "See Devices for what was lost or late.",
     Reason.NO_TARE: "Keep hands off for half a second before each poke.",
     Reason.TARE_CHANGED: "Keep hands off between pokes; something leaned on the part, or the sensor drifted.",
     Reason.NO_POSE: "Choose the arm pose, or connect its joints.",

@@ -6,7 +6,7 @@ ATI manuals 9620-05 (Net F/T) and 9610-05 (Axia); public clients of the OptoForc
 
 The link hands on packets (`framing.pack`): the page first, `PAGE`, then each datagram, `RECORDS`. The host asks again for
 the stream after a second of silence: the sensor was switched off, or another program stole the stream, since a sensor has
-one listener. Records carry no time in a known unit: they are dated by their count.
+one listener. Records carry no time in a known unit: they are dated by their numbers.
 """
 
 from __future__ import annotations
@@ -210,13 +210,14 @@ class RdtDecoder(PieceDecoder):
 
     def _counted(self, number: int) -> bool:
         """Count what is missing before a record; return False for one that was overtaken or came twice."""
-        last = self._last
-        step = 1 if last is None else (number - last) % NUMBERS
-        if step == 0 or NUMBERS - step <= REORDERED:
+        last, step = self._last, 0 if self._last is None else (number - self._last) % NUMBERS
+        if last is not None and (step == 0 or NUMBERS - step <= REORDERED):
             return False
         self._last = number
-        if step >= NUMBERS // 2:
-            step = 1
+        if last is None or step >= NUMBERS // 2:
+            # It began, or began anew with its numbers, which those who date its records see.
+            self._total = number
+            return True
         if step > 1:
             self.counts[Loss.MISSING] += step - 1
         self._total += step

@@ -11,8 +11,11 @@ from cobs import cobs as reference_cobs
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
+from skincal.streams.decoders.framing import pack
+from skincal.streams.decoders.rdt import RECORDS
 from skincal.streams.intake import INTERPOLATE_S, RING_READINGS, WAIT_S, Intake, Pairing, WrenchRing
 from skincal.streams.links import LinkSpec
+from tests.skincal.streams.maker_records import rdt_packets, rdt_record
 
 LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
 SLOPE = np.array([1.0, -2.0, 0.5, 0.1, 0.2, -0.3])
@@ -375,3 +378,31 @@ def test_unknown_links_and_formats_are_named():
         Intake(4, (LINKS[0], LINKS[0]))
     with pytest.raises(InputError, match="'xml'"):
         Intake(4, (LinkSpec("wrench", "a", (Stream.WRENCH,), "xml"),))
+
+
+def held_up(ready_s, rng):
+    """Return when bytes arrive on a busy machine: half the time it is late for up to a second, by 20 to 200 ms."""
+    begins = ready_s[0] + np.cumsum(rng.uniform(0.5, 2.0, 100))
+    for begin, length, late in zip(begins, rng.uniform(0.3, 1.0, 100), rng.uniform(0.02, 0.2, 100), strict=True):
+        ready_s = np.where((ready_s >= begin) & (ready_s < begin + length), ready_s + late, ready_s)
+    # In order, and by the turns of 10 ms that the program gets.
+    return np.ceil(np.maximum.accumulate(ready_s) / 0.01) * 0.01
+
+
+def test_numbered_wrench_is_paired_on_a_machine_that_is_late_for_a_while():
+    """RDT records carry numbers and no time: a number tells a late record from a lost one."""
+    made = np.arange(40_000) * 0.001
+    lost = np.isin(np.arange(40_000), [15_000, 15_001, 22_222])
+    arrived = START + held_up(made + 0.001, np.random.default_rng(11))
+    items = [*rig(0), Chunk("wrench", int(START * 1e9), rdt_packets([]))]
+    for at in np.unique(arrived):
+        due = np.flatnonzero((arrived == at) & ~lost)
+        records = [rdt_record(k + 1, np.round(ramp(made[k]) * 1e6).astype(int)) for k in due]
+        frames = [frame(1, k // 20, 77_000 + k * 1000, np.zeros(4, "<u2").tobytes()) for k in due if k % 20 == 0]
+        items.append(Chunk("wrench", round(at * 1e9), b"".join(pack(RECORDS, record) for record in records)))
+        items.append(Chunk("skin", round(at * 1e9), b"".join(frames)))
+    intake = Intake(4, (LinkSpec("wrench", "netft://h", (Stream.WRENCH,)), LINKS[1]))
+    settled = [sample for sample in feed_all(intake, items) if sample.host_s > START + 10.0]
+    assert len(settled) >= 30 * 50 - 5
+    error_s = [sample.wrench[0] - ramp(sample.host_s - START - 0.0105)[0] for sample in settled]
+    assert np.max(np.abs(error_s)) < 0.01

@@ -231,3 +231,28 @@ def test_a_steady_stream_is_mapped_together_but_for_the_ends_of_buckets():
             stamps = stamps[len(made) or 1 :]
     # One a bucket of a quarter of a second.
     assert alone <= 20.0 / 0.25 + 2
+
+
+def test_numbered_device_tells_a_late_reading_from_a_lost_one():
+    """Late by 60 ms for a second: without numbers that looks like a loss, and the readings after it like any others."""
+    made = np.delete(100 + np.arange(60 * 1000) * 0.001, np.arange(20_000, 20_700))
+    arrival = np.maximum.accumulate(made + 0.002 + 0.06 * (made % 5.0 > 4.0))
+    numbers = np.round((made - 100) * 1000).astype(int)
+    clock = IndexClock()
+    mapped = np.array([clock.map(y, n) for y, n in zip(arrival.tolist(), numbers.tolist(), strict=True)])
+    np.testing.assert_allclose(mapped[3000:], made[3000:] + 0.002, atol=1e-3)
+
+
+def test_device_that_numbers_anew_is_dated_at_once():
+    made = np.delete(100 + np.arange(20 * 1000) * 0.001, np.arange(9000, 10_200))
+    numbers = np.where(made < 109, 5000 + np.arange(len(made)), np.arange(len(made)) - 9000)
+    clock = IndexClock()
+    mapped = np.array([clock.map(y, n) for y, n in zip((made + 0.002).tolist(), numbers.tolist(), strict=True)])
+    np.testing.assert_allclose(mapped, made + 0.002, atol=1e-6)
+
+
+def test_numbered_device_whose_pace_is_halved_is_followed_in_the_end():
+    made = 100 + np.cumsum(np.where(np.arange(40_000) < 10_000, 0.001, 0.002))
+    clock = IndexClock()
+    mapped = np.array([clock.map(y, n) for n, y in enumerate((made + 0.002).tolist())])
+    np.testing.assert_allclose(mapped[made > 135.0], made[made > 135.0] + 0.002, atol=1e-3)

@@ -226,6 +226,14 @@ def test_rdt_counts_what_is_missing_and_leaves_out_what_was_overtaken():
     assert (len(found), decoder.counts.total()) == (3, 0)  # it began anew
 
 
+@pytest.mark.parametrize(
+    ("sent", "told"), [((2**32 - 1, 0, 3), (2**32 - 1, 2**32, 2**32 + 3)), ((500_000, 1, 2), (500_000, 1, 2))]
+)
+def test_rdt_numbers_go_on_over_the_wrap_and_begin_anew_with_the_sensor(sent, told):
+    batches = make_decoder("rdt", None, WRENCH).feed(records.rdt_packets([records.rdt_record(n) for n in sent]))
+    assert [number for batch in batches for number in batch.seq.tolist()] == list(told)
+
+
 def test_rdt_units_and_pages_that_are_none():
     page = b"<cfgcpf>1000</cfgcpf><scfgfu>lbf</scfgfu><cfgcpt>2000</cfgcpt><scfgtu>lbf-in</scfgtu>"
     sensor = read_page(page)
