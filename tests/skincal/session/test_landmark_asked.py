@@ -83,7 +83,7 @@ def test_a_poke_that_was_on_its_way_is_not_at_it_and_none_is_once_nothing_is_ask
 def test_a_landmark_that_is_not_there_cannot_be_asked_for_and_asking_changes_nothing_that_is_known(scene):
     pipeline = Pipeline(scene, LINKS, None)
     before = pipeline.snapshot()
-    with pytest.raises(InputError, match="head, tail"):
+    with pytest.raises(InputError, match="'head', 'tail'"):
         pipeline.act(AskLandmark("nose"), 1)
     pipeline.act(AskLandmark("head"), 2)
     assert pipeline.asked_landmark == "head"
