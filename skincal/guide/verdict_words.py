@@ -61,7 +61,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Closing", closing_words(verdict.closings)),
         ("Predicted", predicted_words(verdict)),
-        ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
+        ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
     )
 
 
