@@ -54,11 +54,12 @@ class Packets:
 class Frames:
     """Cuts frames of one `length` that begin with `head` and fit `good`; a run of other bytes is one None.
 
-    After bytes that are no frame the search goes on at the next byte: a head may stand inside a frame, too.
+    After bytes that are no frame the search goes on at the next byte: a head may stand inside a frame, too. What the device
+    says between frames, `between`, shorter than one, is as if it were not there.
     """
 
-    def __init__(self, head: bytes, length: int, good: Callable[[bytes], bool]) -> None:
-        self._head, self._length, self._good = head, length, good
+    def __init__(self, head: bytes, length: int, good: Callable[[bytes], bool], between: bytes = b"") -> None:
+        self._head, self._length, self._good, self._between = head, length, good, between
         self._rest = b""
         self._lost = False
 
@@ -77,6 +78,9 @@ class Frames:
                 pieces.append(frame)
                 at += self._length
                 self._lost = False
+                continue
+            if self._between and not self._lost and rest.startswith(self._between, at):
+                at += len(self._between)
                 continue
             if not self._lost:
                 pieces.append(None)

@@ -24,6 +24,8 @@ SIZES = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
 COUNT_MAX = 32767
 STOP = b"\xff" * 50
 START = bytes.fromhex("0910019A0001020200CDCA")
+STARTED = bytes.fromhex("0910019A00012152")
+"""The answer to that, before the stream."""
 TEXT_MAX = 200
 """Bytes of one reading as text."""
 
@@ -79,7 +81,7 @@ class RobotiqDecoder(PieceDecoder):
     no_piece: ClassVar[Loss] = Loss.BAD_CHECKSUM
 
     def _make_splitter(self) -> Pieces:
-        return Frames(HEAD, FRAME.size, _is_frame)
+        return Frames(HEAD, FRAME.size, _is_frame, STARTED)
 
     def _decode(self, piece: bytes) -> Loss | None:
         _, *counts, _ = FRAME.unpack(piece)

@@ -290,6 +290,7 @@ def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
                 outlet._streams = False  # its power was off
             readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 9, intake)
             assert outlet._streams
+            assert Loss.BAD_CHECKSUM not in intake.health(0)[0].losses, "its answer to the start is no loss"
         end = time.monotonic() + PATIENCE_S
         while outlet._streams and time.monotonic() < end:
             time.sleep(0.01)

@@ -15,7 +15,7 @@ from skincal.streams.decoders.bota import BotaDecoder, crc_x25
 from skincal.streams.decoders.detect import NAMES, LinkDecoder, make_decoder
 from skincal.streams.decoders.framing import pack
 from skincal.streams.decoders.rdt import given_page, read_page
-from skincal.streams.decoders.robotiq import COUNT_MAX, FRAME, HEAD, crc_modbus
+from skincal.streams.decoders.robotiq import COUNT_MAX, FRAME, HEAD, START, STARTED, crc_modbus
 from tests.skincal.streams import maker_records as records
 
 WRENCH, SKIN, JOINTS = (Stream.WRENCH,), (Stream.SKIN,), (Stream.JOINTS,)
@@ -164,10 +164,23 @@ def test_robotiq_vectors():
     (row,), _ = decode("robotiq-text", b"0 , 0.0625)" + records.ROBOTIQ_TEXT)
     assert row[1] == list(records.WRENCH)
     assert crc_modbus(b"123456789") == 0x4B37
-    assert crc_modbus(bytes.fromhex("0910019A0001020200")) == 0xCACD
+    for words in (START, STARTED):
+        assert crc_modbus(words[:-2]) == int.from_bytes(words[-2:], "little")
     batch = make_decoder("robotiq", None, WRENCH).feed(robotiq([COUNT_MAX, 0, 0, 0, 0, 0]))[0]
     assert batch.saturated.tolist() == [True]
     assert FRAME.size == 16
+
+
+@pytest.mark.parametrize("size", [1, 5, 200])
+@pytest.mark.parametrize(
+    ("answer", "bad"), [(STARTED, 0), (STARTED * 2, 0), (STARTED[:-1] + b"?", 1)], ids=["once", "twice", "damaged"]
+)
+def test_a_robotiq_that_was_started_again_lost_nothing(size, answer, bad):
+    decoder = make_decoder("robotiq", None, WRENCH)
+    data = records.ROBOTIQ * 2 + answer + records.ROBOTIQ * 2
+    read = rows([batch for at in range(0, len(data), size) for batch in decoder.feed(data[at : at + size])])
+    assert [row[1] for row in read] == [list(records.RDT_WRENCH)] * 4
+    assert decoder.counts == ({Loss.BAD_CHECKSUM: 1} if bad else {})
 
 
 def test_rdt_vectors():
