@@ -15,6 +15,7 @@ from app.theme import HEADLINE_PT, RESULT_PT
 from tests.app.test_commands import dialog_of, gone, tap
 from tests.app.whole_window import Bench
 from tests.app.window_support import is_elided
+from tests.approved import approved
 
 Key = Qt.Key
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -117,7 +118,7 @@ def test_at_200_per_cent_the_window_stays_on_a_screen_of_720_pixels_with_every_t
     assert workspace.now.geometry().bottom() <= workspace.height()
     # The name at its end is what the operator needs.
     workspace.now.simulated.setText("SIMULATED  1\N{MULTIPLICATION SIGN}")
-    workspace.now.say(Now(Tone.CALM, "poke the landmark elbow, inner"))
+    workspace.now.say(Now(Tone.CALM, approved("landmark.ask", name="elbow, inner")))
     bench.qtbot.wait(50)
     assert not is_elided(workspace.now.headline)
     assert workspace.now.headline.fitted().pointSizeF() > RESULT_PT
