@@ -20,7 +20,7 @@ from PySide6.QtGui import QAction
 from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import LAYERS, Commands
-from app.dialogs.apply_dialog import ApplyDialog
+from app.dialogs.apply_dialog import ApplyDialog, offered_port
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.landmark_dialog import LandmarkPicking
@@ -671,8 +671,9 @@ class SessionView(QObject):
         def verdict_of(method: Method) -> str:
             return verdict_sentence(self.guide.verdict(snapshot, method, evidence, rig))
 
-        address = str(settings.value("apply/address", ""))
+        address = str(settings.value("apply/address", "")) or offered_port(link.address for link in self._controller.links)
         dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, parent)
+        dialog.address.textEdited.connect(lambda typed: settings.setValue("apply/address", typed.strip()))
 
         def send(address: str, method: Method) -> None:
             settings.setValue("apply/address", address)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QListWidget, QVBoxLayout, QWidget
 
 from app.panels.widgets import plain_buttons, quiet
@@ -12,6 +13,13 @@ from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
 USUAL = "yarp:/skinManager/rpc"
+SERVER = "yarp://"
+
+
+def offered_port(links: Iterable[str]) -> str:
+    """Return the usual address of skinManager's port, by the name server that the addresses of a session name, if any do."""
+    servers = [link.removeprefix(SERVER).partition("/")[0] for link in links if link.startswith(SERVER)]
+    return f"{SERVER}{servers[0]}/{USUAL.partition('/')[2]}" if servers else USUAL
 
 
 class ApplyDialog(QDialog):
@@ -32,7 +40,7 @@ class ApplyDialog(QDialog):
         self.setWindowTitle("Apply to the robot")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self._verdict_of = verdict_of
-        self.address = QLineEdit(address or USUAL)
+        self.address = QLineEdit(address)
         self.method = QComboBox()
         for method in methods:
             self.method.addItem(METHOD_NAMES[method], method)
@@ -63,7 +71,17 @@ class ApplyDialog(QDialog):
         plain_buttons(self.buttons)
         self.setMinimumWidth(560)
         # A robot is changed on purpose: Space and Enter close.
-        self.buttons.button(QDialogButtonBox.StandardButton.Close).setDefault(True)
+        close = self.buttons.button(QDialogButtonBox.StandardButton.Close)
+        close.setDefault(True)
+        close.setFocus()
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Go on with Enter from the address to the button that sends, which another key presses."""
+        if self.address.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self.apply.setFocus()
+            event.accept()
+            return
+        super().keyPressEvent(event)
 
     def show_end(self, sentence: str, lines: Sequence[str], *, good: bool) -> None:
         """Say what became of it, with every question and its answer."""

@@ -234,7 +234,7 @@ class NewSessionDialog(QDialog):
         self.setWindowTitle("New session" if present is None else "Device addresses")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self._known, self._present = tuple(known), present
-        self._note = CHANGING if present is not None else f"{NO_DEVICE} {WAITS}" if waits else NO_DEVICE
+        self._waits, self._note = waits, quiet(wrap=True)
         self.scene = QComboBox()
         self.scene.setEditable(True)
         self.scene.setAccessibleName("scene")
@@ -287,7 +287,8 @@ class NewSessionDialog(QDialog):
         form.addWidget(self.pose, at + 1, 1, 1, 3)
         if new:
             _add_row(form, "&Folder", self.folder, self.browse_folder)
-        form.addWidget(quiet(self._note, wrap=True), form.rowCount(), 0, 1, 4)
+        self._show_note()
+        form.addWidget(self._note, form.rowCount(), 0, 1, 4)
         form.addWidget(self.objection, form.rowCount(), 0, 1, 4)
         form.setRowStretch(form.rowCount(), 1)
         self._finish(inner)
@@ -301,7 +302,7 @@ class NewSessionDialog(QDialog):
         self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.area.setWidget(inner)
         start = self.buttons.button(QDialogButtonBox.StandardButton.Ok)
-        start.setText("Start" if self._present is None else "Use these")
+        start.setText("St&art" if self._present is None else "&Use these")
         plain_buttons(self.buttons)
         for button in self.findChildren(QPushButton):
             button.setAutoDefault(False)
@@ -322,6 +323,7 @@ class NewSessionDialog(QDialog):
         for row in self.rows.values():
             row.agreed.connect(self._look_at_addresses)
             row.field.textChanged.connect(self._follow_pose)
+            row.field.textChanged.connect(self._show_note)
         self.scene.currentTextChanged.connect(self._read_scene)
         self._timer = QTimer(self)
         self._timer.setInterval(LOOK_MS)
@@ -340,11 +342,17 @@ class NewSessionDialog(QDialog):
         self._take_scene(scene)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Leave Enter in a field to the field: it connects, and starts nothing."""
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and isinstance(self.focusWidget(), QLineEdit | QComboBox):
+        """Leave Enter in a field to the field: it connects, and starts nothing; in that of the folder it starts."""
+        field = isinstance(self.focusWidget(), QLineEdit | QComboBox) and self.focusWidget() is not self.folder
+        if field and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             event.accept()
             return
         super().keyPressEvent(event)
+
+    def _show_note(self) -> None:
+        rig = "" if any(row.address for row in self.rows.values()) else NO_DEVICE
+        words = f"{rig} {WAITS if self._waits else ''}".strip()
+        self._note.setText(words if self._present is None else CHANGING)
 
     # What is there, and what it says
 

@@ -64,7 +64,7 @@ MethodOption = Annotated[
 def add_to(app: typer.Typer) -> None:
     """Add the commands of this module."""
     app.command(epilog="Example: skincal solve my-session --out results")(solve)
-    told = f"Write the calibration file of a session. Formats:\n\n{formats_help()}"
+    told = f"Write the calibration file of a session.\n\nFormats:\n\n{formats_help()}"
     app.command(help=told, epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
 
 

@@ -28,6 +28,8 @@ def verdict_sentence(verdict: Verdict) -> str:
     else:
         done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
     early = "" if verdict.enough else "Not enough yet: "
+    if early and verdict.done == verdict.used:
+        early, done = "Not enough yet, though ", f"all{done.removeprefix('All')}"
     left = verdict.landmarks_left if verdict.done == verdict.used else 0
     asked = f", {plural(left, 'poke')} at landmarks to go" if left else ""
     return f"{early}{done}{asked}{_agreement(verdict)}."
@@ -59,7 +61,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Closing", closing_words(verdict.closings)),
         ("Predicted", predicted_words(verdict)),
-        ("Work", f"{plural(verdict.pokes, 'poke')} in {_minutes(verdict.seconds)}"),
+        ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
     )
 
 

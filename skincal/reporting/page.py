@@ -242,7 +242,7 @@ def _errors(facts: SessionFacts) -> ReportSection:
 
 
 METHOD_HEADINGS = (
-    "Method", "Taxels", "Predicted", "of it the whole skin", "among taxels", "True error, mean", "sd", "95 %", "worst",
+    "Method", "Taxels", "Predicted, rms", "of it the whole skin", "among taxels", "True error, mean", "sd", "95 %", "worst",
     "Neighbours / layout", "Solved in",
 )  # fmt: skip
 MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95 %", "Worst")

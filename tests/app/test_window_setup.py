@@ -13,7 +13,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.dialogs.new_session import WAITS, NewSessionDialog
+from app.dialogs.new_session import NO_DEVICE, WAITS, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
@@ -451,3 +451,13 @@ def test_the_page_asks_for_the_arm_pose_where_no_joints_say_it(bench, device, qt
         QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
     bench.until(lambda: bench.window.session_view.state is not None, 10_000)
     assert bench.snapshot.pose == chosen
+
+
+def test_enter_in_the_folder_starts_and_the_simulated_rig_is_told_of_only_without_devices(page, qtbot):
+    assert NO_DEVICE in {label.text() for label in page.findChildren(QLabel)}
+    page.fields["wrench"].setText("netft://192.0.2.1")
+    assert NO_DEVICE not in {label.text() for label in page.findChildren(QLabel)}
+    page.fields["wrench"].setText("")
+    page.folder.setFocus()
+    with qtbot.waitSignal(page.request_chosen, timeout=5000):
+        QTest.keyClick(page.folder, Key.Key_Return)

@@ -7,7 +7,7 @@ import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
-from app.dialogs.apply_dialog import ApplyDialog
+from app.dialogs.apply_dialog import USUAL, ApplyDialog, offered_port
 from app.session.opening import OpenRequest
 from app.session.recording import Storage
 from app.text.message import NO_SESSION
@@ -47,7 +47,16 @@ def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench
         assert not manager.poses.any(), "a key that goes on elsewhere does not change a robot"
 
         dialog = asked(bench)
-        dialog.address.setText(address)
+        dialog.address.setFocus()
+        dialog.address.selectAll()
+        QTest.keyClicks(dialog.address, address)
+        QTest.keyClick(dialog.address, Qt.Key.Key_Return)
+        assert dialog.isVisible(), "Enter after the address closes nothing"
+        assert dialog.focusWidget() is dialog.apply
+        dialog.reject()
+        dialog = asked(bench)
+        assert dialog.address.text() == address, "what was typed is remembered"
+        assert not manager.poses.any()
         dialog.apply.click()
         assert not dialog.apply.isEnabled()
         dialog.reject()
@@ -90,3 +99,8 @@ def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_wo
     monkeypatch.undo()
     dialog.reject()
     bench.until(lambda: not bench.window.findChildren(ApplyDialog), OPEN_MS)
+
+
+def test_the_port_is_asked_for_at_the_name_server_of_the_session():
+    assert offered_port(["/dev/ttyUSB0", "yarp:/icub/skin"]) == USUAL
+    assert offered_port(["/dev/ttyUSB0", "yarp://10.0.0.1:10000/icub/skin"]) == "yarp://10.0.0.1:10000/skinManager/rpc"

@@ -82,6 +82,10 @@ def verdict(
         (verdict(checked=Check(11, 8), landmarks=None), approved("verdict.all_done_hardly", count=24, target_mm=3)),
         (verdict(checked=Check(4, 4), landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
         (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_against", count=24, target_mm=3)),
+        (
+            replace(verdict(), enough=False, landmarks_left=6),
+            approved("verdict.landmarks_to_go", count=24, target_mm=3, left=6),
+        ),
         (verdict(UNUSED, used=0), approved("verdict.none_used")),
         (verdict(used=0), approved("verdict.none_answered")),
     ],
@@ -101,7 +105,7 @@ def test_the_figures_are_those_of_the_verdict():
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
         ("Closing", approved("closing.none")),
         ("Predicted", approved("verdict.predicted_apart", every_mm="1.3", whole_mm="1.2", among_mm="0.5")),
-        ("Work", "252 pokes in 9 min"),
+        ("Work", approved("verdict.work", pokes=252, minutes=9)),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
     hardly = check_words(verdict(checked=Check(11, 8)))
