@@ -33,7 +33,9 @@ def sending(maker, stream):
             outlet.poll()
             count += 1
             if stream is Stream.WRENCH:
-                outlet.write(encoder.wrenches(np.array([count * 10_000]), np.array([[1.0, 2, 3, 0.1, 0.2, 0.3]])))
+                # A sensor that repeats one reading is taken for frozen.
+                force = 1.0 + 1e-3 * (count % 2)
+                outlet.write(encoder.wrenches(np.array([count * 10_000]), np.array([[force, 2, 3, 0.1, 0.2, 0.3]])))
             else:
                 outlet.write(encoder.skin(count * 10_000, np.arange(4.0)))
 
