@@ -33,8 +33,9 @@ CHECKS = {
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
 """Name of each check, and the arguments for Python: long ones first, so that two cores are done at about the same time."""
-AT_ONCE = 2
-"""Checks that run beside each other: each takes one core, and more would lengthen what some tests measure."""
+AT_ONCE = 3
+"""Checks that run beside each other on two cores: tests of devices and windows wait a quarter of their time. What measures
+time is among `QUIET`."""
 QUIET = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
 """Tests that nothing may run beside."""
 

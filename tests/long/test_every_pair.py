@@ -1,0 +1,12 @@
+"""A whole guided session over every pair of protocols. By its name: `python3 -m pytest tests/long/test_every_pair.py`."""
+
+import pytest
+
+from tests.skincal.simulate import test_guided_protocols as guided
+
+part = guided.part
+
+
+@pytest.mark.parametrize(("wrench", "skin"), guided.all_pairs())
+def test_a_guided_session_over_each_pair_comes_to_its_end(part, wrench, skin):
+    guided.come_to_the_end(part, wrench, skin)
