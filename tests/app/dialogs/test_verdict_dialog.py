@@ -302,7 +302,7 @@ def test_the_verdict_of_the_open_session_leads_to_its_file(bench, recorded):
     bench.until(lambda: any(isinstance(w, VerdictDialog) and w.isActiveWindow() for w in QApplication.topLevelWidgets()), 5000)
     dialog = next(w for w in QApplication.topLevelWidgets() if isinstance(w, VerdictDialog))
     assert dialog.sentence.text().startswith(approved("verdict.not_enough_begin", done=0, count=84))
-    assert {name: value.text() for name, value in dialog.figures}["Work"] == "3 pokes on the skin that count, in 1 min"
+    assert {name: value.text() for name, value in dialog.figures}["Work"] == approved("verdict.work", pokes=3, minutes=1)
     assert dialog.left.model().rowCount() == 84
     on_map = pixels(session_view.workspace.map)
     dialog.left.setFocus()
