@@ -28,7 +28,18 @@ from PySide6.QtWidgets import (
 
 from app.dialogs.new_session import shipped_scenes
 from app.panels.drop_target import DropTarget
-from app.panels.widgets import Painted, fit_rows, fit_to_screen, plain_buttons, plain_tip, put_rows, quiet, table
+from app.panels.widgets import (
+    Painted,
+    choose_scene,
+    choose_session_folder,
+    fit_rows,
+    fit_to_screen,
+    plain_buttons,
+    plain_tip,
+    put_rows,
+    quiet,
+    table,
+)
 from app.text.import_text import (
     HEADINGS,
     HOLDS_SESSION,
@@ -172,12 +183,12 @@ class ImportDialog(QDialog):
         for stream, field in self.fields.items():
             field.setPlaceholderText(HINTS[stream])
             form.addRow(*self._with_choice(TITLES[stream], field, lambda field=field: self._choose_file(field)))
-        form.addRow(*self._with_choice("&Scene", self.scene, self._choose_scene))
+        form.addRow(*self._with_choice("&Scene", self.scene, lambda: choose_scene(self.scene, self)))
         label = QLabel("Arm &pose")
         label.setBuddy(self.pose)
         self.pose.setAccessibleName("arm pose")
         form.addRow(label, self.pose)
-        form.addRow(*self._with_choice("Session &in", self.folder, self._choose_folder))
+        form.addRow(*self._with_choice("Session &in", self.folder, lambda: choose_session_folder(self.folder, self)))
 
     def _arrange(self) -> None:
         self._fill_form()
@@ -291,16 +302,6 @@ class ImportDialog(QDialog):
         path, _ = QFileDialog.getOpenFileName(self, field.accessibleName(), field.text(), KINDS_OF_FILES)
         if path:
             field.setText(path)
-
-    def _choose_scene(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Scene", self.scene.currentText(), "Scene (*.toml)")
-        if path:
-            self.scene.setEditText(path)
-
-    def _choose_folder(self) -> None:
-        path = QFileDialog.getExistingDirectory(self, "Folder of the new session", str(Path(self.folder.text()).parent))
-        if path:
-            self.folder.setText(path)
 
     def _files_changed(self) -> None:
         self._jobs.drop()

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
     QCompleter,
     QDialog,
     QDialogButtonBox,
-    QFileDialog,
     QGridLayout,
     QHBoxLayout,
     QLabel,
@@ -28,7 +27,7 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.devices import link_sign
-from app.panels.widgets import Painted, digits_font, plain_buttons, quiet, short_box
+from app.panels.widgets import Painted, choose_scene, choose_session_folder, digits_font, plain_buttons, quiet, short_box
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import CURVE_POINTS, Preview, Previews, places_here
 from app.session.recording import stop_all
@@ -314,8 +313,8 @@ class NewSessionDialog(QDialog):
         start.setFocus()
 
     def _connect(self) -> None:
-        self.browse_scene.clicked.connect(self._choose_scene)
-        self.browse_folder.clicked.connect(self._choose_folder)
+        self.browse_scene.clicked.connect(lambda: choose_scene(self.scene, self))
+        self.browse_folder.clicked.connect(lambda: choose_session_folder(self.folder, self))
         self.buttons.accepted.connect(self._try)
         self.buttons.rejected.connect(self.reject)
         self.swap.clicked.connect(self.swap_addresses)
@@ -487,16 +486,6 @@ class NewSessionDialog(QDialog):
         for service in (self._look_for, self._read):
             service.close(0.0)
         super().done(result)
-
-    def _choose_scene(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Scene", self.scene.currentText(), "Scene (*.toml)")
-        if path:
-            self.scene.setEditText(path)
-
-    def _choose_folder(self) -> None:
-        path = QFileDialog.getExistingDirectory(self, "Folder of the new session", str(Path(self.folder.text()).parent))
-        if path:
-            self.folder.setText(path)
 
 
 def _refusal(address: str) -> str:

@@ -6,6 +6,7 @@ import inspect
 from abc import ABCMeta, abstractmethod
 from collections.abc import Sequence
 from html import escape
+from pathlib import Path
 from typing import TypeVar
 
 from PySide6.QtCore import QSize, Qt, Signal
@@ -14,8 +15,10 @@ from PySide6.QtWidgets import (
     QApplication,
     QComboBox,
     QDialogButtonBox,
+    QFileDialog,
     QHeaderView,
     QLabel,
+    QLineEdit,
     QListWidget,
     QListWidgetItem,
     QScrollArea,
@@ -261,3 +264,17 @@ def fit_rows(tree: QTreeWidget, most: int = MOST_ROWS) -> None:
     height = tree.header().sizeHint().height() + row * min(tree.topLevelItemCount(), most) + 2 * tree.frameWidth() + 2
     if tree.height() != height:
         tree.setFixedHeight(height)
+
+
+def choose_scene(box: QComboBox, parent: QWidget) -> None:
+    """Ask for the file of a scene, and put it into an editable box; nothing changes where none is chosen."""
+    path, _ = QFileDialog.getOpenFileName(parent, "Scene", box.currentText(), "Scene (*.toml)")
+    if path:
+        box.setEditText(path)
+
+
+def choose_session_folder(field: QLineEdit, parent: QWidget) -> None:
+    """Ask where a new session is to lie, and put it into a field; nothing changes where nothing is chosen."""
+    path = QFileDialog.getExistingDirectory(parent, "Folder of the new session", str(Path(field.text()).parent))
+    if path:
+        field.setText(path)

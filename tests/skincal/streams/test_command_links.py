@@ -205,11 +205,11 @@ def test_two_commands_are_recorded_and_their_session_never_starts_them(tmp_path,
 
 def test_a_stranger_who_writes_a_command_into_a_session_is_not_obeyed(tmp_path):
     """Not what skincal writes: what it reads."""
-    link = {**link_to_json(LinkSpec("wrench", "x", (Stream.WRENCH,))), "address": "run:touch /tmp/x"}
+    link = {**link_to_json(LinkSpec("wrench", "x", (Stream.WRENCH,))), "address": "run:touch x"}
     document = {"type": "segment", "segment": 1, "format": 3, "scene": "", "links": [link], "host_ns": 0}
     mark = read_document(json.dumps(document).encode(), tmp_path)
     assert isinstance(mark, SegmentMark)
-    assert mark.links[0].address == "ran:touch /tmp/x"
+    assert mark.links[0].address == "ran:touch x"
     with pytest.raises(InputError, match="was recorded from a command"):
         parse_address(mark.links[0].address)
     assert format_of("ran:x", "auto") == format_of("run:x", "auto") == "auto"
