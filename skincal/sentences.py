@@ -105,7 +105,8 @@ def _coarse(metres: float) -> str:
 def closing_sentence(closing: Closing) -> str:
     """Return whether anything moved between a session's first pokes and those made once more at its end."""
     moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
-    where = f"{len(closing.names)} {closing.at.value} that were poked once more"
+    across = "" if closing.seen == 3 else ", across their pushes"
+    where = f"{len(closing.names)} {closing.at.value} that were poked once more{across}"
     if not closing.moved:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"

@@ -107,9 +107,15 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Return that nothing more is asked for: `"enough: 84 of 84 taxels are done"`."""
+    """Return that nothing more is asked for: `"enough: 84 of 84 taxels are done"`, `"enough: 80 of 84 done, 4 given up"`."""
     done, total = _done(guidance, dead)
-    return f"enough: {done} of {count(total, 'taxel')} are done" if total else "no taxel is used"
+    if not total:
+        return "no taxel is used"
+    return (
+        f"enough: {done} of {total} done, {total - done} given up"
+        if done < total
+        else f"enough: {done} of {count(total, 'taxel')} are done"
+    )
 
 
 NOTHING_TO_CHECK = (

@@ -26,7 +26,8 @@ def verdict_sentence(verdict: Verdict) -> str:
         if verdict.method is Method.MODULES:
             done = f"{done} among each other"
     else:
-        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done"
+        given_up = f", {verdict.used - verdict.done} given up" if verdict.enough else ""
+        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done{given_up}"
     early = "" if verdict.enough else "Not enough yet: "
     if early and verdict.done == verdict.used:
         early, done = "Not enough yet, though ", f"all{done.removeprefix('All')}"

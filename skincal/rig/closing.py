@@ -11,6 +11,9 @@ x, q and n have known spreads, so r has a known covariance C; s follows by gener
 S = (X' C^-1 X)^-1 is a chi-squared of three degrees of freedom where nothing moved. A rig that is wrong all along is no
 movement: x is the same in all pokes.
 
+Pokes tell nothing of a movement along their own push. Where all push nearly the same way, as on a flat patch, s is so uncertain
+along it that its length would say nothing: only the directions known to `SEEN` are told, by as many degrees of freedom.
+
 Landmarks do not move on the part: a movement there is the sensor's or the arm's. Taxels do: there it may be the skin's.
 """
 
@@ -35,8 +38,10 @@ FEWEST = 2
 """Places below which nothing is said: a single poke may have been anywhere."""
 CHANCE = 0.01
 """Chance, below which a movement is no accident."""
-INSIDE = 11.345
-"""Chi-squared of three degrees of freedom that all but `CHANCE` stay below."""
+INSIDE = (0.0, 6.635, 9.210, 11.345)
+"""Chi-squared of none to three degrees of freedom that all but `CHANCE` stay below."""
+SEEN = 0.010
+"""m, sd of a movement in a direction, up to which it is told: a movement that matters is seen, at half a finger's width."""
 
 
 class ClosingPlaces(Enum):
@@ -67,11 +72,13 @@ class Closing:
     names: tuple[str, ...]
     """Of the landmarks that were poked once more; of taxels their channels."""
     shift: float
-    """m, how far the part moved against what the sensor and the arm report, by these pokes."""
+    """m, how far the part moved against what the sensor and the arm report, by these pokes, in the directions they see."""
     limit: float
     """m, how far it seems to, in that direction, where nothing moved: 99 times of 100 less."""
     chance: float
     """Of so large a shift where nothing moved, 0 to 1."""
+    seen: int = 3
+    """Directions that the pokes see, each across the others: two where all push nearly the same way, which hides that way."""
     after: int = 0
     """Number of the last poke before the check."""
 
@@ -84,7 +91,7 @@ class Closing:
 def closing_check(
     before: Sequence[LandmarkPoke], after: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
 ) -> Closing | None:
-    """Compare pokes that were made once more with those before; None where they are at too few places.
+    """Compare pokes that were made once more with those before; None where they are at too few places, or see no movement.
 
     Parameters
     ----------
@@ -100,10 +107,16 @@ def closing_check(
     # Solved together: the covariance is factored once.
     solved = np.linalg.solve(covariance, np.column_stack([moves, miss]))
     precision: FloatArray = moves.T @ solved[:, :3]
-    shift = np.asarray(np.linalg.solve(precision, moves.T @ solved[:, 3]), dtype=np.float64)
-    square, size = float(shift @ precision @ shift), float(np.sqrt(shift @ shift))
-    limit = size * sqrt(INSIDE / square) if square > 0 else 0.0
-    return Closing(at, tuple(names), size, limit, _beyond(square))
+    shift = np.linalg.solve(precision, moves.T @ solved[:, 3])
+    # Along each of these axes the movement is known apart from the others.
+    weights, axes = np.linalg.eigh(precision)
+    seen = weights >= SEEN**-2
+    along: FloatArray = (axes.T @ shift)[seen]
+    if not seen.any():
+        return None
+    square, size = float(weights[seen] @ along**2), float(np.sqrt(along @ along))
+    limit = size * sqrt(INSIDE[len(along)] / square) if square > 0 else 0.0
+    return Closing(at, tuple(names), size, limit, _beyond(square, len(along)), len(along))
 
 
 def _passings(
@@ -127,6 +140,9 @@ def _passings(
     return rows.of_place, rows.misses.ravel(), of_rig @ of_rig.T + np.diag(np.repeat(own, 2)) + off
 
 
-def _beyond(square: float) -> float:
-    """Return the chance that a chi-squared of three degrees of freedom is larger."""
-    return erfc(sqrt(square / 2.0)) + sqrt(2.0 * square / pi) * exp(-square / 2.0)
+def _beyond(square: float, freedom: int) -> float:
+    """Return the chance that a chi-squared of one to three degrees of freedom is larger."""
+    if freedom == 2:
+        return exp(-square / 2.0)
+    outside = erfc(sqrt(square / 2.0))
+    return outside if freedom == 1 else outside + sqrt(2.0 * square / pi) * exp(-square / 2.0)

@@ -70,7 +70,7 @@ def verdict(
     [
         (verdict(), approved("verdict.all_done_agree", count=24, target_mm=3)),
         (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, target_mm=3)),
-        (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24)),
+        (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24, left=1)),
         (verdict(EARLY), approved("verdict.not_enough_agree", done=23, count=24)),
         (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, target_mm=3)),
         (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, target_mm=3)),

@@ -16,6 +16,7 @@ from skincal.journal.writer import create_session
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
+from skincal.rig.correction_fit import LandmarkPoke
 from skincal.sentences import closing_sentence
 from skincal.session.closing_pokes import AGAIN, at_taxels, closings_of
 from skincal.session.guiding import SessionGuide
@@ -182,6 +183,33 @@ def test_the_chance_is_what_it_says():
     assert np.mean(np.array(chances) < 0.1) < 0.2
     assert np.mean(np.array(chances) < 0.01) < 0.06
     assert 0.3 < np.mean(np.array(chances) < 0.5) < 0.7
+
+
+def pushed_down(rng: np.random.Generator, moved: tuple[float, float, float] = (0.0, 0.0, 0.0)):
+    """Six landmarks of a flat part, all pushed within 5 degrees of straight down, and three once more after it moved."""
+    places = np.array([[x, y, 0.12] for x in (-0.04, 0.0, 0.04) for y in (-0.02, 0.02)])
+    pokes = []
+    for number, which in enumerate((*range(6), *range(3))):
+        force = 8.0 * np.array([*rng.normal(0.0, np.radians(2.5), 2), -1.0])
+        place = places[which] + (np.array(moved) if number >= 6 else 0.0)
+        moment = np.cross(place, force) + rng.normal(0.0, 0.010, 3)
+        pokes.append(LandmarkPoke(number, str(which), places[which], force, moment, np.eye(4), "home"))
+    return pokes[:6], pokes[6:]
+
+
+def test_nothing_is_told_of_a_movement_along_pushes_that_are_all_alike():
+    noise, found = make_rig(RigErrors.noise(), 1).scene.noise, []
+    for seed in range(60):
+        found.append(closing_check(*pushed_down(np.random.default_rng(seed)), ClosingPlaces.LANDMARKS, noise))
+    assert {each.seen for each in found} == {2}
+    assert max(each.shift for each in found) < 0.012
+    assert sum(each.moved for each in found) <= 2
+    assert closing_sentence(found[0]).endswith(approved("closing.across", limit=f"{found[0].limit * 1e3:.1f}"))
+    along = closing_check(*pushed_down(np.random.default_rng(0), (0.0, 0.0, 0.03)), ClosingPlaces.LANDMARKS, noise)
+    assert (along.seen, along.moved) == (2, False)
+    across = closing_check(*pushed_down(np.random.default_rng(0), (0.02, 0.0, 0.0)), ClosingPlaces.LANDMARKS, noise)
+    assert across.moved
+    assert across.shift == pytest.approx(0.02, abs=0.008)
 
 
 @pytest.mark.parametrize("again", [replay, load])
