@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from PySide6.QtCore import QByteArray, QEvent, QObject, QSettings, Qt, QTimer, Signal
 from PySide6.QtGui import QAction
-from PySide6.QtWidgets import QComboBox, QFileDialog, QFrame, QGridLayout, QSplitter, QTabWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFileDialog, QFrame, QSplitter, QTabWidget, QVBoxLayout, QWidget
 
 from app.commands import LAYERS, Commands
 from app.dialogs.apply_dialog import ApplyDialog, offered_port
@@ -33,8 +33,8 @@ from app.panels.now_panel import NowPanel
 from app.panels.plot_panels import ErrorsPanel, ReadingsPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import RigPanel
-from app.panels.taxel_map import TaxelMap, turns_of
-from app.panels.widgets import FittedLabel, theme_colours
+from app.panels.taxel_map import MapCard, TaxelMap, turns_of
+from app.panels.widgets import theme_colours
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
 from app.session.controller import Controller, Tick
@@ -48,7 +48,6 @@ from app.text.demo_text import simulated_words
 from app.text.guidance_text import NOTHING_TO_CHECK
 from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
-from app.text.outcomes import METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
@@ -118,9 +117,6 @@ class Workspace(QWidget):
         self.methods = tuple(method for method in SHOWN if method in there)
         self.view = make_view()
         self.now = NowPanel()
-        self.progress = FittedLabel()
-        self.errors = FittedLabel("muted")
-        self.method_box = QComboBox()
         self.map = TaxelMap(scene, part.channels, names, turns_of(StaticScene(scene, part.surface, part.laid, part.channels)))
         self.readings = ReadingsPanel()
         self.pokes = PokesPanel(names)
@@ -144,9 +140,12 @@ class Workspace(QWidget):
         self.across = QSplitter(Qt.Orientation.Horizontal, self)
         self.across.addWidget(self.view)
         self.right = QSplitter(Qt.Orientation.Vertical, self.across)
-        self._fill_map_card(_card(self.right))
-        column = _card(self.right)
-        self.tabs = QTabWidget(column.parentWidget())
+        self.card = MapCard(self.right, self.map, self.methods)
+        below = QFrame(self.right)
+        below.setObjectName("card")
+        column = QVBoxLayout(below)
+        column.setContentsMargins(1, 1, 1, 1)
+        self.tabs = QTabWidget(below)
         column.addWidget(self.tabs)
         self._state: ViewState | None = None
         self._connect()
@@ -157,7 +156,8 @@ class Workspace(QWidget):
         for panel in (self.pokes, self.inspect, self.compare):
             panel.taxel_wanted.connect(self.taxel_selected)
         self.compare.comparison_changed.connect(self.view.set_comparison)
-        self.method_box.activated.connect(lambda index: self.method_chosen.emit(self.method_box.itemData(index)))
+        chosen = self.card.methods
+        chosen.activated.connect(lambda index: self.method_chosen.emit(chosen.itemData(index)))
 
     def arrange(self) -> None:
         """Lay the panels out, once; apart from making them, since each takes half of what a window may stand still."""
@@ -191,24 +191,6 @@ class Workspace(QWidget):
         if event.type() is QEvent.Type.FontChange:
             self._fit_right()
 
-    def _fill_map_card(self, column: QVBoxLayout) -> None:
-        for method in self.methods:
-            self.method_box.addItem(METHOD_NAMES[method].capitalize() + " method", method)
-        self.method_box.setVisible(len(self.methods) > 1)
-        self.method_box.setToolTip("Whose estimates are shown, and whose needs the guide follows (V)")
-        self.method_box.setAccessibleName("method")
-        self.method_box.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        head = QGridLayout()
-        head.setContentsMargins(GAP + 4, GAP // 2, GAP // 2, 0)
-        head.setVerticalSpacing(0)
-        head.setColumnStretch(0, 1)
-        head.addWidget(self.progress, 0, 0, 1, 2)
-        head.addWidget(self.errors, 1, 0)
-        head.addWidget(self.method_box, 1, 1)
-        column.setSpacing(0)
-        column.addLayout(head)
-        column.addWidget(self.map, 1)
-
     def begin(self) -> None:
         """Start to build the 3D view; call once the window is on the screen."""
         part = self.part
@@ -222,11 +204,8 @@ class Workspace(QWidget):
         """Show a tick on everything that is on the screen."""
         before, self._state = self._state, state
         self.now.show_state(state)
-        self.map.show_state(state)
-        if before is None or (before.revision, before.method) != (state.revision, state.method):
-            self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
-            self.errors.setText(error_words(state.estimates))
-            self.method_box.setCurrentIndex(self.method_box.findData(state.method))
+        anew = before is None or (before.revision, before.method) != (state.revision, state.method)
+        self.card.show_state(state, anew=anew)
         room = 0.0 if state.guidance is None else leeway(state.guidance)
         self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
         self._show_tab()
@@ -246,15 +225,6 @@ class Workspace(QWidget):
         self.error_course.recolour()
         self.compare.show_again()
         self.view.set_dark(theme_colours().dark)
-
-
-def _card(splitter: QSplitter) -> QVBoxLayout:
-    """Add a card to a splitter, and return its column."""
-    card = QFrame(splitter)
-    card.setObjectName("card")
-    column = QVBoxLayout(card)
-    column.setContentsMargins(1, 1, 1, 1)
-    return column
 
 
 class SessionView(QObject):

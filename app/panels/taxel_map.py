@@ -29,22 +29,23 @@ from PySide6.QtGui import (
     QResizeEvent,
     QWheelEvent,
 )
-from PySide6.QtWidgets import QSizePolicy, QToolTip
+from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSizePolicy, QToolTip, QWidget
 
-from app.panels.widgets import Painted, mix, plain_tip, theme_colours
+from app.panels.widgets import FittedLabel, Painted, mix, plain_tip, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark, answer_levels, marks
 from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
-from app.text.outcomes import MARK_WORDS
+from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text_size import scaled
-from app.theme import HUES, Colours
+from app.theme import GAP, HUES, Colours
 from app.units import ChannelNames, number
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
+from skincal.taxels.result import Method
 
 TURN_GAIN = 1.25
 """Where nobody knows how the skin lies on the part, the map is turned only if that makes it a quarter larger: a map that looks
@@ -70,6 +71,13 @@ _STRENGTH: dict[Mark, float] = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH:
 _HOLLOW = (Mark.UNSEEN, Mark.BLIND)
 """Small marks of taxels that have no estimate."""
 LEGEND_PX = 22
+"""Height of a row."""
+LEGEND_MARK_PX, LEGEND_GAP_PX = 15, 11
+"""Pixels from a mark's left to its words, and from these to the next mark."""
+BESIDE_PX = 265
+"""Width of what is said beside the map: the predicted error stands in one line."""
+BESIDE_GAIN = 1.1
+"""How much larger it makes the map at least."""
 MARGIN_PX = 6
 SHARE_OF_SPACING = 0.30
 """Radius of a mark in spacings: neighbours do not touch, and an answer shows around it."""
@@ -273,6 +281,11 @@ def soft(picture: QPixmap) -> QPainter:
     return painter
 
 
+def _inside(width: int, height: int) -> QRectF:
+    """Return what a map so large leaves free of its margin."""
+    return QRectF(MARGIN_PX, MARGIN_PX, max(10, width - 2 * MARGIN_PX), max(10, height - 2 * MARGIN_PX))
+
+
 class Stamps:
     """Marks of one size, drawn once each; `radius` in pixels, `ratio` in device pixels a pixel."""
 
@@ -339,7 +352,7 @@ class TaxelMap(Painted):
 
     def minimumSizeHint(self) -> QSize:
         """Return the size below which nothing of a forearm is told apart; it zooms where that is too small."""
-        return QSize(220, 100)
+        return QSize(150, 100)
 
     def show_state(self, state: ViewState) -> None:
         """Show states, answers and the selection of a tick; draws nothing where all are the same."""
@@ -365,6 +378,10 @@ class TaxelMap(Painted):
                 self._levels = levels
                 self.update()
 
+    def counted(self) -> tuple[IntArray, int]:
+        """Return the marks of the taxels that are drawn, (n,), and how many may as well lie elsewhere."""
+        return self._marks[self._plan.channels], len(self._rivals)
+
     def channel_at(self, point: QPointF) -> int | None:
         """Return the channel whose mark is nearest to a point of the widget, None where none is near."""
         if not len(self._places):
@@ -383,15 +400,12 @@ class TaxelMap(Painted):
         super().resizeEvent(event)
         self._refit()
 
-    def changeEvent(self, event: QEvent) -> None:
-        """Leave room for a legend in letters of another size."""
-        super().changeEvent(event)
-        if event.type() is QEvent.Type.FontChange:
-            self._refit()
+    def scale_in(self, width: int, height: int) -> float:
+        """Return pixels a unit of the plan, if the map were so large and showed all of it."""
+        return fit(self._plan, _inside(width, height)).scale
 
     def _room(self) -> QRectF:
-        width, height = self.width() - 2 * MARGIN_PX, self.height() - scaled(LEGEND_PX) - 2 * MARGIN_PX
-        return QRectF(MARGIN_PX, MARGIN_PX, max(10, width), max(10, height))
+        return _inside(self.width(), self.height())
 
     def _refit(self) -> None:
         room = self._room()
@@ -501,11 +515,8 @@ class TaxelMap(Painted):
         if self._states.isNull():
             self._states = self._drawn(self._draw_states, colours)
         painter.drawPixmap(0, 0, self._base)
-        painter.setClipRect(self._above_legend())
         self._draw_answers(painter, QColor(colours.text))
-        painter.setClipping(False)
         painter.drawPixmap(0, 0, self._states)
-        painter.setClipRect(self._above_legend())
         painter.setBrush(Qt.BrushStyle.NoBrush)
         if self._selected is not None and self._selected in self._plan.channels:
             self._ring(painter, self._selected, self._radius() * 1.75, ((4.0, colours.panel), (2.0, colours.text)))
@@ -516,10 +527,7 @@ class TaxelMap(Painted):
             self._draw_name(painter, self._target, radius, colours)
         if self.hasFocus():
             painter.setPen(QColor(colours.accent))
-            painter.drawRect(QRectF(self._above_legend()).adjusted(1.5, 0.5, -1.5, -0.5))
-
-    def _above_legend(self) -> QRectF:
-        return QRectF(0, 0, self.width(), self.height() - scaled(LEGEND_PX))
+            painter.drawRect(QRectF(self.rect()).adjusted(1.5, 0.5, -1.5, -0.5))
 
     def _draw_name(self, painter: QPainter, channel: int, radius: float, colours: Colours) -> None:
         """Write a taxel's name beside its ring: right of it, or left where the map ends."""
@@ -531,7 +539,7 @@ class TaxelMap(Painted):
         width, height = painter.fontMetrics().horizontalAdvance(words) + 6, painter.fontMetrics().height()
         away = radius + 5.0
         left = at.x() + away if at.x() + away + width <= self.width() else at.x() - away - width
-        top = min(max(0.0, at.y() - height / 2), self._above_legend().bottom() - height)
+        top = min(max(0.0, at.y() - height / 2), self.height() - height)
         plate, area = QColor(colours.panel), QRectF(left, top, width, height)
         plate.setAlphaF(PLATE)
         painter.fillRect(area, plate)
@@ -553,7 +561,6 @@ class TaxelMap(Painted):
     def _draw_modules(self, painter: QPainter, colours: Colours) -> None:
         panel, ink = colours.panel, mix(colours.panel, colours.text, NUMBER_INK)
         looks = [(QPen(mix(hue, panel, 0.45), 1.2), mix(panel, hue, 0.07)) for hue in HUES]
-        painter.setClipRect(self._above_legend())
         for index, outline in enumerate(self._plan.outlines):
             pen, brush = looks[index % len(HUES)]
             corners = self._fit.pixels(outline).tolist()
@@ -591,34 +598,136 @@ class TaxelMap(Painted):
         values = self._marks[self._plan.channels].tolist()
         radius, text, panel = self._radius(), QColor(colours.text), QColor(colours.panel)
         stamps = Stamps(radius, self.devicePixelRatioF(), QColor(colours.muted))
-        painter.setClipRect(self._above_legend())
         for value, hue, (x, y) in zip(values, self._hues, (self._places - stamps.reach).tolist(), strict=True):
             painter.drawPixmap(QPointF(x, y), stamps.get(value, hue or colours.muted))
         # A wedge at the upper right of each taxel that may as well lie elsewhere.
         away = 0.9 * radius
         for x, y in self._places[np.isin(self._plan.channels, list(self._rivals))].tolist():
             draw_wedge(painter, QPointF(x + away, y - away), max(WEDGE_LEAST, WEDGE_SHARE * radius), text, panel)
-        painter.setClipping(False)
-        self._draw_legend(painter, text, panel, QColor(colours.muted))
 
-    def _draw_legend(self, painter: QPainter, text: QColor, panel: QColor, muted: QColor) -> None:
+
+class MapLegend(Painted):
+    """What the marks mean and how many there are of each, in as many rows as its width needs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._entries: tuple[tuple[Mark | None, str], ...] = ()
+        """Each mark with its words; None is the wedge."""
+        policy = QSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        policy.setHeightForWidth(True)
+        self.setSizePolicy(policy)
+        self.setAccessibleName("legend of the map")
+
+    def count(self, marks_of_taxels: IntArray, rivals: int) -> None:
+        """Count marks, by their values, and taxels that may as well lie elsewhere."""
+        counted = np.bincount(marks_of_taxels, minlength=len(Mark))
+        entries: list[tuple[Mark | None, str]] = [
+            (mark, f"{_SHORT[mark]} {counted[mark.value]}") for mark in Mark if mark is Mark.UNSEEN or counted[mark.value]
+        ]
+        entries += [(None, f"2 places {rivals}")] if rivals else []
+        if tuple(entries) != self._entries:
+            self._entries = tuple(entries)
+            self.setAccessibleDescription(", ".join(words for _, words in entries))
+            self.updateGeometry()
+            self.update()
+
+    def hasHeightForWidth(self) -> bool:
+        """Return that it may take several rows."""
+        return True
+
+    def heightForWidth(self, width: int) -> int:
+        """Return the height of all rows."""
+        rows = self._laid(width)
+        return scaled(LEGEND_PX) * (1 + (rows[-1][1] if rows else 0))
+
+    def sizeHint(self) -> QSize:
+        """Return the size in one row, which may be cut into several."""
+        return QSize(scaled(200), self.heightForWidth(max(self.width(), scaled(200))))
+
+    def minimumSizeHint(self) -> QSize:
+        """Return a width that holds any entry."""
+        return QSize(scaled(100), scaled(LEGEND_PX))
+
+    def _laid(self, width: int) -> list[tuple[float, int]]:
+        """Return where each entry begins, pixels from the left, and in which row."""
+        left, row, laid = float(MARGIN_PX), 0, list[tuple[float, int]]()
+        for _, words in self._entries:
+            long = self.fontMetrics().horizontalAdvance(words) + LEGEND_MARK_PX
+            if left + long > width and left > MARGIN_PX:
+                left, row = float(MARGIN_PX), row + 1
+            laid.append((left, row))
+            left += long + LEGEND_GAP_PX
+        return laid
+
+    def paint(self, painter: QPainter, colours: Colours) -> None:
+        """Paint the entries, row by row."""
         painter.setFont(self.font())
-        counted = np.bincount(self._marks[self._plan.channels], minlength=len(Mark))
-        at = QPointF(MARGIN_PX + 6, self.height() - scaled(LEGEND_PX) / 2 - 1)
-
-        def count(words: str) -> None:
-            nonlocal at
-            width = painter.fontMetrics().horizontalAdvance(words)
-            painter.setPen(muted)
-            painter.drawText(
-                QRectF(at.x() + 9, at.y() - scaled(9), width + 4, scaled(18)), Qt.AlignmentFlag.AlignVCenter, words
-            )
-            at += QPointF(width + 26, 0)
-
-        for mark in Mark:
-            if mark is Mark.UNSEEN or counted[mark.value]:
+        text, muted, high = QColor(colours.text), QColor(colours.muted), scaled(LEGEND_PX)
+        for (mark, words), (left, row) in zip(self._entries, self._laid(self.width()), strict=True):
+            at = QPointF(left + 6, high * (row + 0.5))
+            if mark is None:
+                draw_wedge(painter, at, 5.0, text, QColor(colours.panel))
+            else:
                 draw_mark(painter, at, 5.0, mark, text, text)
-                count(f"{_SHORT[mark]} {counted[mark.value]}")
-        if self._rivals:
-            draw_wedge(painter, at, 5.0, text, panel)
-            count(f"2 places {len(self._rivals)}")
+            painter.setPen(muted)
+            area = QRectF(left + LEGEND_MARK_PX, high * row, self.width(), high)
+            painter.drawText(area, Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, words)
+
+
+class MapCard(QFrame):
+    """The map, with what is said of it above and below, or beside it where that leaves the map larger."""
+
+    def __init__(self, parent: QWidget, made: TaxelMap, methods: Sequence[Method]) -> None:
+        super().__init__(parent)
+        self.setObjectName("card")
+        self.map, self.legend = made, MapLegend()
+        self.progress, self.errors, self.methods = FittedLabel(), FittedLabel("muted"), QComboBox()
+        for method in methods:
+            self.methods.addItem(METHOD_NAMES[method].capitalize() + " method", method)
+        self.methods.setVisible(len(methods) > 1)
+        self.methods.setToolTip("Whose estimates are shown, and whose needs the guide follows (V)")
+        self.methods.setAccessibleName("method")
+        self.methods.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self._grid = QGridLayout(self)
+        self._grid.setContentsMargins(GAP + 4, GAP // 2, GAP // 2, 1)
+        self._grid.setVerticalSpacing(0)
+        self._beside: bool | None = None
+        self._arrange(beside=False)
+
+    def show_state(self, state: ViewState, *, anew: bool) -> None:
+        """Show a tick; what is said of the estimates only where it may be another."""
+        self.map.show_state(state)
+        if anew:
+            self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
+            self.errors.setText(error_words(state.estimates))
+            self.methods.setCurrentIndex(self.methods.findData(state.method))
+        self.legend.count(*self.map.counted())
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Put what is said of the map where it leaves the map larger."""
+        super().resizeEvent(event)
+        across, row = self.width(), self.progress.sizeHint().height()
+        said = max(row, self.methods.sizeHint().height()) + scaled(LEGEND_PX)
+        above = self.map.scale_in(across, self.height() - row - said)
+        beside = self.map.scale_in(across - scaled(BESIDE_PX), self.height() - row)
+        # It moves only for a map that is clearly larger, so that dragging an edge does not throw it to and fro.
+        self._arrange(beside=beside > above * (1.0 if self._beside else BESIDE_GAIN))
+
+    def _arrange(self, *, beside: bool) -> None:
+        if beside is self._beside:
+            return
+        self._beside, grid = beside, self._grid
+        grid.addWidget(self.progress, 0, 0, 1, 2)
+        if beside:
+            grid.addWidget(self.map, 1, 0, 4, 1)
+            for row, widget in enumerate((self.errors, self.methods, self.legend), start=1):
+                grid.addWidget(widget, row, 1)
+        else:
+            grid.addWidget(self.errors, 1, 0)
+            grid.addWidget(self.methods, 1, 1)
+            grid.addWidget(self.map, 2, 0, 1, 2)
+            grid.addWidget(self.legend, 3, 0, 1, 2)
+        for row, stretch in enumerate((0, 0, 0, 0, 1) if beside else (0, 0, 1, 0, 0)):
+            grid.setRowStretch(row, stretch)
+        grid.setColumnStretch(0, 1)
+        grid.setColumnMinimumWidth(1, scaled(BESIDE_PX) if beside else 0)

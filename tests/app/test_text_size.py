@@ -88,6 +88,8 @@ def test_at_1280_by_720_and_125_per_cent_nothing_is_cut_off(bench, recorded):
     bench.qtbot.wait(100)
     window, workspace = bench.window, bench.window.session_view.workspace
     assert (window.width(), window.height()) == (1280, 720)
+    # What is said of a forearm's high map stands beside it.
+    assert workspace.map.height() > 0.8 * (workspace.card.height() - workspace.card.progress.height())
     bar = workspace.tabs.tabBar()
     assert all(bar.tabRect(at).right() <= workspace.tabs.width() for at in range(bar.count()))
     assert sum(bar.tabRect(at).width() for at in range(bar.count())) >= bar.sizeHint().width()
@@ -95,7 +97,7 @@ def test_at_1280_by_720_and_125_per_cent_nothing_is_cut_off(bench, recorded):
     table = workspace.pokes.table
     assert table.columnWidth(1) > table.fontMetrics().horizontalAdvance("\N{CHECK MARK} accepted")
     assert table.rowHeight(0) > table.fontMetrics().height()
-    assert not any(is_elided(label) for label in (workspace.now.headline, workspace.progress, workspace.errors))
+    assert not any(is_elided(label) for label in (workspace.now.headline, workspace.card.progress, workspace.card.errors))
     for label in window.findChildren(ElidedLabel):
         if label.isVisible():
             assert label.height() >= label.fontMetrics().height(), label.text()

@@ -91,7 +91,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     assert window.session_view.state.method is Method.MODULES
     bench.key(Qt.Key.Key_V)
     assert window.session_view.state.method is Method.SURFACE
-    assert workspace.method_box.currentData() is Method.SURFACE
+    assert workspace.card.methods.currentData() is Method.SURFACE
     bench.key(Qt.Key.Key_5)
     assert workspace.tabs.currentWidget() is workspace.devices
     assert set(workspace.devices.cards) == {"wrench", "skin", "joints"}
@@ -172,7 +172,7 @@ def test_a_process_that_dies_is_said_and_the_pokes_stay(bench):
 
 def test_the_head_of_the_map_has_room_for_every_kind_of_poke(bench, recorded):
     bench.open(OpenRequest(session=recorded))
-    head = bench.window.session_view.workspace.progress
+    head = bench.window.session_view.workspace.card.progress
     head.setText(approved("now.longest_summary"))
     assert not is_elided(head)
 

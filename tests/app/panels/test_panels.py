@@ -561,6 +561,8 @@ def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_p
 
 def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
     dialog = shown(qtbot, NewSessionDialog(None, tmp_path / "new"))
+    # It is closed here, and once more by the fixture.
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, False)
     assert len(shipped_scenes()) >= 3
     dialog.fields["wrench"].setText("/dev/ttyUSB0")
     with qtbot.assertNotEmitted(dialog.request_chosen):
