@@ -9,6 +9,7 @@ from PySide6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QScrollA
 
 from app.panels.widgets import ElidedLabel, digits_font, embolden, on_panel, plain_tip, quiet, theme_colours
 from app.state.view_state import LinkLook, ViewState
+from app.text.guidance_text import BETWEEN
 from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import GAP
@@ -62,8 +63,9 @@ class LinkCard(QFrame):
         self.losses = QLabel()
         self.losses.setWordWrap(True)
         grid = QGridLayout(self)
-        grid.setContentsMargins(GAP, GAP, GAP, GAP)
-        grid.setVerticalSpacing(3)
+        # Three cards are seen whole at 720 pixels.
+        grid.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
+        grid.setVerticalSpacing(0)
         grid.setColumnStretch(1, 1)
         grid.addWidget(self.sign, 0, 0)
         grid.addWidget(self.name, 0, 1)
@@ -79,19 +81,18 @@ class LinkCard(QFrame):
         self.name.setText(words.name)
         self.rate.setText(words.rate)
         carried = ", ".join(stream.value for stream in health.carries)
-        about = [health.format or "format not known yet", health.address]
-        # What a link carries is said only where its name does not say it.
-        if carried != words.name:
-            about.insert(0, carried)
-        self.about.setText(f"last bytes {words.age}  \N{MIDDLE DOT}  " + "  \N{MIDDLE DOT}  ".join(filter(None, about)))
+        # What a link carries is said only where its name does not say it. The end is what a narrow window cuts off.
+        about = ["" if carried == words.name else carried, health.address, health.format or "format not known yet"]
+        self.about.setText(BETWEEN.join(filter(None, (*about, f"last bytes {words.age}"))))
         self.detail.setText(words.detail)
         self.detail.setVisible(bool(words.detail))
-        lost = "\n".join(f"{n:,}  {reason}".replace(",", "\N{NARROW NO-BREAK SPACE}") for reason, n in words.losses)
-        said = f"{count(health.readings, 'good reading')}" + (f"; lost:\n{lost}" if lost else "; nothing lost")
+        lost = "\n".join(count(n, f" {reason}", f" {reason}") for reason, n in words.losses)
+        said = count(health.readings, "good", "good") + (f"; lost:\n{lost}" if lost else ", none lost")
         late = ""
         if unpaired and Stream.WRENCH in health.carries:
             late = f"{count(unpaired, 'skin frame')} had no wrench at their time: it came late, in bursts, or not at all."
-        self.losses.setText("\n".join(filter(None, (health.units, beside_words(health.beside), said, late))))
+        read = BETWEEN.join(filter(None, (health.units, beside_words(health.beside), said)))
+        self.losses.setText("\n".join(filter(None, (read, late))))
 
 
 class DevicesPanel(QScrollArea):
@@ -109,7 +110,8 @@ class DevicesPanel(QScrollArea):
         self._shown_s = 0.0
         inner = on_panel(self)
         self._column = QVBoxLayout(inner)
-        self._column.setContentsMargins(GAP, GAP, GAP, GAP)
+        self._column.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
+        self._column.setSpacing(GAP // 2)
         self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addStretch(1)
         self.setWidget(inner)

@@ -143,6 +143,8 @@ class Curves(QWidget):
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
         self.plot.item.setXRange(-SPAN, 0.0, padding=0.0)
         self.plot.item.setYRange(-floor, floor, padding=0.02)
+        # Half a line, so that a number at the upper end is whole.
+        self.plot.item.layout.setContentsMargins(0, 7, 0, 0)
         self.curves = [self.plot.curve() for _ in range(3)]
         column = QVBoxLayout(self)
         column.setContentsMargins(0, 0, 0, 0)

@@ -26,6 +26,7 @@ from app.scene3d.scene_state import StaticScene
 from app.session_view import RIGHT_PX
 from app.state.policies import Mark
 from app.state.running import Running
+from app.text.guidance_text import BETWEEN
 from app.text.message import Message
 from app.theme import DARK, HUES, LIGHT, Choice, Colours
 from app.units import ChannelNames
@@ -453,13 +454,24 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     assert card.rate.text() == "silent"
 
 
+def test_three_devices_without_losses_are_seen_whole_at_720_pixels(qtbot):
+    panel = shown(qtbot, DevicesPanel(), (428, 260))
+    one = link(units="Fx Fy Fz in N, Mx My Mz in N m", losses={})
+    links = one, link("skin", units="raw values", losses={}), link("joints", units="joint angles in degrees", losses={})
+    panel.show_state(frame(view=reading(links=links)))
+    qtbot.wait(20)
+    assert len(panel.cards) == 3
+    assert all(card.visibleRegion().boundingRect() == card.rect() for card in panel.cards.values())
+
+
 def test_devices_show_what_a_sensor_measures_beside_its_readings(qtbot):
     panel = shown(qtbot, DevicesPanel())
     warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
     for health, expected in ((link(), False), (warm, True)):
         panel.show_state(frame(view=reading(links=(health,)), now_s=200.0 + expected))
         said = panel.cards["wrench"].losses.text()
-        assert said.startswith("Fx Fy Fz in N, Mx My Mz in N m\ntemperature 31.0 degC (30.5 to 33.2)\n5") is expected
+        beside = ("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)", "5")
+        assert said.startswith(BETWEEN.join(beside)) is expected
 
 
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
