@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
@@ -29,6 +30,9 @@ LEADS_FROM = 0.95
 better calibration, and one taxel in twenty is what a method may leave blind on a part that is poked well."""
 _AT_ONCE = 20_000
 """Answers solved at once: what is made of them, some 10 MB, stays in the processor's cache; more are solved in two threads."""
+_SHARE = 3
+"""One part in so many is solved in the first thread, which also gathers the evidence and makes the estimates: both end about
+together."""
 
 Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
 """Of each method, of each channel."""
@@ -138,17 +142,18 @@ def estimate_from(
 
 
 def _solved(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Solution]) -> Iterator[Solution]:
-    """Yield what `work` makes of each part; every other part is done in a second thread, which alone is told True."""
+    """Yield what `work` makes of each part, in any order; most are done in a second thread, which alone is told True."""
     if len(parts) < 2:
         yield from (work(part, False) for part in parts)
         return
     with ThreadPoolExecutor(1) as other:
-        waiting = [other.submit(work, part, True) for part in parts[0::2]]
-        # This thread has the smaller share: it also makes the estimates.
-        for number, theirs in enumerate(waiting):
-            own = [work(part, False) for part in parts[2 * number + 1 : 2 * number + 2]]
-            yield theirs.result()
-            yield from own
+        own = parts[_SHARE - 1 :: _SHARE]
+        waiting = deque(other.submit(work, part, True) for i, part in enumerate(parts) if (i + 1) % _SHARE)
+        for part in own:
+            yield work(part, False)
+            while waiting and waiting[0].done():
+                yield waiting.popleft().result()
+        yield from (theirs.result() for theirs in waiting)
 
 
 def _blocks(evidence: Evidence) -> list[tuple[int, int]]:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import KnownDistance
 from skincal.modules.estimate import FittedModule
-from skincal.modules.pose import ModuleModel, joined
+from skincal.modules.pose import ModuleModel, ModulePoses, joined
 from skincal.modules.pose_fit import FULL, NO_RANK
 from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import with_shared
@@ -113,11 +113,11 @@ class _Update:
     @classmethod
     def of(cls, prior: _Prior, rows: _Rows) -> _Update:
         """Return it for rows that may be none."""
-        count, flat = len(rows.left), rows.slopes.reshape(len(rows.left), -1)
+        flat = rows.slopes.reshape(len(rows.left), prior.means.size)
         of_shared = flat @ prior.moves.reshape(flat.shape[1], -1)
         seen = np.einsum("kbi,bij->kbj", rows.slopes, prior.covariances)
         seen = seen + np.einsum("kn,bdn->kbd", of_shared, prior.moves)
-        covariance = seen.reshape(count, -1) @ flat.T + np.diag(rows.variances)
+        covariance = seen.reshape(flat.shape) @ flat.T + np.diag(rows.variances)
         inverse = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         return cls(of_shared, seen, inverse, rows.left - flat @ prior.means.ravel())
 
@@ -125,6 +125,19 @@ class _Update:
     def steps(self) -> FloatArray:
         """(b, d) float, metres: how the rows move x."""
         return np.einsum("kbd,k->bd", self.seen, self.inverse @ self.off)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Solved:
+    """Modules under some of the distances."""
+
+    kept: IntArray
+    """Which distances."""
+    rows: _Rows
+    """Of these, near x."""
+    update: _Update
+    x: FloatArray
+    """(b, d) float, metres."""
 
 
 class _Joined:
@@ -139,16 +152,25 @@ class _Joined:
         """(k, 2) which of the modules each distance ends at."""
         self._flat = np.array([point for pair in ends for _, point in pair])
         self._poses = joined([own.pose for own in self.fitted])
+        self.heights: FloatArray = np.array([own.height for own in self.fitted])
+        """(b,) float, m^2, of `FittedModule`."""
+        self._factors = np.array([own.factor for own in self.fitted])
         self.prior = _Prior(
             np.zeros((len(self.fitted), model.ground.unknowns)),
             np.array([own.covariance for own in self.fitted]),
             np.array([own.moves for own in self.fitted]),
         )
+        self.plain = self._rows(self.prior.means)
+        """The rows of all distances where the pokes put the modules."""
 
-    def rows(self, x: FloatArray) -> _Rows:
+    def moved(self, x: FloatArray) -> ModulePoses:
+        """Return the poses (b,) of the modules at `x` (b, d), metres."""
+        return self._model.ground.moved(self._poses, x)
+
+    def _rows(self, x: FloatArray) -> _Rows:
         """Return the rows of all distances near `x` (b, d), metres."""
-        ground, count = self._model.ground, len(self.ends)
-        pads = ground.laid(ground.moved(self._poses, x).take(self.ends.ravel()), self._flat)
+        count = len(self.ends)
+        pads = self._model.ground.laid(self.moved(x).take(self.ends.ravel()), self._flat)
         points, normals = pads.points.reshape(count, 2, 3), pads.normals.reshape(count, 2, 3)
         way = points[:, 0] - points[:, 1]
         length = np.linalg.norm(way, axis=1)
@@ -156,42 +178,100 @@ class _Joined:
         gradients = np.einsum("kc,kscd->ksd", along, pads.gradients.reshape(count, 2, 3, -1))
         slopes, at = np.zeros((count, *x.shape)), np.arange(count)
         slopes[at, self.ends[:, 0]], slopes[at, self.ends[:, 1]] = gradients[:, 0], -gradients[:, 1]
-        heights = np.array([own.height for own in self.fitted])[self.ends]
         variances = np.array([told.sd**2 for told in self._told])
-        variances = variances + np.sum(heights * np.einsum("ksc,kc->ks", normals, along) ** 2, axis=1)
+        variances = variances + np.sum(self.heights[self.ends] * np.einsum("ksc,kc->ks", normals, along) ** 2, axis=1)
         left = np.array([told.length for told in self._told]) - length + np.einsum("kbd,bd->k", slopes, x)
         return _Rows(slopes, left, variances)
 
-    def solved(self, kept: IntArray) -> tuple[FloatArray, _Rows, _Update]:
-        """Return x (b, d), metres, under the distances `kept`, with their rows near it and what these do."""
-        rows = self.rows(self.prior.means).take(kept)
+    def solved(self, kept: IntArray) -> _Solved:
+        """Solve the modules under the distances `kept`."""
+        rows = self.plain.take(kept)
         update = _Update.of(self.prior, rows)
         for _ in range(STEPS - 1):
-            rows = self.rows(update.steps).take(kept)
+            rows = self._rows(update.steps).take(kept)
             update = _Update.of(self.prior, rows)
-        return update.steps, rows, update
+        return _Solved(kept, rows, update, update.steps)
 
     def gains(self, rows: _Rows) -> FloatArray:
         """Return (b,) how much likelier, as a logarithm, the held-out pokes of each module are with the distances."""
-        return np.sum([self._gains_of(fold, rows) for fold in range(FOLDS)], axis=0)
+        pokes = _Pokes.of_modules(self.fitted)
+        left, known = pokes.left(self.prior, self._factors)
+        outs = [pokes.take((pokes.folds == fold) & known[fold, pokes.of]) for fold in range(FOLDS)]
+        return np.sum([self._gains_of(prior, rows, out) for prior, out in zip(left, outs, strict=True)], axis=0)
 
-    def _gains_of(self, fold: int, rows: _Rows) -> FloatArray:
-        parts = [_without(own, np.arange(len(own.trust)) % FOLDS == fold) for own in self.fitted]
-        means, covariances, moves, outs = zip(*parts, strict=True)
-        prior = _Prior(np.array(means), np.array(covariances), np.array(moves))
-        update, gains = _Update.of(prior, rows), np.zeros(len(parts))
-        for b, (own, out) in enumerate(zip(self.fitted, outs, strict=True)):
-            slopes, count = own.slopes[out], int(out.sum())
-            shared = slopes @ prior.moves[b] + own.shared[out]
-            # Of the poke's two rows with each distance, before these count.
-            both = slopes @ (prior.covariances[b] @ rows.slopes[:, b].T) + shared @ update.of_shared.T
-            miss = own.misses[out] - slopes @ prior.means[b]
-            spread = slopes @ prior.covariances[b] @ slopes.transpose(0, 2, 1) + shared @ shared.transpose(0, 2, 1)
-            spread = spread + own.factor * np.eye(2)
-            less, told = both @ update.inverse @ both.transpose(0, 2, 1), both @ (update.inverse @ update.off)
-            likelier = _log_densities(miss - told, spread - less) - _log_densities(miss, spread)
-            gains[b] = own.trust[out] @ likelier if count else 0.0
-        return gains
+    def _gains_of(self, prior: _Prior, rows: _Rows, out: _Pokes) -> FloatArray:
+        """Return `gains` by the pokes `out`, which the others of their modules, `prior`, predict."""
+        update, of, slopes = _Update.of(prior, rows), out.of, out.slopes
+        covariances = prior.covariances[of]
+        shared = slopes @ prior.moves[of] + out.shared
+        # Of the poke's two rows with each distance, before these count.
+        own = prior.covariances @ rows.slopes.transpose(1, 2, 0)
+        both = slopes @ own[of] + shared @ update.of_shared.T
+        miss = out.misses - (slopes @ prior.means[of][:, :, None])[:, :, 0]
+        spread = slopes @ covariances @ slopes.transpose(0, 2, 1) + shared @ shared.transpose(0, 2, 1)
+        spread = spread + self._factors[of][:, None, None] * np.eye(2)
+        # One large product: many small ones take twice as long.
+        known = (both.reshape(-1, len(update.off)) @ update.inverse).reshape(both.shape)
+        less, told = known @ both.transpose(0, 2, 1), known @ update.off
+        likelier = _log_densities(miss - told, spread - less) - _log_densities(miss, spread)
+        return np.asarray(np.bincount(of, out.trust * likelier, len(self.fitted)), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pokes:
+    """The m pokes of b modules, as `FittedModule` has them, in folds."""
+
+    of: IntArray
+    """(m,) which module."""
+    folds: IntArray
+    """(m,) in which fold a poke is held out."""
+    slopes: FloatArray
+    misses: FloatArray
+    trust: FloatArray
+    shared: FloatArray
+
+    @classmethod
+    def of_modules(cls, fitted: Sequence[FittedModule]) -> _Pokes:
+        """Return those of modules, each module's in turn in one fold after another."""
+        counts = [len(own.trust) for own in fitted]
+        return cls(
+            np.repeat(np.arange(len(fitted)), counts),
+            np.concatenate([np.arange(count) % FOLDS for count in counts]),
+            *(np.concatenate(each) for each in zip(*((m.slopes, m.misses, m.trust, m.shared) for m in fitted), strict=True)),
+        )
+
+    def take(self, rows: BoolArray) -> _Pokes:
+        """Return some of them."""
+        many = (each[rows] for each in (self.slopes, self.misses, self.trust, self.shared))
+        return _Pokes(self.of[rows], self.folds[rows], *many)
+
+    def left(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], BoolArray]:
+        """Return what each fold's pokes leave of the prior when out, and (folds, b) whether the others determine a module.
+
+        Where they do not, none of it is out.
+        """
+        weighted = self.trust[:, None, None] * self.slopes.transpose(0, 2, 1)
+        pulls = (weighted @ self.misses[:, :, None])[:, :, 0]
+        held, pulls, shared = (
+            self._sums(each, len(factors)) for each in (weighted @ self.slopes, pulls, weighted @ self.shared)
+        )
+        others = 1.0 - np.eye(FOLDS)
+        left, whole = np.tensordot(others, held, 1), held.sum(axis=0)
+        values = np.linalg.eigvalsh(left)
+        known = np.asarray(values[..., 0] > NO_RANK * values[..., -1])
+        inverse = np.asarray(np.linalg.inv(np.where(known[..., None, None], left, whole)), dtype=np.float64)
+        more = factors[:, None, None] * (inverse - np.asarray(np.linalg.inv(whole), dtype=np.float64))
+        # At the minimum the pulls of all pokes cancel but for rounding.
+        means = -(inverse @ np.where(known[..., None], pulls, 0.0)[..., None])[..., 0]
+        moves = -inverse @ np.where(known[..., None, None], np.tensordot(others, shared, 1), shared.sum(axis=0))
+        covariances = prior.covariances + more
+        return [_Prior(means[fold], covariances[fold], moves[fold]) for fold in range(FOLDS)], known
+
+    def _sums(self, values: FloatArray, count: int) -> FloatArray:
+        """Return (folds, b, ...) the sums of values (m, ...) over the pokes of each fold and module."""
+        sums = np.zeros((FOLDS, count, *values.shape[1:]))
+        np.add.at(sums, (self.folds, self.of), values)
+        return sums
 
 
 def _end(model: ModuleModel, told: KnownDistance, side: int) -> tuple[int, FloatArray]:
@@ -201,22 +281,6 @@ def _end(model: ModuleModel, told: KnownDistance, side: int) -> tuple[int, Float
         module = int(model.layout.module_of[end])
         return module, model.pads[module][model.place_of[end]]
     return [module.id for module in model.layout.modules].index(end), np.zeros(2)
-
-
-def _without(own: FittedModule, out: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Return a module's mean (d,), covariance (d, d) and M (d, n) without the pokes `out` (m,), and which these are.
-
-    None of them where the others do not determine it.
-    """
-    weighted = own.trust[:, None, None] * own.slopes.transpose(0, 2, 1)
-    each, pulls = weighted @ own.slopes, (weighted @ own.misses[:, :, None])[:, :, 0]
-    values = np.linalg.eigvalsh(each[~out].sum(axis=0))
-    if not values[0] > NO_RANK * values[-1]:
-        out = np.zeros_like(out)
-    inverse, whole = (np.asarray(np.linalg.inv(some.sum(axis=0)), dtype=np.float64) for some in (each[~out], each))
-    more = own.factor * (inverse - whole)
-    # At the minimum the pulls of all pokes cancel but for rounding.
-    return -inverse @ pulls[out].sum(axis=0), own.covariance + more, -inverse @ (weighted @ own.shared)[~out].sum(axis=0), out
 
 
 def _log_densities(misses: FloatArray, covariances: FloatArray) -> FloatArray:
@@ -244,75 +308,70 @@ def refined(
     if not told:
         return {}, tuple(tried.values())
     all_ = _Joined(model, modules, told)
-    plain = all_.rows(all_.prior.means)
-    alone = _Update.of(all_.prior, plain)
+    alone = _Update.of(all_.prior, all_.plain)
     uses = [DistanceUse.USED] * len(told)
-    kept = _agreeing(all_, uses)
-    kept = _helping(all_, kept, uses)
-    sds = np.sqrt(np.einsum("kbd,kbd->k", alone.seen, plain.slopes) + plain.variances)
+    solved = _helping(all_, _agreeing(all_, uses), uses)
+    sds = np.sqrt(np.einsum("kbd,kbd->k", alone.seen, all_.plain.slopes) + all_.plain.variances)
     for distance, use, off, sd in zip(told, uses, alone.off.tolist(), sds.tolist(), strict=True):
         tried[distance] = TriedDistance(distance, use, distance.length - off, sd)
-    found = _moved(all_, kept, model, estimates) if len(kept) else {}
+    found = _moved(all_, solved, model, estimates) if len(solved.kept) else {}
     return found, tuple(tried.values())
 
 
-def _agreeing(all_: _Joined, uses: list[DistanceUse]) -> IntArray:
-    """Return the distances that agree with pokes and each other; note in `uses` which do not."""
-    kept = np.arange(len(uses))
-    while len(kept):
-        update = all_.solved(kept)[2]
+def _agreeing(all_: _Joined, uses: list[DistanceUse]) -> _Solved:
+    """Solve with the distances that agree with pokes and each other; note in `uses` which do not."""
+    solved = all_.solved(np.arange(len(uses)))
+    while len(solved.kept):
+        update = solved.update
         pull, known = update.inverse @ update.off, np.diag(update.inverse)
         # What all others say of one: off by pull/known, with the variance 1/known.
         squares = pull**2 / known
         worst = int(squares.argmax())
         if squares[worst] <= FULL**2:
             break
-        uses[int(kept[worst])] = DistanceUse.OFF
-        kept = np.delete(kept, worst)
-    return kept
+        uses[int(solved.kept[worst])] = DistanceUse.OFF
+        solved = all_.solved(np.delete(solved.kept, worst))
+    return solved
 
 
-def _helping(all_: _Joined, kept: IntArray, uses: list[DistanceUse]) -> IntArray:
-    """Return those of the distances `kept` with which held-out pokes are likelier; note in `uses` which do not help."""
+def _helping(all_: _Joined, solved: _Solved, uses: list[DistanceUse]) -> _Solved:
+    """Solve with those of the distances with which held-out pokes are likelier; note in `uses` which do not help."""
+    kept = solved.kept
     if not len(kept):
-        return kept
+        return solved
     group = np.arange(len(all_.modules))
     for one, other in all_.ends[kept].tolist():
         group[group == group[other]] = group[one]
-    gains = np.bincount(group, all_.gains(all_.solved(kept)[1]), len(group))
+    gains = np.bincount(group, all_.gains(solved.rows), len(group))
     helps = gains[group[all_.ends[kept, 0]]] > 0.0
     for row in kept[~helps].tolist():
         uses[row] = DistanceUse.NO_BETTER
-    return kept[helps]
+    return solved if helps.all() else all_.solved(kept[helps])
 
 
-def _moved(all_: _Joined, kept: IntArray, model: ModuleModel, estimates: Mapping[int, Estimate]) -> dict[int, Estimate]:
-    """Return the estimates of the modules' taxels under the distances `kept`."""
-    x, _, update = all_.solved(kept)
-    found: dict[int, Estimate] = {}
-    ends: list[int] = np.unique(all_.ends[kept]).tolist()
-    for b in ends:
-        own, module = all_.fitted[b], all_.modules[b]
-        pull = update.seen[:, b].T @ update.inverse
-        moves = own.moves - pull @ update.of_shared
-        total = own.covariance + own.moves @ own.moves.T - pull @ update.seen[:, b]
-        pads = model.pads[module]
-        pose = model.ground.moved(own.pose, x[b : b + 1]).take(np.zeros(len(pads), dtype=np.int64))
-        laid = model.ground.laid(pose, pads)
-        outward = own.height * laid.normals[:, :, None] * laid.normals[:, None]
-        covariances = laid.gradients @ (total - moves @ moves.T) @ laid.gradients.transpose(0, 2, 1) + outward
-        channels: list[int] = model.layout.modules[module].channels.tolist()
-        at = [pad for pad, channel in enumerate(channels) if estimates[channel].position is not None]
-        there = [
-            replace(
-                estimates[channels[pad]],
-                position=laid.points[pad],
-                normal=laid.normals[pad],
-                triangle=int(laid.triangles[pad]) if laid.triangles[pad] >= 0 else None,
-            )
-            for pad in at
-        ]
-        shared = laid.gradients @ moves if moves.shape[1] else None
-        moved = with_shared(there, np.zeros(len(at)), covariances[at], None if shared is None else shared[at])
-        found.update((estimate.channel, estimate) for estimate in moved)
-    return found
+def _moved(all_: _Joined, solved: _Solved, model: ModuleModel, estimates: Mapping[int, Estimate]) -> dict[int, Estimate]:
+    """Return the estimates of the modules' taxels under distances, of which there are some."""
+    prior, update = all_.prior, solved.update
+    pull = np.einsum("kbd,kl->bdl", update.seen, update.inverse)
+    moves = prior.moves - pull @ update.of_shared
+    total = prior.covariances + prior.moves @ prior.moves.transpose(0, 2, 1) - pull @ update.seen.transpose(1, 0, 2)
+    own = total - moves @ moves.transpose(0, 2, 1)
+    ends: list[int] = np.unique(all_.ends[solved.kept]).tolist()
+    pads = [model.pads[all_.modules[b]] for b in ends]
+    of = np.repeat(ends, [len(each) for each in pads])
+    channels = [int(channel) for b in ends for channel in model.layout.modules[all_.modules[b]].channels]
+    laid = model.ground.laid(all_.moved(solved.x).take(of), np.concatenate(pads))
+    outward = all_.heights[of][:, None, None] * laid.normals[:, :, None] * laid.normals[:, None]
+    covariances = laid.gradients @ own[of] @ laid.gradients.transpose(0, 2, 1) + outward
+    at = [pad for pad, channel in enumerate(channels) if estimates[channel].position is not None]
+    there = [
+        replace(
+            estimates[channels[pad]],
+            position=laid.points[pad],
+            normal=laid.normals[pad],
+            triangle=int(laid.triangles[pad]) if laid.triangles[pad] >= 0 else None,
+        )
+        for pad in at
+    ]
+    shared = (laid.gradients @ moves[of])[at] if moves.shape[2] else None
+    return {estimate.channel: estimate for estimate in with_shared(there, np.zeros(len(at)), covariances[at], shared)}

@@ -254,4 +254,4 @@ def test_two_threads_find_what_one_does_to_the_last_bit(monkeypatch, surface):
     one = solved(1 << 30)
     assert told == [False]
     assert solved(100) == one
-    assert told[1:].count(True) == len(told) // 2 > 2
+    assert sum(told) == len(told) - 1 - (len(told) - 1) // 3 > 2, "one part in three is left to the thread that asks"
