@@ -397,9 +397,9 @@ class Intake:
         return frozenset(name for name, link in self._links.items() if link.ear.frozen)
 
     @property
-    def away(self) -> frozenset[str]:
-        """Names of the links that are not open."""
-        return frozenset(name for name, link in self._links.items() if link.state is not LinkState.OPEN)
+    def down(self) -> frozenset[str]:
+        """Names of the links that are not open, or bring nothing that is measured."""
+        return frozenset(name for name, link in self._links.items() if link.state is not LinkState.OPEN or link.ear.lifeless)
 
     @property
     def unpaired(self) -> int:

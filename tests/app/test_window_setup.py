@@ -321,6 +321,19 @@ def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
     bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
 
 
+def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(bench, device):
+    wrench = device(still(6))
+    open_patch(bench, wrench, device(noisy(CHANNELS)))
+    line_says(bench, "wrench is frozen", approved("links.frozen"))
+    assert looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}
+    bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
+    pipeline = bench.recording.pipeline
+    assert not pipeline.measures(time.monotonic_ns())
+    wrench.made = noisy(6)
+    bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+    bench.until(lambda: pipeline.measures(time.monotonic_ns()), VERDICT_MS)
+
+
 def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_again(bench, device, qtbot):
     wrench, skin, other = device(noisy(6)), device(noisy(20)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
