@@ -120,7 +120,7 @@ ANSWER_HELP = "reached N, skip N or fault N TEXT"
 
 
 def write_line(line: AskedLine) -> str:
-    """Return the line, without its end; the place to a micrometre."""
+    """Return the line, without its end: the place to a micrometre, force and hold to six digits, however small."""
     match line:
         case NoTarget():
             return line.value
@@ -132,7 +132,7 @@ def write_line(line: AskedLine) -> str:
             what = (KNOWN_POINT if line.known else NO_TAXEL) if line.channel is None else line.channel
             names = " ".join(_name(name) for name in (line.frame, line.pose))
             place, push = (" ".join(f"{v:.{d}f}" for v in vs) for vs, d in ((line.place, 6), (line.push, 5)))
-            return f"target {line.number} {what} {names} {place} {push} {line.force:.2f} {line.hold:.2f}"
+            return f"target {line.number} {what} {names} {place} {push} {line.force:.6g} {line.hold:.6g}"
 
 
 def _name(name: str) -> str:

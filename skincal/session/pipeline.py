@@ -167,8 +167,7 @@ class Pipeline:
         unneeded = {Stream.JOINTS} if self.session.pose or self.scene.arm is None else set[Stream]()
         needed = {link.name for link in self.links if set(link.carries) - unneeded}
         _, link_from_sensor = self._poses.current
-        down = needed & (self._intake.away | self._intake.frozen)
-        return self._has_samples(now_ns) and not down and link_from_sensor is not None
+        return self._has_samples(now_ns) and not needed & self._intake.down and link_from_sensor is not None
 
     def _has_samples(self, now_ns: int) -> bool:
         return self._detector.phase is not PressPhase.NO_DATA and not is_silent(self._detector.last_s, now_ns * 1e-9)

@@ -8,6 +8,7 @@ since a stranger's session would else run what it names.
 from __future__ import annotations
 
 import shlex
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -133,7 +134,7 @@ def _driver_form(address: str, parts: SplitResult) -> DeviceAddress | None:
 
 def _place_form(address: str, name: str, scheme: Scheme, rest: str) -> DeviceAddress | None:
     if name == "run":
-        return DeviceAddress(address, name, scheme.format, path=rest) if shlex.split(rest) else None
+        return DeviceAddress(address, name, scheme.format, path=rest) if split_command(rest) else None
     place, _, query = rest.partition("?")
     options = dict(parse_qsl(query))
     if name == "yarp":
@@ -141,6 +142,14 @@ def _place_form(address: str, name: str, scheme: Scheme, rest: str) -> DeviceAdd
     if not place or not scheme.baud:
         return None
     return DeviceAddress(address, name, scheme.serial_format, path=place, baud=scheme.baud, options=options)
+
+
+def split_command(command: str) -> list[str] | str:
+    """Return what the system starts: the words of a command, on Windows its line; empty where it has none.
+
+    Windows has no words, and there a quote may be part of a name. Raises ValueError: a quote has no end.
+    """
+    return command.strip() if sys.platform == "win32" else shlex.split(command)
 
 
 def from_start(address: str) -> bool:

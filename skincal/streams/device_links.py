@@ -11,7 +11,6 @@ import os
 import queue
 import re
 import select
-import shlex
 import signal
 import socket
 import subprocess
@@ -29,7 +28,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 from skincal.model.readings import Stream
 from skincal.streams.decoders.dialogue import Dialogue, DialogueError
-from skincal.streams.device_address import DRIVER_NUMBERS, DeviceAddress, parse_device
+from skincal.streams.device_address import DRIVER_NUMBERS, DeviceAddress, parse_device, split_command
 from skincal.streams.failures import FailureKind, Link, LinkFailure
 
 READY_S = 0.8
@@ -536,6 +535,23 @@ END_S = 1.0
 """s that a command has to end, once it is told to."""
 
 
+_APART: dict[str, Any] = (
+    # Without a console of its own a command in a program without one would open a window.
+    {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
+    if sys.platform == "win32"
+    else {"start_new_session": True}
+)
+"""How a command is started apart: Ctrl-C in a terminal is for this program, which then ends it with all that it started."""
+
+
+def end_tree(pid: int) -> None:
+    """End a process of Windows with all that it started: no signal reaches these. Raises OSError: there is no such tool."""
+    # By its whole path: else one that lies in the working folder would be run.
+    tool = Path(os.environ.get("SYSTEMROOT", r"C:\Windows")) / "System32" / "taskkill.exe"
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        subprocess.run([str(tool), "/F", "/T", "/PID", str(pid)], capture_output=True, check=False, timeout=END_S)
+
+
 class CommandLink:
     """What a command prints; it runs as long as the link is open.
 
@@ -564,7 +580,7 @@ class CommandLink:
         surroundings = {**os.environ, "PYTHONUNBUFFERED": "1"}
         streams: dict[str, Any] = {"stdin": stdin, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         try:
-            self._process = subprocess.Popen(command, bufsize=0, start_new_session=True, env=surroundings, **streams)
+            self._process = subprocess.Popen(command, bufsize=0, env=surroundings, **_APART, **streams)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise LinkFailure(FailureKind.ADDRESS, f"{address}: cannot be started: {reason}; check the command.") from error
@@ -656,17 +672,17 @@ class CommandLink:
 
     def _end(self, number: int) -> None:
         with contextlib.suppress(OSError):
-            if sys.platform == "win32":
-                self._process.terminate()
-            else:
+            if sys.platform != "win32":
                 os.killpg(self._process.pid, number)
+            elif self._process.poll() is None:
+                end_tree(self._process.pid)
+                self._process.terminate()
 
 
 def _open_run(device: DeviceAddress, carries: tuple[Stream, ...], ports: Ports) -> Link:
     del carries, ports
-    # No shell. Windows has no words of a command, only its line.
-    command = device.path if sys.platform == "win32" else shlex.split(device.path)
-    return CommandLink(device.text, command, READY_S, FailureKind.ENDED, "the command")
+    # No shell.
+    return CommandLink(device.text, split_command(device.path), READY_S, FailureKind.ENDED, "the command")
 
 
 DRIVER_S = 10.0

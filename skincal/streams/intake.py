@@ -274,12 +274,13 @@ class IndexClock:
         self._hull.reset()
 
     def _watch(self, arrival_s: float, late_s: float, period_s: float) -> None:
-        # By the least of a bucket: queueing makes single readings late, a lost reading makes all of them late.
-        self._least_late = min(self._least_late, late_s)
-        if arrival_s - self._bucket_s >= BUCKET_S:
+        # By the least of a bucket: queueing makes single readings late, a lost reading makes all of them late. Of readings that
+        # arrived together, as after a stall, the last alone is on time: so a bucket ends between two arrivals.
+        if arrival_s > self._arrival_s and self._arrival_s - self._bucket_s >= BUCKET_S:
             if self._least_late > max(LOST_PERIODS * period_s, LOST_S):
                 self._restart_late(arrival_s)
-            self._bucket_s, self._least_late = arrival_s, math.inf
+            self._bucket_s, self._least_late = self._arrival_s, math.inf
+        self._arrival_s, self._least_late = arrival_s, min(self._least_late, late_s)
 
     def _restart_late(self, arrival_s: float) -> None:
         """Start the line anew after what only the delay shows; too often means another pace than was learnt, or none."""
@@ -294,7 +295,7 @@ class IndexClock:
     def _learn_anew(self) -> None:
         self._period: float | None = None
         self._first: tuple[int, float] | None = None
-        self._bucket_s, self._least_late = -math.inf, math.inf
+        self._bucket_s, self._arrival_s, self._least_late = -math.inf, -math.inf, math.inf
 
     def _learn(self, arrival_s: float) -> None:
         if self._first is None:
@@ -396,9 +397,9 @@ class Intake:
         return frozenset(name for name, link in self._links.items() if link.ear.frozen)
 
     @property
-    def away(self) -> frozenset[str]:
-        """Names of the links that are not open."""
-        return frozenset(name for name, link in self._links.items() if link.state is not LinkState.OPEN)
+    def down(self) -> frozenset[str]:
+        """Names of the links that are not open, or bring nothing that is measured."""
+        return frozenset(name for name, link in self._links.items() if link.state is not LinkState.OPEN or link.ear.lifeless)
 
     @property
     def unpaired(self) -> int:

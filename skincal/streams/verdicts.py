@@ -85,6 +85,11 @@ class _Heard:
         """Whether no bit has changed for long, where before at least every second reading differed from the one before."""
         return self.constant and self.changes >= NOISY and 2 * self.changes > self._counted
 
+    @property
+    def lifeless(self) -> bool:
+        """Whether no bit has changed for long after noise, or ever."""
+        return self.froze or (self.constant and not self.changes)
+
 
 def _bits(values: FloatArray) -> NDArray[np.uint64]:
     return np.atleast_2d(np.ascontiguousarray(values)).view(np.uint64)
@@ -171,6 +176,11 @@ class LinkEar:
         """Whether a stream that always has noise, and showed it, repeats one reading."""
         return any(self._heard[stream].froze for stream in self._noisy if stream in self._heard)
 
+    @property
+    def lifeless(self) -> bool:
+        """Whether a stream that always has noise is frozen, or never changed: nothing of it is a measurement."""
+        return any(self._heard[stream].lifeless for stream in self._noisy if stream in self._heard)
+
     def judge(self, now_ns: int) -> LinkVerdict:
         """Return what is found at an instant of the host's monotonic clock."""
         now_ns = now_ns if self._ended_ns is None else min(now_ns, self._ended_ns)
@@ -200,7 +210,7 @@ class LinkEar:
             width = heard.last.shape[1]
             if stream is Stream.JOINTS and (width < self._widths.get(stream, 0) or self._is_skin(width)):
                 return self._of_width(stream, stream, width)
-            if stream in self._noisy and (heard.froze or (heard.constant and not heard.changes)):
+            if stream in self._noisy and heard.lifeless:
                 return LinkVerdict(LinkAnswer.FROZEN, stream)
         skin = self._heard.get(Stream.SKIN)
         unchanged = skin is not None and skin.constant and not skin.changes

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack, closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,17 +24,19 @@ from app.state.running import Running
 from app.state.view_state import LinkLook
 from app.text.message import connect_words
 from skincal.journal.reader import SessionLog
-from skincal.model.readings import Stream
+from skincal.model.readings import Loss, Stream
 from skincal.model.scene import resource
 from skincal.session.replay import load, replay
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.streams import baud_search
+from skincal.taxels.result import State
 from tests.approved import approved
 
 Key = Qt.Key
 PATCH = resource("scenes/flat-patch/scene.toml")
+CHECKOUT = Path(__file__).resolve().parents[2]
 FOREARM = resource("scenes/icub-forearm/scene.toml")
 CHANNELS = 64
 """Of the flat patch."""
@@ -273,6 +279,67 @@ def test_the_page_fits_the_smallest_screen_with_every_text(bench, qtbot, device,
     bench.window.text_size.choose()
 
 
+# ------------------------------------------------------------------ from makers' devices to estimates
+
+
+@pytest.fixture
+def makers(tmp_path, monkeypatch):
+    """Serve a rig as makers' devices, as `skincal simulate` does; return the address of each stream."""
+    with ExitStack() as ends:
+
+        def serve(named):
+            options = ["--serve", "--tcp", "--as", named, "--scene", str(PATCH), "--careful", "--pace", "4", "--json"]
+            command = [sys.executable, "-P", "-m", "skincal.cli", "simulate", *options]
+            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+            process = ends.enter_context(subprocess.Popen(command, cwd=CHECKOUT, **pipes))
+            ends.callback(process.stdin.close)
+            links = {link["name"]: link["address"] for link in json.loads(process.stdout.readline())["links"]}
+            if named == "yarp":
+                server = links["wrench"].removeprefix("yarp://").split("/")[0]
+                (tmp_path / "yarp.conf").write_text(f"{server.replace(':', ' ')} yarp\n", encoding="ascii")
+                monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
+            return links
+
+        yield serve
+
+
+def choose_port(row, words):
+    """Go down the list by keys to the place that holds these words."""
+    row.box.setFocus()
+    for _ in range(row.box.count()):
+        QTest.keyClick(row.box, Key.Key_Down)
+        if words in row.field.text():
+            return
+    raise AssertionError([row.box.itemText(index) for index in range(row.box.count())])
+
+
+@pytest.mark.parametrize("named", ["netft,xela", "yarp"])
+def test_a_session_over_makers_devices_goes_from_the_page_to_estimates(bench, qtbot, makers, named):
+    """Addresses typed, or chosen of the ports that a name server knows; *good* for both, Start, pokes, estimates."""
+    links = makers(named)
+    bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
+    page = shown_page(bench)
+    page.scene.setCurrentIndex(page.scene.findText("flat-patch"))
+    for stream in ("wrench", "skin"):
+        if named == "yarp":
+            box = page.rows[Stream(stream)].box
+            bench.until(lambda box=box: box.count() > 2, 5000)
+            choose_port(page.rows[Stream(stream)], links[stream].split("/", 3)[3])
+        else:
+            name(page, stream, links[stream])
+    for stream in ("wrench", "skin"):
+        row = says(qtbot, page, stream, "good")
+        bench.until(lambda row=row: "Hz" in row.rate.text(), 5000)
+    with qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
+        QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
+    bench.until(lambda: len(bench.accepted()) >= 3)
+    bench.until(lambda: any(e.state is State.ESTIMATED for e in bench.window.session_view.state.estimates))
+    assert set(looks(bench).values()) == {LinkLook.STREAMING}
+    assert bench.window.session_view.state.guidance is not None
+    losses = [link.losses for link in bench.window.session_view.state.live.links]
+    assert not any(loss in found for found in losses for loss in (Loss.MISSING, Loss.UNREADABLE, Loss.BAD_WIDTH))
+
+
 # ------------------------------------------------------------------ the session that is open
 
 
@@ -319,6 +386,19 @@ def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     wrench.made = living
     bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+
+
+def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(bench, device):
+    wrench = device(still(6))
+    open_patch(bench, wrench, device(noisy(CHANNELS)))
+    line_says(bench, "wrench is frozen", approved("links.frozen"))
+    assert looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}
+    bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
+    pipeline = bench.recording.pipeline
+    assert not pipeline.measures(time.monotonic_ns())
+    wrench.made = noisy(6)
+    bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+    bench.until(lambda: pipeline.measures(time.monotonic_ns()), VERDICT_MS)
 
 
 def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_again(bench, device, qtbot):

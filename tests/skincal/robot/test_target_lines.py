@@ -70,6 +70,8 @@ def test_what_thresholds_allow_survives_its_line():
     # A still window of a minute, held twice; the middle of the widest force window.
     read = read_line(write_line(replace(SHOWN, hold=2.0 * SECONDS_MOST, force=SETTING_MOST / 2.0)))
     assert (read.hold, read.force) == (120.0, 500_000.0)
+    read = read_line(write_line(replace(SHOWN, hold=2e-5, force=0.0012345)))
+    assert (read.hold, read.force) == (2e-5, 0.0012345)
 
 
 def test_a_line_is_bounded_whatever_the_names():

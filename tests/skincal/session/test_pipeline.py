@@ -84,10 +84,10 @@ def test_a_port_that_vanishes_in_a_poke_costs_that_poke_alone():
     assert all(poke.final for poke in outcomes_of(pipeline))
 
 
-def repeating(items, since_ns, until_ns):
-    """The same bytes, but in between the sensor repeats its last reading under new numbers and times."""
-    held = next(item for item in items if item.link == "wrench" and item.host_ns >= since_ns)
-    values = held.data.split(b"*")[0].split(b",")[3:]
+def repeating(items, since_ns, until_ns, *, zeros=False):
+    """The same bytes, but in between the sensor repeats its last reading, or zeros, under new numbers and times."""
+    held = next(item for item in items if isinstance(item, Chunk) and item.link == "wrench" and item.host_ns >= since_ns)
+    values = [b"0"] * 6 if zeros else held.data.split(b"*")[0].split(b",")[3:]
     for item in items:
         if item.link == "wrench" and isinstance(item, Chunk) and since_ns <= item.host_ns < until_ns:
             head = item.data.split(b",")[:3]
@@ -135,6 +135,22 @@ def test_a_poke_is_measured_while_samples_come_from_a_sensor_that_lives():
     end_ns = items[-1].host_ns
     assert played(items).measures(end_ns)
     assert not played(repeating(items, end_ns - 2_000_000_000, end_ns)).measures(end_ns), "frozen"
+    assert not played(repeating(items, 0, end_ns)).measures(end_ns), "never changed"
+
+
+def test_a_sensor_that_never_changed_gives_no_poke_and_the_first_that_counts_is_of_one_that_lives():
+    """A driver that repeats zeros until its sensor is there: then the load of the whole rig comes at once."""
+    script = Script(small_scene(), force_noise=0.02).quiet(2.0).press(FORCE, POINT, ANSWERS).quiet(1.0)
+    woken_s = script.now
+    script.quiet(14.0).press(FORCE, POINT, ANSWERS).quiet(0.6)
+    pipeline = Pipeline(small_scene(), LINKS, None)
+    for item in repeating(as_chunks(script.samples, per_frame=1), 0, round(woken_s * 1e9), zeros=True):
+        pipeline.feed(item)
+    first, contact = outcomes_of(pipeline)
+    assert first.reason is Reason.NO_TARE
+    assert first.start_s >= woken_s
+    assert isinstance(contact, Contact)
+    np.testing.assert_allclose(contact.force, FORCE, atol=0.1)
 
 
 def arm_scene():

@@ -29,6 +29,8 @@ from tests.skincal.simulate.orchestra_support import SKINS, WRENCHES, Brought, O
 
 MOST = 40
 """Pokes. A protocol that spoils them makes the guide ask for more."""
+MOST_S = 120.0
+"""s of the rig's own time. Where nothing is asked for any more the hand would wait for ever, and the rig with it."""
 BOARD = """
 [kinds.square]
 pads_mm = [[-3.0, -3.0], [3.0, -3.0], [-3.0, 3.0], [3.0, 3.0]]
@@ -64,7 +66,9 @@ def guided_to_the_end(part, wrench, skin):
     operator.answered = lambda answer: asking.hear(answer, line.now)
     pipeline, guide = Pipeline(part.scene, links, part.surface), SessionGuide(part)
     with closing(orchestra), reading(links, brought):
+        begun_s = line.now
         while not line.finished:
+            assert line.now - begun_s < MOST_S, (guidance, pipeline.live(round(line.now * 1e9)).links)
             orchestra.step(brought)
             while taken < len(brought.items):
                 pipeline.feed(brought.items[taken])

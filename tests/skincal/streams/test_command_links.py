@@ -23,7 +23,7 @@ from skincal.model.readings import TEMPERATURE, Chunk, LinkState, Loss, Stream
 from skincal.session.replay import resume
 from skincal.streams.bota_child import driver_config, encode_frame
 from skincal.streams.decoders.bota import BotaDecoder
-from skincal.streams.device_address import format_of, parse_device
+from skincal.streams.device_address import format_of, parse_device, split_command
 from skincal.streams.device_links import driver_settings
 from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.links import LinkSpec, Reader, open_link, parse_address
@@ -157,6 +157,23 @@ def test_no_shell_reads_a_command(tmp_path):
         data, _ = all_of(link)
     assert data == f"1,2 ; touch {tmp_path}/made\n".encode()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_on_windows_a_command_is_one_line_and_ends_with_all_that_it_started(tmp_path, monkeypatch):
+    with opened(script(tmp_path, "import time\nprint('1 2')\ntime.sleep(60)\n")) as link:
+        ended = []
+        monkeypatch.setattr(sys, "platform", "win32")
+        for line in ("C:\\O'Brien\\my_sensor.exe --rate 100", '"C:\\my dir\\" x'):
+            assert split_command(parse_device(f"run:{line} ").path) == line
+        with pytest.raises(InputError, match="expected such as run:"):
+            parse_address("run:  ")
+        monkeypatch.setenv("SYSTEMROOT", "W")
+        monkeypatch.setattr(subprocess, "run", lambda command, **_: ended.append(command))
+        pid = link._process.pid
+        link.close()
+    assert ended[0][1:] == ["/F", "/T", "/PID", str(pid)]
+    assert Path(ended[0][0]) == Path("W", "System32", "taskkill.exe")
+    assert link._process.poll() is not None, "the command itself in any case"
 
 
 def test_two_commands_are_recorded_and_their_session_never_starts_them(tmp_path, capsys):

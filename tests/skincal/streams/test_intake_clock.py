@@ -74,6 +74,22 @@ def test_count_without_a_clock_recovers_from_a_lost_reading():
     assert np.max(error[-500:]) < 5e-4
 
 
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_readings_that_a_stall_held_up_are_dated_apart(rate):
+    """A Robotiq's stream has neither clock nor number; what a busy program reads together was not made together."""
+    rng = np.random.default_rng(6)
+    made = 100 + np.arange(60 * rate) / rate
+    arrival, begin = made + 0.001, 104.0
+    while begin < 160.0:
+        end = begin + rng.uniform(0.1, 0.6)
+        arrival = np.where((arrival > begin) & (arrival < end), end, arrival)
+        begin = end + rng.exponential(0.2)
+    clock = IndexClock()
+    mapped = np.array([clock.map(y) for y in arrival.tolist()])
+    assert np.diff(mapped).max() < 0.04, "no hole in which a skin frame finds no wrench"
+    assert np.abs(mapped - made - 0.001).max() < 0.05
+
+
 def test_reported_loss_is_taken_up_at_once():
     made = np.delete(100 + np.arange(60 * 50) * 0.02, [900])
     clock = IndexClock()

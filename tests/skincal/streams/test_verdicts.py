@@ -142,7 +142,9 @@ def test_a_wrench_that_repeats_itself_after_noise_froze_and_lives_again_with_one
 def test_a_wrench_that_never_changed_is_said_to_and_breaks_no_poke():
     played = Played(Stream.WRENCH).send(still(6), 1.6)
     assert played.answer is LinkAnswer.FROZEN
+    assert played.link.ear.lifeless
     assert not played.link.ear.frozen
+    assert not played.send(noise(6), 0.1).link.ear.lifeless
 
 
 def test_a_coarse_sensor_that_shows_no_noise_at_rest_is_no_frozen_one():
