@@ -73,11 +73,7 @@ _HEADER = (
 )
 SCHEMAS: dict[str, str] = {
     "skincal_msgs/msg/Chunk": "uint64 host_ns\nuint8[] data\n",
-    "geometry_msgs/msg/WrenchStamped": (
-        "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
-    ),
+    "skincal_msgs/msg/Wrenches": f"std_msgs/Header header\nuint64[] unix_ns\nfloat64[] values\n{_HEADER}",
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nuint64 device_time_us\nfloat32[] values\n{_HEADER}",
     "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
     "sensor_msgs/msg/JointState": (
@@ -480,17 +476,13 @@ def decode_chunk(message: bytes) -> tuple[int, bytes]:
     return int(host_ns), message[16:]
 
 
-def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDArray[np.uint8]:
-    """Return a `geometry_msgs/msg/WrenchStamped` each, (n, bytes), of (n, 6) wrenches, N and N m."""
-    body = _stamped(0, frame)
-    alike = _PREFIX + body + bytes(-len(body) % 8)
-    messages = np.empty(len(wrenches), np.dtype([("alike", "u1", (len(alike),)), ("wrench", "<f8", (6,))]))
-    messages["alike"], messages["wrench"] = np.frombuffer(alike, np.uint8), wrenches
-    rows = messages.view(np.uint8).reshape(len(wrenches), -1)
-    seconds, rest = np.divmod(unix_ns, 1_000_000_000)
-    clock = np.column_stack([np.minimum(seconds, SECONDS_MAX), rest]).astype("<u4")
-    rows[:, len(_PREFIX) : len(_PREFIX) + 8] = clock.view(np.uint8)
-    return rows
+def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> bytes:
+    """Return a `skincal_msgs/msg/Wrenches` of (n,) times and (n, 6) wrenches, N and N m, n > 0; its stamp is the last time."""
+    body = _stamped(int(unix_ns[-1]), frame)
+    for numbers in (unix_ns.astype("<u8"), np.ascontiguousarray(wrenches, dtype="<f8")):
+        body += bytes(-len(body) % 4) + struct.pack("<I", numbers.size)
+        body += bytes(-len(body) % 8) + numbers.tobytes()
+    return _PREFIX + body
 
 
 def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: FloatArray) -> bytes:

@@ -6,7 +6,7 @@ and little has to be written anew after a kill.
 
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
-what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
+what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrenches`, `/taxels`,
 `/joints`, `/temperature`), which skincal does not read back. The other file holds events and notes alone, a line each: see
 `documents`.
 
@@ -73,7 +73,7 @@ SCENE_FILES_MOST = 16
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
 _DECODED = {
-    "/wrench": "geometry_msgs/msg/WrenchStamped",
+    "/wrenches": "skincal_msgs/msg/Wrenches",
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
     "/temperature": "sensor_msgs/msg/Temperature",
@@ -225,10 +225,15 @@ class JournalWriter:
 
     @_guarded
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
-        """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
+        """Append n > 0 decoded wrenches as one message, for other programs.
+
+        Parameters
+        ----------
+        times_s : (n,) s, host's monotonic clock
+        wrenches : (n, 6) N and N m, sensor frame
+        """
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
-        for unix_ns, message in zip(at.tolist(), documents.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
-            self._add("/wrench", unix_ns, message.tobytes())
+        self._add("/wrenches", int(at[-1]), documents.encode_wrenches(at, "ft_sensor", wrenches))
 
     @_guarded
     def write_temperature(self, host_ns: int, link: str, celsius: float) -> None:
