@@ -21,6 +21,7 @@ from skincal.rig.correction import FRAME, UsedCorrection
 from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
+from skincal.taxels.shared_errors import PredictedError
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
@@ -231,6 +232,22 @@ def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
             found = f" (pokes alone make it {each.found * 1e3:.1f} mm, and should lie within {2e3 * each.sd:.1f} mm of it)"
         said.append(f"The distance between {kind} {one} and {other}, {told}, is not used: {each.use.value}{found}.")
     return said
+
+
+def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
+    """Return the predicted error of a skin: `"1.1 mm mean, 1.7 mm worst"`.
+
+    Parameters
+    ----------
+    apart : also what of it the whole skin and taxels among each other have, where errors are known that all share
+    """
+    words = f"{found.mean * 1e3:.1f} mm mean, {found.worst * 1e3:.1f} mm worst"
+    if not apart or not found.whole:
+        return words
+    return (
+        f"{words}: the whole skin may be off by {found.whole * 1e3:.1f} mm, "
+        f"taxels among each other by {found.among * 1e3:.1f} mm"
+    )
 
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:

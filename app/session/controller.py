@@ -28,7 +28,7 @@ from app.session.opening import (
 )
 from app.session.recording import Recording, Storage, stop_all
 from app.state.running import Running
-from app.text.message import NO_SESSION, STILL_SOLVING, Message, kept_words, refused_words
+from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
+    from skincal.session.undo import Entry
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
@@ -182,6 +183,8 @@ class Controller(QObject):
     """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
     """Serves the simulated rig of a recorded session again."""
+    _opened_with: tuple[Entry, ...] = ()
+    """What had been done in the session when it was opened."""
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -227,11 +230,11 @@ class Controller(QObject):
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
-            folder, links = request.session, None if request.look_on else link_specs(request.addresses)
+            links = None if request.look_on else link_specs(request.addresses)
             self._links = links or ()
             self._confirmed = bool(links)
             self.compute(
-                lambda: self._load_session(folder, links),
+                lambda: self._load_session(storage, links),
                 lambda found: self._take_session(storage, found),
                 # Its journal is open and its folder locked: what comes too late is put down, not forgotten.
                 dropped=lambda found: None if isinstance(found, str) else found[1].close(),
@@ -433,12 +436,14 @@ class Controller(QObject):
         self._again = again if pipeline.journal is not None else ()
         self._take_part(part, record=False)
         self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
+        if storage.shipped is not None:
+            self.said.emit(Message(copy_words(storage.shipped), found=True))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
         from skincal.session.asking import PokeAsking
 
         self._recording, self._asking = recording, PokeAsking(recording.pipeline.scene)
-        self._links = recording.links
+        self._links, self._opened_with = recording.links, recording.pipeline.session.history
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
@@ -620,8 +625,10 @@ class Controller(QObject):
 
     @property
     def would_lose(self) -> int:
-        """How many pokes would go with the window."""
-        return len(self._recording.pipeline.snapshot().pokes) if self._recording is not None and self.can_keep else 0
+        """How many pokes would go with the window; 0 where nothing was done since it was opened."""
+        if self._recording is None or not self.can_keep or self._recording.pipeline.session.history == self._opened_with:
+            return 0
+        return len(self._recording.pipeline.snapshot().pokes)
 
     def export(
         self,
@@ -752,11 +759,15 @@ class Controller(QObject):
 
         return load_part(find_scene(scene))
 
-    def _load_session(self, folder: Path, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline, tuple[str, ...]] | str:
+    def _load_session(
+        self, storage: Storage, links: tuple[LinkSpec, ...] | None
+    ) -> tuple[Part, Pipeline, tuple[str, ...]] | str:
         """Return what a folder holds, to be looked at where there are no `links`; a sentence where another records it."""
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
+        storage.fetch()
+        folder = storage.folder
         from skincal.journal.lock import RecordedElsewhereError
 
         try:

@@ -61,7 +61,14 @@ class OpenRequest:
     @property
     def temporary(self) -> bool:
         """Whether the recording goes when the window closes, unless the operator keeps it."""
-        return self.session is None and self.folder is None
+        return self.copied or (self.session is None and self.folder is None)
+
+    @property
+    def copied(self) -> bool:
+        """Whether a copy of the session is opened: one that ships is never written into."""
+        from skincal.model.scene import ships
+
+        return self.session is not None and not self.look_on and ships(self.session)
 
 
 def find_scene(scene: Path | None) -> Path:

@@ -27,8 +27,9 @@ if TYPE_CHECKING:
 class Storage:
     """The folder of one recording.
 
-    A recording without a folder of its own goes into a temporary one. `keep` copies it at once into a folder of its date and
-    time under `documents`, and `finish` copies what was recorded after that and removes the temporary folder.
+    A recording without a folder of its own goes into a temporary one, and so does the copy of a session that ships. `keep`
+    copies it at once into a folder of its date and time under `documents`, and `finish` copies what was recorded after that
+    and removes the temporary folder.
     """
 
     def __init__(self, request: OpenRequest, documents: Path) -> None:
@@ -38,8 +39,31 @@ class Storage:
         """Where the whole of it was copied to."""
         self._target: Path | None = None
         """Where it is to be copied to: also while that was tried in vain."""
-        given = request.session or request.folder
+        self.shipped = request.session if request.copied else None
+        """The session of which this is a copy."""
+        given = None if request.copied else request.session or request.folder
         self.folder = given or (self._temporary or documents) / "session"
+
+    def fetch(self) -> None:
+        """Copy a session that ships to where it may be gone on with; do nothing for any other.
+
+        Raises
+        ------
+        InputError
+            It cannot be copied.
+        """
+        if self.shipped is None:
+            return
+        try:
+            shutil.copytree(self.shipped, self.folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
+            for folder in (self.folder, *filter(Path.is_dir, self.folder.rglob("*"))):
+                # An installation's folders may let nobody write.
+                folder.chmod(0o700)
+        except (OSError, shutil.Error) as error:
+            raise InputError(
+                f"{self.shipped}: cannot be copied to {self.folder} ({error}), and a session that ships is opened as a copy "
+                "alone. Look whether it is there, and free some space."
+            ) from error
 
     @property
     def can_keep(self) -> bool:
@@ -92,7 +116,7 @@ class Storage:
 
     def words(self) -> str:
         """Return where the recording is, for the foot of the window."""
-        return place_words(self.folder, self.kept, temporary=self._temporary is not None)
+        return place_words(self.folder, self.kept, temporary=self._temporary is not None, copied=self.shipped is not None)
 
 
 class Recording:

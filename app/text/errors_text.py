@@ -33,7 +33,7 @@ SYMBOLS: Mapping[Method, str] = {
 STATISTICS = {
     MEAN: "\N{EM DASH} mean",
     P95: "\N{EN DASH} \N{EN DASH} p95",
-    MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} max",
+    MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
 }
 """Each after the line that it is drawn with."""
 STEPS = (1.0, 2.0, 5.0)
@@ -60,7 +60,7 @@ AXIS_TITLES = {Axis.POKES: "accepted pokes", Axis.TIME: "minutes of poking", Axi
 def source_words(source: Reference | None) -> str:
     """Return what errors are measured against; a plan is never called a truth."""
     if source is None:
-        return "Predicted error (rms); compared with no reference"
+        return "Predicted error; compared with no reference"
     if source.origin is Origin.PLAN:
         return "Error against the plan, which may lie a few mm off"
     if source.origin is Origin.TRUTH:

@@ -66,16 +66,22 @@ def keep_question(pokes: int) -> tuple[str, str]:
     return f"Keep this session, with its {number}?", "It lies in a temporary folder, which goes now unless it is kept."
 
 
-def place_words(folder: Path, kept: Path | None, *, temporary: bool) -> str:
+def copy_words(shipped: Path) -> str:
+    """Return what is said where a copy of a session that ships was opened."""
+    return f"{shipped} ships with skincal and stays as it is: this is a copy, gone when the window closes; Ctrl+S keeps it."
+
+
+def place_words(folder: Path, kept: Path | None, *, temporary: bool, copied: bool = False) -> str:
     """Return where a recording is, for the foot of the window.
 
     Parameters
     ----------
     kept : where it was copied to; None where it was not
     temporary : the folder goes with the window
+    copied : it holds a copy of a session that ships
     """
     if not temporary:
         return f"Session in {folder}"
     if kept is not None:
         return f"Kept in {kept}"
-    return "Temporary recording, gone when the window closes; Ctrl+S keeps it"
+    return f"Temporary {'copy' if copied else 'recording'}, gone when the window closes; Ctrl+S keeps it"

@@ -18,9 +18,10 @@ from app.units import ChannelNames, age, count, millimetres, newtons, number, qu
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
-from skincal.sentences import link_verdict_words, state_sentence
+from skincal.sentences import link_verdict_words, predicted_words, state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.shared_errors import predicted_error
 
 ADVICE: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "Press harder, then hold.",
@@ -175,11 +176,9 @@ def summary_words(estimates: Sequence[Estimate]) -> str:
 
 
 def error_words(estimates: Sequence[Estimate]) -> str:
-    """Return the predicted errors of the taxels that are estimated; empty where none is."""
-    known = [e.rms for e in estimates if e.rms is not None]
-    if not known:
-        return ""
-    return f"predicted: median {millimetres(float(np.median(known)))}, worst {millimetres(max(known))}"
+    """Return the predicted error of the taxels that are estimated; empty where none is."""
+    found = predicted_error(estimates)
+    return "" if found is None else f"predicted error {predicted_words(found, apart=False)}"
 
 
 def rejections(snapshot: Snapshot) -> list[Rejection]:

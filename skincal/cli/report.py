@@ -9,8 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from skincal.cli.terminal import say
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.files.reference import error_summary
@@ -20,10 +18,10 @@ from skincal.methods import leading_method
 from skincal.model.readings import LinkHealth, LinkState, SideReading
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
-from skincal.sentences import beside_words
+from skincal.sentences import beside_words, predicted_words
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
-from skincal.taxels.shared_errors import predicted_error
+from skincal.taxels.shared_errors import PredictedError, predicted_error
 
 
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:
@@ -71,13 +69,17 @@ def method_summary(
     """
     # All states are written, also those of no taxel, so that a program finds each key.
     states = Counter(e.state.value for e in estimates)
-    apart = predicted_error(estimates)
-    rms = [e.rms * 1e3 for e in estimates if e.rms is not None]
+    predicted = predicted_error(estimates)
     summary: dict[str, Any] = {
         "states": {state.value: states.get(state.value, 0) for state in State},
-        "predicted_rms_mm": {"mean": float(np.mean(rms)), "max": float(np.max(rms))} if rms else None,
-        "predicted_whole_skin_mm": None if apart is None else apart.whole * 1e3,
-        "predicted_among_taxels_mm": None if apart is None else apart.among * 1e3,
+        "predicted_error_mm": None
+        if predicted is None
+        else {
+            "mean": predicted.mean * 1e3,
+            "worst": predicted.worst * 1e3,
+            "whole_skin": predicted.whole * 1e3,
+            "among_taxels": predicted.among * 1e3,
+        },
         "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
     }
     if reference is not None:
@@ -131,14 +133,11 @@ def method_lines(methods: Mapping[str, Mapping[str, Any]], leads: str | None) ->
 def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
     """Return one line of text for `method_summary`."""
     name = method.value if isinstance(method, Method) else method
-    predicted, ratio, error = summary["predicted_rms_mm"], summary["spacing_ratio"], summary.get("error_mm")
+    predicted, ratio, error = summary["predicted_error_mm"], summary["spacing_ratio"], summary.get("error_mm")
     states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
     line = f"{name:8s} {states or 'no taxel seen'}"
     if predicted is not None:
-        line += f"; predicted error {predicted['mean']:.2f} mm mean, {predicted['max']:.2f} max"
-    if summary["predicted_whole_skin_mm"]:
-        whole, among = summary["predicted_whole_skin_mm"], summary["predicted_among_taxels_mm"]
-        line += f" (the whole skin {whole:.2f}, taxels among each other {among:.2f})"
+        line += f"; predicted error {predicted_words(PredictedError(*(value * 1e-3 for value in predicted.values())))}"
     if ratio is not None:
         line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
     if error is not None:

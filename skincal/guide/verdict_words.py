@@ -9,7 +9,7 @@ from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import closing_sentence, earlier_closings
+from skincal.sentences import closing_sentence, earlier_closings, predicted_words
 from skincal.taxels.result import Method
 
 
@@ -61,7 +61,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Closing", closing_words(verdict.closings)),
-        ("Predicted", predicted_words(verdict)),
+        ("Predicted error", error_words(verdict)),
         ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
     )
 
@@ -111,17 +111,14 @@ def closing_words(closings: Sequence[Closing]) -> str:
     return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
-def predicted_words(verdict: Verdict) -> str:
-    """Return the predicted error, told apart: the whole skin, and taxels among each other."""
-    predicted, unchecked = verdict.predicted, verdict.unchecked
-    if predicted is None:
+def error_words(verdict: Verdict) -> str:
+    """Return the predicted error, and what it leaves out where nobody knows the rig's own errors."""
+    if verdict.predicted is None:
         return "no taxel is known"
-    if unchecked is None:
-        return (
-            f"{_mm(predicted.every)}: the whole skin may be off by {_mm(predicted.whole)}, "
-            f"taxels among each other by {_mm(predicted.among)}"
-        )
-    return f"{_mm(predicted.every)} for a right rig; an ordinary one's own errors add about {_mm(unchecked)}"
+    if verdict.unchecked is None:
+        return predicted_words(verdict.predicted)
+    words = predicted_words(verdict.predicted, apart=False)
+    return f"{words}, for a right rig; an ordinary one's own errors add about {_mm(verdict.unchecked)}"
 
 
 def left_words(left: Left) -> str:

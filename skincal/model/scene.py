@@ -440,12 +440,21 @@ def resource(name: str) -> Path:
 
     Raises InputError: there is no such resource.
     """
-    package = Path(__file__).resolve().parents[1]
-    # Installed, the resources lie within the package; in a checkout beside it.
-    for folder in (package / "resources", package.parent / "resources"):
+    for folder in _resource_folders():
         if (folder / name).exists():
             return folder / name
     raise InputError(f"{name}: no such file ships with skincal; install it again.")
+
+
+def ships(path: Path) -> bool:
+    """Return whether a path lies in skincal's own resources, which are never written into."""
+    return any(path.resolve().is_relative_to(folder) for folder in _resource_folders())
+
+
+def _resource_folders() -> tuple[Path, Path]:
+    package = Path(__file__).resolve().parents[1]
+    # Installed, the resources lie within the package; in a checkout beside it.
+    return package / "resources", package.parent / "resources"
 
 
 def scene_file(given: Path) -> Path:

@@ -10,7 +10,7 @@ import math
 import re
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -242,15 +242,15 @@ def _errors(facts: SessionFacts) -> ReportSection:
 
 
 METHOD_HEADINGS = (
-    "Method", "Taxels", "Predicted, rms", "of it the whole skin", "among taxels", "True error, mean", "sd", "95 %", "worst",
-    "Neighbours / layout", "Solved in",
+    "Method", "Taxels", "Predicted error, mean", "worst", "of the whole skin", "among taxels", "True error, mean", "sd", "95 %",
+    "worst", "Neighbours / layout", "Solved in",
 )  # fmt: skip
 MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95 %", "Worst")
 
 
 def _method_row(each: MethodFacts) -> tuple[str, ...]:
     states = ", ".join(f"{count} {name}" for name, count in each.states.items())
-    predicted = (None,) * 3 if each.predicted is None else (each.predicted.every, each.predicted.whole, each.predicted.among)
+    predicted = (None,) * 4 if each.predicted is None else astuple(each.predicted)
     error = (None,) * 4 if each.error is None else (each.error.mean, each.error.sd, each.error.p95, each.error.max)
     lengths = (_bare(length) for length in (*predicted, *error))
     return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f} ms"

@@ -16,7 +16,7 @@ from skincal.journal.reader import LogItem, LogState, SessionLog, recover_sessio
 from skincal.journal.writer import open_segment
 from skincal.model.actions import FoundAtLandmark, MissedLandmark, Stamped
 from skincal.model.errors import InputError
-from skincal.model.scene import with_layout
+from skincal.model.scene import ships, with_layout
 from skincal.session.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
@@ -92,8 +92,10 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     Raises
     ------
     InputError
-        As for `replay`; also if the folder cannot be written, or is being written by another process.
+        As for `replay`; also if the folder cannot be written, ships with skincal, or is being written by another process.
     """
+    if ships(folder):
+        raise InputError(f"{folder}: ships with skincal and stays as it is; copy the folder and go on with the copy.")
     SessionLog(folder)  # says what is wrong before anything is changed
     lock = SessionLock(folder)
     with ExitStack() as at_failure:

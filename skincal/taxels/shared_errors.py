@@ -271,24 +271,27 @@ def with_shared(
 
 @dataclass(frozen=True, slots=True)
 class PredictedError:
-    """The predicted error of a skin, told apart; root mean squares over its taxels, metres."""
+    """The predicted error of a skin, metres; that of a taxel is the root of its covariance's trace."""
 
+    mean: float
+    """Over the taxels."""
+    worst: float
+    """The largest of them."""
     whole: float
     """By how much the skin may be shifted as a whole."""
     among: float
-    """By how much taxels may lie wrong among each other."""
-    every: float
-    """Both together."""
+    """By how much taxels may lie wrong among each other: with `whole` their root mean square, in squares."""
 
 
 def predicted_error(estimates: Sequence[Estimate]) -> PredictedError | None:
-    """Return the predicted error of the taxels that are estimated, told apart; None where none is."""
+    """Return the predicted error of the taxels that are estimated; None where none is."""
     known = [estimate for estimate in estimates if estimate.rms is not None]
     if not known:
         return None
-    every = float(np.mean([(estimate.rms or 0.0) ** 2 for estimate in known]))
+    errors = np.array([estimate.rms for estimate in known], dtype=np.float64)
     moves = [estimate.moved for estimate in known if estimate.moved is not None]
     whole = 0.0
     if moves:
         whole = float(np.sum((np.sum(moves, axis=0) / len(known)) ** 2))
-    return PredictedError(float(np.sqrt(whole)), float(np.sqrt(max(every - whole, 0.0))), float(np.sqrt(every)))
+    among = max(float(np.mean(errors**2)) - whole, 0.0)
+    return PredictedError(float(np.mean(errors)), float(np.max(errors)), float(np.sqrt(whole)), float(np.sqrt(among)))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import html
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from app.text.outcomes import error_words
 from skincal.cli import main
+from skincal.guide.verdict_words import figures
 from skincal.methods import leading_method
 from skincal.model.scene import resource
+from skincal.reporting.page import report_page
+from skincal.reporting.session_facts import gather_facts
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 from tests.approved import approved
 
@@ -60,3 +66,18 @@ def test_export_writes_the_leading_method_unless_it_is_named(tmp_path, capsys):
         assert capsys.readouterr().out.splitlines()[0].endswith(approved("method.leads")) is (not words)
     assert main(["export", "--help"]) == 0
     assert approved("method.leads_in_help") in " ".join(capsys.readouterr().out.replace("│", " ").split())
+
+
+def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_path, capsys):
+    facts = gather_facts(Path(SAMPLE))
+    errors = [1e3 * each.rms for each in facts.estimates if each.rms is not None]
+    said = approved("now.predicted", mean_mm=f"{np.mean(errors):.1f}", worst_mm=f"{max(errors):.1f}")
+    assert error_words(facts.estimates) == said
+    for words in ((), ("--format", "icub", "--out", str(tmp_path / "positions.txt"))):
+        assert main(["export" if words else "solve", SAMPLE, *words]) == 0
+        assert f"; {said};" in capsys.readouterr().out
+    page = html.unescape(report_page(facts))
+    (column,) = (text for name, text in figures(facts.verdict) if said.startswith(name.lower()))
+    assert column in page
+    assert column.startswith(said.removeprefix("predicted error "))
+    assert all(f">{1e3 * size:.2f}<" in page for size in (facts.methods[2].predicted.mean, facts.methods[2].predicted.worst))

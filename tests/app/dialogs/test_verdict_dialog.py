@@ -20,10 +20,10 @@ from skincal.guide.verdict import Check, Left, Verdict
 from skincal.guide.verdict_words import (
     check_words,
     done_words,
+    error_words,
     figures,
     landmark_words,
     left_words,
-    predicted_words,
     verdict_sentence,
 )
 from skincal.rig.closing import Closing, ClosingPlaces
@@ -46,7 +46,7 @@ EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
 AGREES = Check(14, 13)
 PASSED = LandmarkAgreement(21, 0.94, corrected=True)
 MISSED = LandmarkAgreement(21, 4.2, corrected=False)
-APART = PredictedError(0.0012, 0.0005, 0.0013)
+APART = PredictedError(mean=0.0011, worst=0.0021, whole=0.0012, among=0.0005)
 
 
 def verdict(
@@ -104,7 +104,7 @@ def test_the_figures_are_those_of_the_verdict():
         ("Check", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
         ("Closing", approved("closing.none")),
-        ("Predicted", approved("verdict.predicted_apart", every_mm="1.3", whole_mm="1.2", among_mm="0.5")),
+        ("Predicted error", approved("verdict.predicted_apart", mean_mm="1.1", worst_mm="2.1", whole_mm="1.2", among_mm="0.5")),
         ("Work", approved("verdict.work", pokes=252, minutes=9)),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
@@ -127,8 +127,8 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
     assert landmark_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
     assert landmark_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
     unchecked = verdict(landmarks=None, unchecked=0.0071)
-    assert predicted_words(unchecked) == approved("verdict.predicted_unchecked", every_mm="1.3", unchecked_mm="7.1")
-    assert predicted_words(verdict(predicted=None, unchecked=0.0071)) == approved("verdict.predicted_none")
+    assert error_words(unchecked) == approved("verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1")
+    assert error_words(verdict(predicted=None, unchecked=0.0071)) == approved("verdict.predicted_none")
     assert "nan" not in " ".join(value for _, value in figures(verdict(used=0, predicted=None, landmarks=None)))
 
 

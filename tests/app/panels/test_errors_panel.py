@@ -67,7 +67,7 @@ def test_a_plan_is_never_called_a_truth():
     assert source_words(reference(Origin.TRUTH)) == approved("errors.against_truth", name="truth.json")
     chosen = source_words(reference(Origin.FILE, "right_forearm.txt"))
     assert chosen == "Error against right_forearm.txt"
-    assert source_words(None).startswith("Predicted error (rms)")
+    assert source_words(None).startswith("Predicted error;")
     assert (quantity_words(None), quantity_words(reference(Origin.PLAN))) == ("predicted error, mm", "error, mm")
 
 
@@ -104,7 +104,7 @@ def series(values, missing: int = 0, stride: int = 1) -> ErrorSeries:
 
 def test_the_newest_figures_in_words():
     words = newest_words(series([0.010, 0.0021]), Method.FREE, 0)
-    assert [part in words for part in ("mean 2.1", "p95 4.2", "max 8.4 mm", "5 taxels")] == [True] * 4
+    assert [part in words for part in ("mean 2.1", "p95 4.2", "worst 8.4 mm", "5 taxels")] == [True] * 4
     assert "mean \N{EN DASH}" in newest_words(series([]), Method.SURFACE, 0)
     assert axis_words(series([0.01]), Axis.TIME) == "minutes of poking"
     assert axis_words(series([0.01], missing=7), Axis.POKES) == approved("errors.past_missing", count=7)

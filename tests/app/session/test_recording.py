@@ -12,9 +12,10 @@ from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME
 from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
+from skincal.model.scene import resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from tests.approved import approved_pattern
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
@@ -156,6 +157,35 @@ def test_a_recording_in_a_folder_of_its_own_stays_there(tmp_path, write, kind):
     storage.finish()
     assert contents(tmp_path / "monday") == held
     assert [path.name for path in tmp_path.iterdir()] == ["monday"]
+
+
+SAMPLE = resource("sessions/sample")
+
+
+def test_the_copy_of_a_session_that_ships_may_be_written_though_nobody_may_write_the_installation(tmp_path, monkeypatch):
+    installed = tmp_path / "installed"
+    shutil.copytree(SAMPLE, installed / "sessions" / "sample")
+    for path in (installed, *installed.rglob("*")):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    monkeypatch.setattr("skincal.model.scene._resource_folders", lambda: (installed,))
+    storage = Storage(OpenRequest(session=installed / "sessions" / "sample"), tmp_path / "documents")
+    storage.fetch()
+    copied = [storage.folder, *storage.folder.rglob("*")]
+    assert {path.name for path in copied} >= {"segment-0001.mcap", "scene.toml", "truth.json"}
+    assert all(path.stat().st_mode & 0o200 for path in copied)
+    storage.finish()
+    assert not storage.folder.exists()
+
+
+def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
+    before = sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*"))
+    bench.open(OpenRequest(session=SAMPLE))
+    assert approved("session.ships_copied", folder=SAMPLE) in [message.text for message in bench.messages]
+    assert bench.controller.would_lose == 0
+    assert bench.controller.act(Exclude(bench.accepted()[0].poke))
+    assert bench.controller.would_lose > 0
+    bench.window.leave()
+    assert sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*")) == before
 
 
 SLOW_S = 2.5

@@ -347,4 +347,4 @@ def test_a_session_of_a_rig_that_is_wrong_is_not_believed_without_its_correction
         )  # fmt: skip
         assert verdict.believed is (correction is not None and verdict.check.agrees)
         assert verdict.doubted is (correction is None or not verdict.check.believed)
-        assert verdict.predicted.every > 0
+        assert verdict.predicted.mean > 0

@@ -177,7 +177,7 @@ def test_hundreds_of_arm_poses_that_nobody_knows_take_no_room():
     whole = [predicted_error(list(estimates.values())) for estimates in (found, few)]
     assert max(estimate.moved.shape[1] for estimate in found.values() if estimate.moved is not None) == 36
     # What each poke has by itself averages, what three poses have does not.
-    assert whole[0].every < whole[1].every
+    assert whole[0].mean < whole[1].mean
     assert whole[0].whole == pytest.approx(whole[1].whole, rel=1e-9)
 
 

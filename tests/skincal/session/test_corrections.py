@@ -427,8 +427,8 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     plain = json.loads(capsys.readouterr().out)
     assert plain["rig"]["corrections"] == []
     assert plain["unchecked_rig_mm"] > 2.0
-    assert plain["methods"]["modules"]["predicted_whole_skin_mm"] == 0.0
-    apart = plain["methods"]["modules-corrected"]
+    assert plain["methods"]["modules"]["predicted_error_mm"]["whole_skin"] == 0.0
+    apart = plain["methods"]["modules-corrected"]["predicted_error_mm"]
     assert plain["rig"]["held_out_over_predicted"] < 1.5
     assert main(["solve", str(recorded), "--correct", "--json", "--out", str(tmp_path)]) == 0
     reported = json.loads(capsys.readouterr().out)
@@ -438,9 +438,8 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert "modules-corrected" in plain["methods"]
     assert "modules-corrected" not in reported["methods"]
     assert reported["unchecked_rig_mm"] is None
-    for key in ("predicted_whole_skin_mm", "predicted_among_taxels_mm"):
-        assert reported["methods"]["modules"][key] == pytest.approx(apart[key], rel=1e-4)
-        assert apart[key] > 0.2
+    assert reported["methods"]["modules"]["predicted_error_mm"] == pytest.approx(apart, rel=1e-4)
+    assert min(apart.values()) > 0.2
     file = read_json(tmp_path / "calibration.json")
     assert len(file.corrections) == 1
     assert file.landmark_check.worth_using
@@ -454,12 +453,13 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert approved("rig.unchecked_poked", off_mm=f"{plain['unchecked_rig_mm']:.1f}", pokes=pokes) in said.splitlines()
     assert f"{plain['verdict']}." in said.splitlines()
     assert plain["verdict"].startswith("Not enough yet")
-    whole, among = (apart[key] for key in ("predicted_whole_skin_mm", "predicted_among_taxels_mm"))
+    mean, worst, whole, among = (f"{value:.1f}" for value in apart.values())
     (line,) = [line for line in said.splitlines() if line.startswith("modules-corrected")]
-    assert f"(the whole skin {whole:.2f}, taxels among each other {among:.2f})" in line
+    said = approved("verdict.predicted_apart", mean_mm=mean, worst_mm=worst, whole_mm=whole, among_mm=among)
+    assert f"predicted error {said};" in line
     assert main(["solve", str(recorded), "--correct", "--per-pose", "--json"]) == 0
     methods = json.loads(capsys.readouterr().out)["methods"]
-    assert methods["modules-per-pose"]["predicted_whole_skin_mm"] > 0.2
+    assert methods["modules-per-pose"]["predicted_error_mm"]["whole_skin"] > 0.2
 
 
 def test_where_nothing_is_offered_a_command_says_so(tmp_path, capsys):

@@ -27,12 +27,13 @@ from skincal.journal.mcap_file import McapFile
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import JournalWriter, create_session
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
+from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Loss, Stream
-from skincal.model.scene import load_scene
+from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.streams.links import LinkSpec
-from tests.approved import approved
+from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import (
     ANSWERS,
     LINKS,
@@ -445,3 +446,12 @@ def test_solve_says_what_was_found(scene, tmp_path, capsys):
     assert "was not closed" in capsys.readouterr().out
     assert main(["export", str(tmp_path / "s"), "--format", "csv", "--out", str(tmp_path / "c.csv")]) == 0
     assert "was not closed" in capsys.readouterr().out
+
+
+def test_a_session_that_ships_is_not_gone_on_with():
+    sample = resource("sessions/sample")
+    before = sorted(sample.rglob("*"))
+    with pytest.raises(InputError, match=approved_pattern("session.ships", folder=sample)):
+        resume(sample)
+    assert main(["landmarks", str(sample), "--add", "tip", "0", "0", "0"]) == 2
+    assert sorted(sample.rglob("*")) == before

@@ -186,8 +186,9 @@ def test_the_whole_and_the_rest_add_up_in_squares(rng):
     moves = [1e-3 * rng.standard_normal((3, n)) for n in (7, 7, 7)]
     found = [estimate(i, move @ move.T + 1e-8 * np.eye(3), move) for i, move in enumerate(moves)]
     apart = predicted_error([*found, Estimate(9, Method.FREE, State.UNSEEN, 0)])
-    assert apart.whole**2 + apart.among**2 == pytest.approx(apart.every**2, rel=1e-12)
-    assert apart.every == pytest.approx(np.sqrt(np.mean([np.trace(each.covariance) for each in found])), rel=1e-12)
+    squares = np.array([np.trace(each.covariance) for each in found])
+    assert apart.whole**2 + apart.among**2 == pytest.approx(squares.mean(), rel=1e-12)
+    assert (apart.mean, apart.worst) == pytest.approx((np.sqrt(squares).mean(), np.sqrt(squares).max()), rel=1e-12)
     # By drawing: how far the middle of the taxels goes.
     x = rng.standard_normal((100_000, 7))
     middle = np.mean([x @ move.T for move in moves], axis=0)
@@ -198,7 +199,8 @@ def test_what_all_taxels_do_alike_is_the_whole_and_what_they_do_against_each_oth
     move = np.diag([1e-3, 2e-3, 0.0])
     alike = predicted_error([estimate(i, move @ move.T, move) for i in range(4)])
     against = predicted_error([estimate(i, move @ move.T, (-1) ** i * move) for i in range(4)])
-    assert (alike.whole, alike.among) == (pytest.approx(alike.every), pytest.approx(0.0, abs=1e-9))
-    assert (against.whole, against.among) == (pytest.approx(0.0, abs=1e-9), pytest.approx(against.every))
-    assert predicted_error([estimate(0, 1e-6 * np.eye(3))]) == PredictedError(0.0, *2 * (pytest.approx(np.sqrt(3.0) * 1e-3),))
+    assert (alike.whole, alike.among) == (pytest.approx(alike.mean), pytest.approx(0.0, abs=1e-9))
+    assert (against.whole, against.among) == (pytest.approx(0.0, abs=1e-9), pytest.approx(against.mean))
+    size = pytest.approx(np.sqrt(3.0) * 1e-3)
+    assert predicted_error([estimate(0, 1e-6 * np.eye(3))]) == PredictedError(size, size, 0.0, size)
     assert predicted_error([Estimate(9, Method.FREE, State.UNSEEN, 0)]) is None
