@@ -31,7 +31,7 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QComboBox, QFrame, QGridLayout, QSizePolicy, QToolTip, QWidget
 
-from app.panels.widgets import FittedLabel, Painted, mix, plain_tip, theme_colours
+from app.panels.widgets import FittedLabel, Painted, mix, plain_tip, quiet, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark, answer_levels, marks
@@ -74,8 +74,8 @@ LEGEND_PX = 22
 """Height of a row."""
 LEGEND_MARK_PX, LEGEND_GAP_PX = 15, 11
 """Pixels from a mark's left to its words, and from these to the next mark."""
-BESIDE_PX = 265
-"""Width of what is said beside the map: the predicted error stands in one line."""
+BESIDE_PX = 200
+"""Width of what is said beside the map: the predicted error stands in two lines."""
 BESIDE_GAIN = 1.1
 """How much larger it makes the map at least."""
 MARGIN_PX = 6
@@ -652,11 +652,11 @@ class MapLegend(Painted):
         """Return where each entry begins, pixels from the left, and in which row."""
         left, row, laid = float(MARGIN_PX), 0, list[tuple[float, int]]()
         for _, words in self._entries:
-            long = self.fontMetrics().horizontalAdvance(words) + LEGEND_MARK_PX
+            long = self.fontMetrics().horizontalAdvance(words) + scaled(LEGEND_MARK_PX)
             if left + long > width and left > MARGIN_PX:
                 left, row = float(MARGIN_PX), row + 1
             laid.append((left, row))
-            left += long + LEGEND_GAP_PX
+            left += long + scaled(LEGEND_GAP_PX)
         return laid
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
@@ -664,13 +664,13 @@ class MapLegend(Painted):
         painter.setFont(self.font())
         text, muted, high = QColor(colours.text), QColor(colours.muted), scaled(LEGEND_PX)
         for (mark, words), (left, row) in zip(self._entries, self._laid(self.width()), strict=True):
-            at = QPointF(left + 6, high * (row + 0.5))
+            at, radius = QPointF(left + scaled(6), high * (row + 0.5)), float(scaled(5))
             if mark is None:
-                draw_wedge(painter, at, 5.0, text, QColor(colours.panel))
+                draw_wedge(painter, at, radius, text, QColor(colours.panel))
             else:
-                draw_mark(painter, at, 5.0, mark, text, text)
+                draw_mark(painter, at, radius, mark, text, text)
             painter.setPen(muted)
-            area = QRectF(left + LEGEND_MARK_PX, high * row, self.width(), high)
+            area = QRectF(left + scaled(LEGEND_MARK_PX), high * row, self.width(), high)
             painter.drawText(area, Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignLeft, words)
 
 
@@ -681,7 +681,7 @@ class MapCard(QFrame):
         super().__init__(parent)
         self.setObjectName("card")
         self.map, self.legend = made, MapLegend()
-        self.progress, self.errors, self.methods = FittedLabel(), FittedLabel("muted"), QComboBox()
+        self.progress, self.errors, self.methods = FittedLabel(), quiet(wrap=True), QComboBox()
         for method in methods:
             self.methods.addItem(METHOD_NAMES[method].capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)
