@@ -32,7 +32,6 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skincal.contacts.detector import Doubt
 from skincal.contacts.gates import FinishedPress, StillMean

@@ -102,7 +102,7 @@ def play_recording(
         if pose:
             pipeline.act(SetPose(pose), START_NS)
         span_ns = max(recording.span_ns, 1)
-        for count, chunk in enumerate(recording.chunks()):
+        for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
             if count % TOLD_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
                 raise StoppedError(STOPPED)
             pipeline.feed(chunk)
