@@ -413,7 +413,7 @@ def import_csv(
 def _import(scene: Scene, out: Path, pose: str | None, as_json: bool, recording: OpenRecording) -> None:
     from skincal.session.importing import new_session, play_recording
 
-    with new_session(out, scene, recording.links, _warn) as pipeline:
+    with new_session(out, scene, recording.links, _warn, copy=True) as pipeline:
         play_recording(pipeline, recording, pose)
         finish(pipeline, out, as_json, recording.findings, imported=True)
 

@@ -12,7 +12,8 @@ what was made of them (`/session`, JSON), numbered with the events by their `n`;
 
 Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
 vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
-the lines say, the bytes of it are there.
+the lines say, the bytes of it are there. A session that is made of another program's recording can be made again: of it two
+seconds at a time are written, and nothing is forced onto the medium before the end.
 """
 
 from __future__ import annotations
@@ -61,6 +62,8 @@ from skincal.streams.links import LinkSpec
 
 FLUSH_NS = 500_000_000
 """ns. What is buffered for so long is written: the most that a kill may cost."""
+FLUSH_COPY_NS = 2_000_000_000
+"""ns. The same in a session that is made of a recording, by the recording's clock."""
 WATCH_NS = 500_000_000
 """ns. So often it is looked whether the file is still where it was made: half a second, since a second is noticed."""
 SEGMENT_NS = 300_000_000_000
@@ -86,8 +89,12 @@ class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, 
     """The journal cannot be written any more: the message says why and what to do. Raised once; the session goes on without."""
 
 
-def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> JournalWriter:
+def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec], *, copy: bool = False) -> JournalWriter:
     """Make the folder of a new session and open its first segment.
+
+    Parameters
+    ----------
+    copy : it is made of a recording, and could be made again
 
     Raises
     ------
@@ -111,7 +118,7 @@ def create_session(folder: Path, scene: Scene, links: Sequence[LinkSpec]) -> Jou
         _demand_empty(folder)  # another may have been quicker
         at_failure.callback(shutil.rmtree, folder / SCENE_FOLDER, ignore_errors=True)
         copy_scene(scene, folder / SCENE_FOLDER)
-        journal = open_segment(folder, scene, links, lock)
+        journal = open_segment(folder, scene, links, lock, copy=copy)
         at_failure.pop_all()
     return journal
 
@@ -129,17 +136,20 @@ def _demand_empty(folder: Path) -> None:
         raise InputError(f"{folder}: there is a folder {folder / SCENE_FOLDER} already; name an empty or new folder.")
 
 
-def open_segment(folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> JournalWriter:
+def open_segment(
+    folder: Path, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock, *, copy: bool = False
+) -> JournalWriter:
     """Open the segment after the last of a session; `InputError` where that is not possible.
 
     Parameters
     ----------
     lock : of the folder; the new segment's from then on
+    copy : as for `create_session`
     """
     number = len(list(folder.glob("segment-*.mcap"))) + 1
     path = folder / SEGMENT_NAME.format(number)
     try:
-        return JournalWriter(path, number, scene, links, lock)
+        return JournalWriter(path, number, scene, links, lock, copy=copy)
     except OSError as error:
         why = error.strerror
         raise InputError(f"{path}: cannot be written ({why}); check the folder's rights and the space on the disk.") from None
@@ -171,6 +181,7 @@ class JournalWriter:
     path, number : of the first segment, a file that does not exist yet, from 1
     scene, links : written at the start of each segment
     lock : of the session's folder, let go at the end
+    copy : as for `create_session`
 
     Raises
     ------
@@ -178,7 +189,9 @@ class JournalWriter:
         The segment cannot be written; what was made of it is taken away again.
     """
 
-    def __init__(self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock) -> None:
+    def __init__(
+        self, path: Path, number: int, scene: Scene, links: Sequence[LinkSpec], lock: SessionLock, *, copy: bool = False
+    ) -> None:
         self.path = path
         self.failed = ""
         """Why nothing is written any more; empty while all is well."""
@@ -191,6 +204,7 @@ class JournalWriter:
         self._watched_ns = 0
         self._lock = lock
         self._holds_lock = True
+        self._copy, self._flush_ns = copy, FLUSH_COPY_NS if copy else FLUSH_NS
         self._open_segment(self._monotonic_ns, continues=False)
 
     @_guarded
@@ -209,7 +223,7 @@ class JournalWriter:
             self._add_event(event_to_json(item))
         for note in notes:
             self._add_document(NOTE_TOPIC, item.host_ns, note_to_json(note), self._items - 1, key_of(note))
-        if self._lines_due:
+        if self._lines_due and not self._copy:
             self._flush()
         self.tick(item.host_ns)
 
@@ -246,7 +260,7 @@ class JournalWriter:
         """Write what is buffered if half a second passed since the last time; call it in any rhythm."""
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-        if self._buffered and now_ns - self._flushed_ns >= FLUSH_NS:
+        if self._buffered and now_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = now_ns
             self._flush()
         if now_ns - self._watched_ns >= WATCH_NS:
@@ -255,8 +269,9 @@ class JournalWriter:
 
     @_guarded
     def sync(self) -> None:
-        """Force everything onto the medium."""
-        self._flush(sync=True)
+        """Force everything onto the medium; of what could be made again nothing."""
+        if not self._copy:
+            self._flush(sync=True)
 
     def close(self) -> None:
         """Finish the segment, with its index, and let others write."""

@@ -6,9 +6,10 @@ in which the device sent them; a batch of one is common.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import Enum
+from itertools import pairwise
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -114,6 +115,12 @@ class JointsBatch:
 
 
 Batch: TypeAlias = WrenchBatch | SkinBatch | JointsBatch
+
+
+def cut(batch: Batch, ends: Sequence[int]) -> list[Batch]:
+    """Return the readings of a batch in parts; each part ends before one of `ends`, which ascend to its length."""
+    arrays = [getattr(batch, item.name) for item in fields(batch)]
+    return [type(batch)(*(array[begin:end] for array in arrays)) for begin, end in pairwise([0, *ends])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

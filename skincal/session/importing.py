@@ -36,7 +36,12 @@ class StoppedError(InputError):
 
 @contextlib.contextmanager
 def new_session(
-    folder: Path, scene: Scene, links: Sequence[LinkSpec], tell: Callable[[str], object] = lambda _: None
+    folder: Path,
+    scene: Scene,
+    links: Sequence[LinkSpec],
+    tell: Callable[[str], object] = lambda _: None,
+    *,
+    copy: bool = False,
 ) -> Generator[Pipeline]:
     """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
 
@@ -45,6 +50,7 @@ def new_session(
     Parameters
     ----------
     tell : hears the findings on the mesh, in sentences
+    copy : the session is made of a recording, and could be made again
     """
     missing = missing_folders(folder)
     journal = None
@@ -52,7 +58,7 @@ def new_session(
         surface, findings = load_scene_surface(scene)
         for finding in findings:
             tell(f"{scene.surface.path.name if scene.surface else ''}: {finding}")
-        journal = writer.create_session(folder, scene, links)
+        journal = writer.create_session(folder, scene, links, copy=copy)
         yield Pipeline(scene, links, surface, journal)
     except KeptError:
         raise
@@ -102,7 +108,7 @@ def play_recording(
         if pose:
             pipeline.act(SetPose(pose), START_NS)
         span_ns = max(recording.span_ns, 1)
-        for count, chunk in enumerate(recording.chunks()):
+        for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
             if count % TOLD_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
                 raise StoppedError(STOPPED)
             pipeline.feed(chunk)
@@ -143,7 +149,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         one of its files gave no reading that could be used.
     """
     scene, recording = load_scene(request.scene), request.files.open()
-    with new_session(request.folder, scene, recording.links) as pipeline:
+    with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, go_on)
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]
         silent = silent_links(pipeline.live(0).links)

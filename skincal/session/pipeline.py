@@ -9,10 +9,11 @@ an action of its own (`FoundAtLandmark`), or was not there after all (`MissedLan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from itertools import groupby, islice
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from skincal.mesh.lay import LaidSkin
     from skincal.mesh.surface import Surface
 
+T = TypeVar("T")
+AHEAD = 256
+"""Items of a recording that are read before the first is worked on: some four seconds."""
 DECODED_NS = 500_000_000
 """ns. Decoded wrenches go to the journal so often."""
 TOTALS_NS = 5_000_000_000
@@ -103,6 +107,16 @@ class Pipeline:
         finally:
             self._settle_item(item, outcomes)  # also where the work fails: these bytes are worth keeping
         self._decoded_wrenches(item.host_ns)
+
+    def ahead(self, items: Iterable[T]) -> Iterator[T]:
+        """Yield what is fed next, each to be fed before the next is asked for; chunks are decoded many at a time meanwhile."""
+        items = iter(items)
+        while block := list(islice(items, AHEAD)):
+            for are_bytes, run in groupby(block, lambda item: isinstance(item, Chunk)):
+                found = list(run)
+                if are_bytes:
+                    self._intake.read_ahead([item for item in found if isinstance(item, Chunk)])
+                yield from found
 
     def take(self, note: Note) -> None:
         """Take what this or another pipeline's detector made of an item: its outcomes, the dead channels, and counts."""

@@ -128,7 +128,7 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
 def _played(log: SessionLog, layout: Path | None) -> Pipeline:
     pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
-    for item in log.items():
+    for item in pipeline.ahead(log.items()):
         try:
             step(pipeline, item)
         except InputError as error:

@@ -422,6 +422,11 @@ class Intake:
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.advance(self._now_s)
 
+    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
+        """Decode the chunks that are fed next, in this order, many at a time; what comes out stays the same."""
+        for name, link in self._links.items():
+            link.read_ahead([chunk for chunk in chunks if chunk.link == name])
+
     def _take(self, link: LinkIntake, batch: Batch, arrival_s: float) -> None:
         match batch:
             case WrenchBatch():
@@ -464,6 +469,8 @@ class LinkIntake:
         self.ear = LinkEar(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
         self._channels = channels
         self._decoder = self._new_decoder()
+        self._ahead: deque[tuple[Chunk, Batch]] = deque()
+        """Chunks that are decoded already."""
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
         self._beside_before: dict[str, SideReading] = {}
@@ -475,6 +482,11 @@ class LinkIntake:
     def _new_decoder(self) -> LinkDecoder:
         return LinkDecoder(format_of(self.spec.address, self.spec.format), self._channels, self.spec.carries)
 
+    def read_ahead(self, chunks: Sequence[Chunk]) -> None:
+        """Decode the chunks of this link that come next at once, where that can be done."""
+        if batches := self._decoder.feed_many([chunk.data for chunk in chunks]):
+            self._ahead.extend(zip(chunks, batches, strict=True))
+
     def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
         """Return the readings that bytes complete, each batch with the arrival of its last bytes."""
         if self._last_ns == 0 and self.state is LinkState.LOST:
@@ -482,7 +494,12 @@ class LinkIntake:
         self._last_ns = chunk.host_ns
         # Found before the batches are dated: after a loss a count of readings no longer tells the time.
         before = self._broken()
-        batches = self._decoder.feed(chunk.data, chunk.host_ns)
+        if self._ahead:
+            ahead, batch = self._ahead.popleft()
+            assert ahead is chunk, "chunks come in the order in which they were read ahead"
+            batches = [(chunk.host_ns, batch)]
+        else:
+            batches = self._decoder.feed(chunk.data, chunk.host_ns)
         if self._broken() > before:
             self.stamper.lost()
         self._count(batches)

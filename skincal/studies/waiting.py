@@ -83,8 +83,8 @@ def _lines(first: int, times: FloatArray, values: FloatArray) -> list[str]:
 
 def _import(bench: Bench, places: list[Path], out: Path) -> None:
     links, chunks, _ = read_yarp(places[0], places[1], places[2])
-    pipeline = Pipeline(bench.scene, links, bench.surface, create_session(out, bench.scene, links))
-    for chunk in chunks:
+    pipeline = Pipeline(bench.scene, links, bench.surface, create_session(out, bench.scene, links, copy=True))
+    for chunk in pipeline.ahead(chunks):
         pipeline.feed(chunk)
         pipeline.tick(chunk.host_ns)
     pipeline.close()

@@ -31,7 +31,7 @@ from skincal.streams.decoders.yarp_log import (
     MEASURES_WRENCH,
     BottleError,
     LogLine,
-    even_words,
+    even_width,
     is_header,
     parse_bottle,
     split_line,
@@ -50,8 +50,8 @@ BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
 INFO_MOST = 1 << 16
 """Bytes of `info.log`, which has some lines."""
-BLOCK = 1 << 13
-"""bytes that are read at a time: some 100 wrenches."""
+BLOCK = 1 << 16
+"""bytes that are read at a time: some 600 wrenches."""
 TOO_LONG = b"...\n"
 """Stands for a line that is too long: no record, so that it is counted as unreadable."""
 FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
@@ -296,11 +296,11 @@ def _stamps(log: _Log, contents: _Contents) -> Iterator[FloatArray]:
     for block in _whole_lines(log.path):
         times = split_stamps(block, log.stamps)
         data = b"".join(block)
-        found = None if times is None or contents.levels is not None or b"(" in data else even_words(data)
-        if times is not None and found is not None and found[1] > 1 + log.stamps:
+        width = 0 if times is None or contents.levels is not None or b"(" in data else even_width(data)
+        if times is not None and width > 1 + log.stamps:
             # The usual block: lines of words alone, all of one width.
             contents.untimed += int(np.count_nonzero(times[:, 0] == 0))
-            contents.widths[found[1] - 1 - log.stamps] += len(block)
+            contents.widths[width - 1 - log.stamps] += len(block)
             yield times[:, -1]
             continue
         for data in block:

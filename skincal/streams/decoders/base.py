@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -273,6 +274,10 @@ class PieceDecoder(ABC):
                 self.counts[problem] += 1
             self._first = False
         return self._collector.take()
+
+    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:  # noqa: ARG002 - a decoder of text may
+        """Return what `feed` returns for each of the next pieces of bytes, one batch each; None, nothing taken, if not."""
+        return None
 
     def _measure(self, name: str, value: float) -> None:
         """Keep what was measured beside a reading."""

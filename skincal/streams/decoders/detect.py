@@ -10,6 +10,7 @@ is final only when it has given a reading.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -130,6 +131,10 @@ class LinkDecoder:
         if host_ns - self._first_ns >= TEXT_AFTER_NS or self._bytes >= TEXT_AFTER_BYTES:
             return self.finish()
         return []
+
+    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:
+        """Return what `feed` returns for each of the next pieces of bytes, one batch each; None, nothing taken, if not."""
+        return None if self._probes is not None or self._chosen is None else self._chosen.feed_many(pieces)
 
     def finish(self) -> list[tuple[int, Batch]]:
         """Settle for text where nothing was found yet: no more bytes come, or enough came."""

@@ -12,15 +12,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
+from itertools import accumulate
 from math import isfinite
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray
+from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
-from skincal.model.readings import Batch, Loss, Stream
+from skincal.model.readings import Batch, Loss, Stream, cut
 from skincal.streams.decoders.base import PieceDecoder
 
 Item: TypeAlias = "float | str | list[Item]"
@@ -45,8 +48,14 @@ _TOKEN = re.compile(
     re.DOTALL,
 )
 """Of a bottle: what parts words, the ends of a list, a string, a name in brackets, any other word."""
-_INK = bytes(set(range(256)) - set(b" \t\n\r\x0b\x0c"))
-"""Every byte but those that part words."""
+_NOT_A_TABLE = (b"\r", b"\x1c", b"\x1d", b"\x1e", b"\x1f", b"_")
+"""What no table has. The separators of ASCII part words for numpy alone; nobody who writes numbers writes 1_0 for ten."""
+_HEAD = 64
+"""Letters: a line's number and stamps are shorter."""
+_DIGITS_EXACT = 18
+"""Digits of a line's number: fewer than those of `SEQ_MAX`."""
+_EXACT = 2.0**53
+"""Every smaller whole number is a double."""
 _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
 """What no payload of plain numbers has."""
 
@@ -139,7 +148,10 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
 
 
 def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
-    """Return the stamps (n, stamps), seconds, of n lines; None where `split_line` refuses one of them."""
+    """Return the stamps (n, stamps), seconds, of n > 0 lines; None where `split_line` refuses one of them."""
+    times = _even_stamps(lines, stamps)
+    if times is not None:
+        return times if (times <= STAMP_MAX).all() else None
     try:
         words = [line.split(None, 1 + stamps) for line in lines]
         numbers = [int(each[0]) for each in words]
@@ -148,23 +160,72 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
             times[:, index] = [float(each[1 + index]) for each in words]
     except (ValueError, IndexError):
         return None
-    return times if _in_range(numbers, times) else None
+    return times if _in_range(min(numbers), max(numbers), times) else None
 
 
-def _in_range(numbers: Sequence[int], times: FloatArray) -> bool:
-    # What is not finite is not within the limit, either.
-    return bool((np.abs(times) <= STAMP_MAX).all()) and max(numbers) <= SEQ_MAX and min(numbers) >= -SEQ_MAX
-
-
-def even_words(data: bytes) -> tuple[list[bytes], int] | None:
-    """Return the words of whole lines and how many each line has, where all have as many, one space between them; else None."""
-    marks = data.translate(None, _INK)
-    width = marks.find(b"\n") + 1
-    if not data.endswith(b"\n") or marks != (b" " * (width - 1) + b"\n") * (len(marks) // width):
+def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
+    """Return the stamps of lines whose numbers and stamps are digits in the same places, as in nearly every log; else None."""
+    words = lines[0][:_HEAD].split(b" ")[: 1 + stamps]
+    ends = np.cumsum([len(word) + 1 for word in words])
+    if len(words) <= stamps or not 1 < ends[0] <= _DIGITS_EXACT + 1 or ends[-1] > _HEAD:
         return None
-    words = data.split()
-    # As many words as marks: one before each.
-    return (words, width) if len(words) == len(marks) else None
+    heads = np.array(lines, f"S{ends[-1]}").view(np.uint8).reshape(len(lines), -1)
+    # What is below "0" becomes large.
+    digits = heads - ord("0")
+    if (heads[:, ends - 1] != ord(" ")).any() or (digits[:, : len(words[0])] > 9).any():
+        return None
+    times = np.empty((len(lines), stamps))
+    for index, word in enumerate(words[1:]):
+        point = word.find(b".")
+        if point >= 0 and (heads[:, ends[index] + point] != ord(".")).any():
+            return None
+        places = [ends[index] + at for at in range(len(word)) if at != point]
+        found = digits[:, places]
+        whole = found @ 10.0 ** np.arange(len(places) - 1, -1, -1)
+        if not places or (found > 9).any() or not whole.max() < _EXACT:
+            return None
+        # Both are exact doubles, so their quotient is the double nearest to the decimal, which is what `float` gives.
+        times[:, index] = whole / 10.0 ** (len(word) - 1 - point if point >= 0 else 0)
+    return times
+
+
+def _in_range(least: int, most: int, times: FloatArray) -> bool:
+    # What is not finite is not within the limit, either.
+    return bool((np.abs(times) <= STAMP_MAX).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
+
+
+def even_width(data: bytes) -> int:
+    """Return how many words each line has, where all have as many, one space between them, and nothing else; else 0."""
+    letters = np.frombuffer(data, np.uint8)
+    at = np.flatnonzero(letters <= ord(" "))
+    width = data.count(b" ", 0, data.find(b"\n")) + 1
+    if not data.endswith(b"\n") or len(at) % width or at[0] == 0 or (np.diff(at) == 1).any():
+        return 0
+    marks = letters[at].reshape(-1, width)
+    return width if (marks[:, :-1] == ord(" ")).all() and (marks[:, -1] == ord("\n")).all() else 0
+
+
+def read_table(lines: bytes) -> NDArray[Any] | None:
+    """Return the numbers of whole lines of one width, an integer first, as records of `number` and `values`.
+
+    None where a line is otherwise, blank, or has a word that is no plain number: numpy reads what Python does, only many at a
+    time.
+    """
+    # Letters that part words for numpy and not here, or here and not in a file of numpy's.
+    if not lines.isascii() or any(mark in lines for mark in _NOT_A_TABLE):
+        return None
+    rows = lines.decode("ascii").split("\n")
+    if rows.pop():
+        return None
+    width = len(rows[0].split())
+    if width < 2:
+        return None
+    try:
+        table = np.loadtxt(rows, [("number", np.int64), ("values", np.float64, (width - 1,))], comments=None, ndmin=1)
+    except ValueError:
+        return None
+    # Blank lines were left out.
+    return table if len(table) == len(rows) else None
 
 
 def is_header(line: bytes) -> bool:
@@ -192,17 +253,13 @@ class Steps:
             return step // self._usual - 1
         return 0
 
-    def all_missing(self, numbers: Sequence[int]) -> int:
-        """Return how many numbers are missing before and among `numbers`."""
+    def all_missing(self, numbers: IntArray) -> int:
+        """Return how many numbers are missing before and among `numbers` (n,)."""
         step, last = self._usual, self._last
-        if step and step == self._step and last is not None and list(numbers) == _counted(last + step, step, len(numbers)):
-            self._last = numbers[-1]
+        if step and step == self._step and last is not None and numbers[0] == last + step and (np.diff(numbers) == step).all():
+            self._last = int(numbers[-1])
             return 0
-        return sum(self.missing(number) for number in numbers)
-
-
-def _counted(first: int, step: int, count: int) -> list[int]:
-    return list(range(first, first + step * count, step))
+        return sum(map(self.missing, numbers.tolist()))
 
 
 class YarpDecoder(PieceDecoder):
@@ -226,30 +283,45 @@ class YarpDecoder(PieceDecoder):
 
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete."""
-        batch = self._even_lines(data)
-        return super().feed(data) if batch is None else [batch]
-
-    def _even_lines(self, data: bytes) -> Batch | None:
-        """Return the readings of whole lines, all of plain numbers and of one width, at once; None where one is otherwise."""
-        if self._splitter.holds or len(data) > LINE_MAX or any(mark in data for mark in _NOT_PLAIN):
-            return None
-        found = even_words(data)
-        if found is None:
-            return None
-        words, width = found
-        try:
-            numbers = [int(word) for word in words[::width]]
-            table = np.fromiter(map(float, words), np.float64, len(words)).reshape(-1, width)
-        except ValueError:
-            return None
-        times, values = table[:, 1 : 1 + self.stamps], table[:, 1 + self.stamps :]
-        if not values.size or not _in_range(numbers, times) or not self._collector.fits(self._stream, values.shape[1]):
-            return None
-        missing = self._steps.all_missing(numbers)
+        table = self._table([data])
+        if table is None:
+            return super().feed(data)
+        missing = self._steps.all_missing(table["number"])
         if missing:
             self.counts[Loss.MISSING] += missing
-        self.good += len(numbers)
-        return self._collector.batch(self._stream, np.array(numbers, np.int64), times[:, self.made].copy(), values.copy())
+        return [self._batch(table)]
+
+    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:
+        """Return what `feed` returns for each of the next pieces, one batch each; None, nothing taken, unless all are as usual.
+
+        That is: whole lines of plain numbers, of one width, with nothing lost and nothing that is not finite.
+        """
+        table, steps = self._table(pieces), copy(self._steps)
+        if table is None or not np.isfinite(table["values"]).all() or steps.all_missing(table["number"]):
+            return None
+        self._steps = steps
+        return cut(self._batch(table), list(accumulate(piece.count(b"\n") for piece in pieces)))
+
+    def _table(self, pieces: Sequence[bytes]) -> NDArray[Any] | None:
+        """Return the numbers of pieces that are whole lines of plain numbers, all of one width; None where one is otherwise."""
+        if (
+            not pieces
+            or self._splitter.holds
+            or not all(0 < len(piece) <= LINE_MAX and piece.endswith(b"\n") for piece in pieces)
+        ):
+            return None
+        table = read_table(b"".join(pieces))
+        if table is None:
+            return None
+        numbers, values = table["number"], table["values"]
+        width = values.shape[1] - self.stamps
+        good = width > 0 and _in_range(numbers.min(), numbers.max(), values[:, : self.stamps])
+        return table if good and self._collector.fits(self._stream, width) else None
+
+    def _batch(self, table: NDArray[Any]) -> Batch:
+        self.good += len(table)
+        numbers, values = table["number"].copy(), table["values"]
+        return self._collector.batch(self._stream, numbers, values[:, self.made].copy(), values[:, self.stamps :].copy())
 
     def _decode(self, piece: bytes) -> Loss | None:
         line = split_line(piece, self.stamps)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.files.importers.recorded_lines import START_NS
-from skincal.files.importers.yarp_folder import read_yarp
+from skincal.files.importers.yarp_folder import BLOCK, read_yarp
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.detect import make_decoder
@@ -370,8 +370,9 @@ def test_wrong_input_is_said(tmp_path, make, said):
         read_yarp(tmp_path / "given", skin)
 
 
-def test_a_long_log_takes_no_memory(tmp_path):
-    folders = recording(tmp_path, seconds=40.0, rates=(100, 50, 20))
+def memory_of_reading(folder, seconds):
+    """Return the most bytes that reading a recording of so many seconds takes, the files not counted."""
+    folders = recording(folder, seconds=seconds, rates=(100, 50, 20))
     tracemalloc.start()
     try:
         _, chunks, _ = read_yarp(folders["wrench"], folders["skin"], folders["joints"])
@@ -379,5 +380,12 @@ def test_a_long_log_takes_no_memory(tmp_path):
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert count == 40 * 170
-    assert peak < 400_000, peak
+    assert count == seconds * 170
+    return peak
+
+
+def test_a_long_log_takes_no_more_memory_than_a_short_one(tmp_path):
+    short, long = (memory_of_reading(tmp_path / str(seconds), seconds) for seconds in (120, 240))
+    assert long < 1.1 * short, (short, long)
+    # Some blocks of each of the three files.
+    assert long < 32 * BLOCK, long
