@@ -378,7 +378,7 @@ class _Poses:
     def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
         if angles is not None:
             angles = angles[list(arm.arm.joints)]
-            if self._angles is None or not np.array_equal(angles, self._angles):
+            if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
                 self._angles = angles
                 self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)

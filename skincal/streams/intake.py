@@ -41,7 +41,7 @@ from typing import NamedTuple, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, mean_rows
 from skincal.model.errors import InputError
 from skincal.model.readings import (
     Batch,
@@ -750,22 +750,22 @@ class WrenchRing:
 
     def between(self, after_s: float, until_s: float) -> slice:
         """Return where the readings with `after_s < stamp <= until_s` lie."""
-        first, last = np.searchsorted(self._host_s[: self._end], (after_s, until_s), side="right")
-        return slice(int(first), int(last))
+        known = self._host_s[: self._end]
+        return slice(int(known.searchsorted(after_s, side="right")), int(known.searchsorted(until_s, side="right")))
 
     def mean(self, among: slice) -> tuple[FloatArray, int]:
         """Return the mean of the usable readings of a slice, and their number; NaN if there are none."""
         usable = self._usable[among]
         wrench = self._wrench[among]
-        if not usable.all():
+        if np.count_nonzero(usable) < len(usable):
             wrench = wrench[usable]
         if not len(wrench):
             return np.full(WRENCH_WIDTH, np.nan), 0
-        return wrench.mean(axis=0), len(wrench)
+        return mean_rows(wrench), len(wrench)
 
     def flagged(self, among: slice) -> bool:
         """Say whether the device flagged a reading of a slice."""
-        return bool(self._flagged[among].any())
+        return np.count_nonzero(self._flagged[among]) > 0
 
     def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
         """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.
