@@ -61,8 +61,8 @@ class _Preview:
         while not self._inbox.empty() and time.perf_counter() < end_s:
             item: Chunk | LinkEvent = self._inbox.get()
             taken = self._intake.take_chunk(item) if isinstance(item, Chunk) else self._intake.take_event(item)
-            for _, batch in taken:
-                self._take(batch)
+            for dated in taken:
+                self._take(dated.batch)
         for stream, value in self._now.items():
             self._curves[stream].append(value)
 

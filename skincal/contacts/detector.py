@@ -27,6 +27,7 @@ Everything depends on the sequence of samples alone, never on a clock.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -35,12 +36,13 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
 from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
-from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
+from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings, Scene
 
@@ -67,6 +69,8 @@ BLIND_SHARE = 0.8
 """Share of all pokes that a channel must have answered to be always on, without a layout."""
 CROWD = 32
 """Answers. A poke with more, such as a palm, says nothing about single channels."""
+FRESH_MOST = 256
+"""Frames that wait to be counted, at most: at 50 Hz they are counted after a second."""
 NEIGHBOUR = 1.2
 """Spacings of the layout between direct neighbours, at most."""
 # How the sentence on each kind begins.
@@ -87,6 +91,8 @@ class ChannelHealth:
         self._near = 0.0 if scene.skin.layout is None else NEIGHBOUR * scene.skin.layout.spacing
         self._end = None if scene.skin.range is None else scene.skin.range[1 if scene.skin.polarity > 0 else 0]
         self._last: FloatArray | None = None
+        # Frames since then, with their times: many at once are counted in the time of a few.
+        self._fresh: list[tuple[float, FloatArray]] = []
         self._changed_s = np.zeros(channels)
         self._number_s = np.zeros(channels)
         self._changes = np.zeros(channels, dtype=np.int64)
@@ -110,20 +116,33 @@ class ChannelHealth:
             self._last = skin
             self._looked_s = host_s
             return False
-        moved = skin != self._last  # NaN differs from everything; it has a clock of its own, `_number_s`
-        self._changed_s[moved] = host_s
-        self._changes += moved
-        self._varied |= moved & ~np.isnan(skin) & ~np.isnan(self._last)
-        self._frames += 1
-        self._near_pokes[moved] = 0
-        self._number_s[~np.isnan(skin)] = host_s
-        self._last = skin
+        self._fresh.append((host_s, skin))
+        if len(self._fresh) == FRESH_MOST:
+            self._catch_up()
         return host_s - self._looked_s >= 1.0 and self._look(host_s)
+
+    def _catch_up(self) -> None:
+        """Count what changed in the frames that were only kept so far."""
+        if self._last is None or not self._fresh:
+            return
+        times_s, frames = zip(*self._fresh, strict=True)
+        self._fresh.clear()
+        skin = np.array([self._last, *frames])
+        moved = skin[1:] != skin[:-1]  # NaN differs from everything; it has a clock of its own, `_number_s`
+        number = ~np.isnan(skin)
+        _set_last(self._changed_s, times_s, moved)
+        _set_last(self._number_s, times_s, number[1:])
+        self._changes += moved.sum(axis=0)
+        self._varied |= (moved & number[1:] & number[:-1]).any(axis=0)
+        self._frames += len(frames)
+        self._near_pokes[moved.any(axis=0)] = 0
+        self._last = skin[-1]
 
     def poke(self, host_s: float, channels: IntArray, responses: FloatArray) -> bool:
         """Take the answers of one poke, whatever it ended as; return whether `dead` changed."""
         if not 0 < len(channels) <= CROWD:
             return False
+        self._catch_up()
         peak = int(channels[np.argmax(responses)])
         answered = np.isin(self._candidates, channels)
         self._pokes += 1
@@ -149,6 +168,7 @@ class ChannelHealth:
 
     def _look(self, host_s: float) -> bool:
         """Judge every channel; return whether `dead` changed."""
+        self._catch_up()
         self._looked_s = host_s
         # Where several causes fit, the last one that is found gives the sentence: the plainest comes last.
         dead: dict[int, str] = {}
@@ -211,6 +231,13 @@ class ChannelHealth:
                 )
 
 
+def _set_last(times_s: FloatArray, frames_s: Sequence[float], where: NDArray[np.bool_]) -> None:
+    """Give each of (c,) times the time of the last of n frames in which it is marked, in `where` (n, c), if there is one."""
+    last = len(where) - 1 - where[::-1].argmax(axis=0)
+    marked = where.any(axis=0)
+    times_s[marked] = np.array(frames_s)[last[marked]]
+
+
 # Samples whose median spacing is the period; enough to outvote a few missing frames.
 _PERIOD_SAMPLES = 15
 # Reasons that may fall away once a channel is found to be dead.
@@ -258,13 +285,21 @@ class ContactDetector:
         self._pokes = known.pokes
         self._pending: list[FinishedPress] = []
         self._doubts = {doubt.poke.number: (doubt, outcome) for doubt, outcome in known.doubts}
-        self.responses: FloatArray = np.full(scene.skin.channels, np.nan)
-        """(channels,) float, raw units: the last frame above its baseline; NaN before the first tare."""
+        # The last frame and its baseline.
+        self._answer: tuple[FloatArray, FloatArray] | None = None
 
     @property
     def dead(self) -> Mapping[int, str]:
         """Channels found to be dead, with the reason."""
         return self._health.dead
+
+    @property
+    def responses(self) -> FloatArray:
+        """(channels,) float, raw units: the last frame above its baseline; NaN before the first tare."""
+        if self._answer is None:
+            return np.full(self._scene.skin.channels, np.nan)
+        frame, baseline = self._answer
+        return self._scene.skin.polarity * (frame - baseline)
 
     @property
     def last_s(self) -> float:
@@ -276,7 +311,7 @@ class ContactDetector:
 
         `link_from_sensor` is (4, 4) float, metres, None while the arm's pose is unknown; `pose` is its name.
         """
-        if not np.isfinite(sample.wrench).all():
+        if not all(map(math.isfinite, sample.wrench.tolist())):
             # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
         arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
@@ -285,7 +320,7 @@ class ContactDetector:
         outcomes = self._rejudge() if self._health.feed(sample.host_s, sample.skin) and self._unused is None else []
         tare = self._tares.tare
         if tare is not None:
-            self.responses = self._scene.skin.polarity * (sample.skin - tare.skin)
+            self._answer = sample.skin, tare.skin
         if self._press is not None:
             outcomes += self._pressing(self._press, sample, arm_pose, gap_s)
         else:
@@ -341,13 +376,14 @@ class ContactDetector:
             wrench = self._last.wrench - press.tare.wrench
             force, moment = move_wrench(np.eye(4) if link_from_sensor is None else link_from_sensor, wrench[:3], wrench[3:])
         pressing = bool(force @ force > 0.0)
-        channels = self._answering(self.responses)
+        responses = self.responses
+        channels = self._answering(responses)
         return Progress(
             phase=self.phase,
             force=force,
             axis_point=axis_point(force, moment) if pressing else np.zeros(3),
             channels=channels,
-            responses=self.responses[channels],
+            responses=responses[channels],
             still=0.0 if press is None else min(1.0, press.still),
         )
 
@@ -421,8 +457,9 @@ class ContactDetector:
     def _pressing(self, press: Press, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         if gap_s > 0:
             press.lose(gap_s)
-        press.moved = max(press.moved, turned(press.pose, pose))
-        if self._turned(press.pose, pose):
+        moved = turned(press.pose, pose)
+        press.moved = max(press.moved, moved)
+        if self._beyond_tolerance(press.pose, pose, moved):
             outcomes = [*self._end(press), *self._settle(None)]
             self._drop_tare(sample.host_s)
             return outcomes
@@ -511,16 +548,19 @@ class ContactDetector:
         return self._health.dead.keys() if self._unused is None else self._unused
 
     def _turned(self, before: ArmPose, now: ArmPose) -> bool:
+        return self._scene.arm is not None and self._beyond_tolerance(before, now, turned(before, now))
+
+    def _beyond_tolerance(self, before: ArmPose, now: ArmPose, angle: float) -> bool:
         if self._scene.arm is None:
             return False
         became_known = (before.link_from_sensor is None) != (now.link_from_sensor is None)
-        return became_known or turned(before, now) > self._scene.arm.tolerance
+        return became_known or angle > self._scene.arm.tolerance
 
     def _drop_tare(self, host_s: float) -> None:
         self._tares.drop()
         self._tare_pose = None
         self._untared_since = host_s
-        self.responses = np.full(self._scene.skin.channels, np.nan)
+        self._answer = None
 
     def _leaning(self, sample: Sample) -> bool:
         """Return whether the skin answers against its last known rest: something still presses."""
@@ -541,5 +581,4 @@ def _is_crowded(outcome: Outcome) -> bool:
 
 
 def _force(sample: Sample, tare: Tare) -> float:
-    force = sample.wrench[:3] - tare.wrench[:3]
-    return float(np.sqrt(force @ force))
+    return length_of(sample.wrench[:3] - tare.wrench[:3])

@@ -6,13 +6,14 @@ travels where the contact is. Only the stillest window is kept, so memory does n
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from skincal.contacts.tare import Tare, window_length
-from skincal.geometry import FloatArray, axis_point
+from skincal.geometry import FloatArray, axis_point, length_of, mean_rows
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
@@ -35,7 +36,8 @@ def turned(before: ArmPose, now: ArmPose) -> float:
     """
     joints, change = 0, 0.0
     if before.angles is not None and now.angles is not None:
-        joints, change = len(now.angles), float(np.abs(now.angles - before.angles).max(initial=0.0))
+        pairs = zip(now.angles.tolist(), before.angles.tolist(), strict=True)
+        joints, change = len(now.angles), max((abs(there - here) for there, here in pairs), default=0.0)
     if before.link_from_sensor is now.link_from_sensor or before.link_from_sensor is None or now.link_from_sensor is None:
         return change
     rotation = _rotation(before.link_from_sensor, now.link_from_sensor)
@@ -60,8 +62,9 @@ _SURE = 2.0
 def force_spread(force: FloatArray) -> float:
     """Return the relative spread sd(|f|)/mean(|f|) of `force` (n, 3), N, tared; infinite where the mean is zero."""
     size = np.sqrt(np.einsum("ni,ni->n", force, force))
-    mean = float(size.mean())
-    return float(size.std()) / mean if mean > 0.0 else float("inf")
+    mean = mean_rows(size)
+    off = size - mean
+    return math.sqrt(mean_rows(off * off)) / float(mean) if mean > 0.0 else float("inf")
 
 
 def still_share(force: FloatArray, limit: float) -> int:
@@ -71,11 +74,12 @@ def still_share(force: FloatArray, limit: float) -> int:
     """
     size = np.sqrt(np.einsum("ni,ni->n", force, force))[::-1]
     counts = np.arange(1, len(size) + 1)
-    mean = np.cumsum(size) / counts
+    mean = size.cumsum() / counts
     # The difference of two large numbers may come out below zero.
-    variance = np.maximum(np.cumsum(size * size) / counts - mean * mean, 0.0)
+    variance = np.maximum((size * size).cumsum() / counts - mean * mean, 0.0)
     moving = np.sqrt(variance) > limit * mean
-    return int(np.argmax(moving)) if moving.any() else len(size)
+    first = int(moving.argmax())
+    return first if moving[first] else len(size)
 
 
 def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> float:
@@ -86,33 +90,35 @@ def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> f
     `CONTACT_REACH` of the point nearest to the sensor. The travel is the straight line through the d_i over the window,
     less two standard errors. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,), s.
     """
-    mean_force = force.mean(axis=0)
-    along = mean_force / np.linalg.norm(mean_force)
-    start = axis_point(mean_force, moment.mean(axis=0))
+    mean_force = mean_rows(force)
+    along = mean_force / length_of(mean_force)
+    start = axis_point(mean_force, mean_rows(moment))
     square = np.einsum("ni,ni->n", force, force)[:, None]
     offset = _cross(force, _cross(force, start) + moment) / square
     sideways = along - force * (force @ along)[:, None] / square
-    weight = float(np.sum(sideways * sideways))
+    weight = float(np.add.reduce(sideways * sideways, axis=None))
     # Below this the axes are parallel to rounding: every lambda is as good.
-    shift = float(np.sum(offset * sideways)) / weight if weight > 1e-12 * len(force) else 0.0
-    offset = offset - np.clip(shift, -CONTACT_REACH, CONTACT_REACH) * sideways
+    shift = float(np.add.reduce(offset * sideways, axis=None)) / weight if weight > 1e-12 * len(force) else 0.0
+    offset = offset - min(max(shift, -CONTACT_REACH), CONTACT_REACH) * sideways
     return _straight_travel(offset, times_s)
 
 
 def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the cross products (n, 3) with (n, 3) or (3,): the sums of `np.cross`, which takes longer over its axes."""
     (a, b, c), (d, e, f) = first.T, second.T
-    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
+    product = np.empty(first.shape)
+    product[:, 0], product[:, 1], product[:, 2] = b * f - c * e, c * d - a * f, a * e - b * d
+    return product
 
 
 def _straight_travel(offset: FloatArray, times_s: FloatArray) -> float:
-    time = times_s - times_s.mean()
+    time = times_s - mean_rows(times_s)
     square = float(time @ time)
     slope = time @ offset / square
-    rest = offset - offset.mean(axis=0) - time[:, None] * slope
+    rest = offset - mean_rows(offset) - time[:, None] * slope
     span = float(times_s[-1] - times_s[0])
-    error = np.sqrt(np.sum(rest * rest) / (len(time) - 2) / square) * span
-    return max(0.0, float(np.linalg.norm(slope)) * span - _SURE * float(error))
+    error = math.sqrt(np.add.reduce(rest * rest, axis=None) / (len(time) - 2) / square) * span
+    return max(0.0, length_of(slope) * span - _SURE * error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +169,8 @@ class Press:
         self.settings = settings
         self._length = window_length(settings.still_s, period_s)
         self._window: deque[tuple[Sample, ArmPose]] = deque(maxlen=self._length)
+        # (m, 6) tared wrenches: the last are those of the window, and room is left for more.
+        self._wrenches, self._end = np.empty((4 * self._length, 6)), 0
 
     @property
     def held(self) -> bool:
@@ -188,13 +196,22 @@ class Press:
             self.still = 0.0
             self._window.clear()
             return
-        self._window.append((sample, pose))
-        wrench = np.array([item.wrench for item, _ in self._window]) - self.tare.wrench
+        wrench = self._append(sample, pose)
         self.force = wrench[-1, :3]
-        self.peak = max(self.peak, float(np.linalg.norm(self.force)))
+        self.peak = max(self.peak, length_of(self.force))
         self.still = still_share(wrench[:, :3], self.settings.still_change) / self._length
         if len(self._window) == self._length:
             self._weigh(wrench)
+
+    def _append(self, sample: Sample, pose: ArmPose) -> FloatArray:
+        """Put a sample into the window, and return its tared wrenches (n, 6)."""
+        if self._end == len(self._wrenches):
+            self._wrenches[: self._length] = self._wrenches[-self._length :]
+            self._end = self._length
+        self._wrenches[self._end] = sample.wrench - self.tare.wrench
+        self._end += 1
+        self._window.append((sample, pose))
+        return self._wrenches[self._end - len(self._window) : self._end]
 
     def lose(self, gap_s: float) -> None:
         """Note a hole in the samples; a still window does not reach across it."""
@@ -205,7 +222,7 @@ class Press:
         """Keep the window that ends now if it is better than the best so far."""
         settings = self.settings
         force = wrench[:, :3]
-        size = float(np.linalg.norm(force.mean(axis=0)))
+        size = length_of(mean_rows(force))
         outside = max(0.0, settings.force_min - size, size - settings.force_max)
         spread = force_spread(force)
         share = spread / settings.still_change
@@ -213,9 +230,9 @@ class Press:
         first = (float(outside > 0.0), max(share, 1.0), outside)
         if best is not None and (*first, share) >= best.rank:
             return  # the travel can only make it worse
-        samples = tuple(item for item, _ in self._window)
-        times = np.array([item.host_s for item in samples])
+        times = np.array([item.host_s for item, _ in self._window])
         travel = axis_travel(force, wrench[:, 3:], times)
         rank = (*first, max(share, travel / settings.slide_max))
         if best is None or rank < best.rank:
-            self.best = StillWindow(samples, tuple(pose for _, pose in self._window), spread, travel, rank)
+            samples, poses = zip(*self._window, strict=True)
+            self.best = StillWindow(samples, poses, spread, travel, rank)

@@ -10,13 +10,14 @@ after it is not at rest for the taxels that were pressed.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, length_of, mean_rows
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
@@ -79,8 +80,12 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     count = values.shape[0] - np.isnan(values).sum(axis=0)
     last = np.maximum(count - 1, 0)
 
-    # Linear between the two nearest values in order, each column with its own count.
+    # Linear between the two nearest values in order, each column with its own count where these differ.
     def at(share: float) -> FloatArray:
+        if len(last) and last.min() == last.max():
+            place = share * float(last[0])
+            below, above = ordered[int(place)], ordered[min(int(place) + 1, int(last[0]))]
+            return below + (place - int(place)) * (above - below)
         place = share * last
         low = place.astype(np.int64)
         high = np.minimum(low + 1, last)
@@ -93,12 +98,13 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def is_quiet(window: FloatArray, following: FloatArray) -> bool:
     """Return whether the force, N, rests through a `window` (n, 3) and through the samples straight after it (m, 3)."""
-    spread = float(np.sqrt(window.var(axis=0).sum()))
+    mean = mean_rows(window)
+    off = window - mean
+    spread = math.sqrt(np.add.reduce(mean_rows(off * off)))
     half = len(window) // 2
-    mean = window.mean(axis=0)
-    within = np.linalg.norm(window[-half:].mean(axis=0) - window[:half].mean(axis=0))
-    onward = np.linalg.norm(following.mean(axis=0) - mean)
-    return spread <= QUIET_SPREAD and float(max(within, onward)) <= QUIET_SHIFT
+    within = length_of(mean_rows(window[-half:]) - mean_rows(window[:half]))
+    onward = length_of(mean_rows(following) - mean)
+    return spread <= QUIET_SPREAD and max(within, onward) <= QUIET_SHIFT
 
 
 def window_length(seconds: float, period_s: float) -> int:
@@ -171,7 +177,7 @@ class TareKeeper:
             time_s=mean_time(window),
             start_s=window[0].host_s,
             end_s=window[-1].host_s,
-            wrench=wrench[:quiet].mean(axis=0),
+            wrench=mean_rows(wrench[:quiet]),
             skin=median,
         )
         self._recent.append(tare)

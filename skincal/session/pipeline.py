@@ -333,11 +333,10 @@ class Pipeline:
         if self.journal is None or host_ns - self._decoded_ns < DECODED_NS:
             return
         self._decoded_ns = host_ns
-        times, wrenches = self._intake.recent_wrench()
-        new = int(np.searchsorted(times, self._decoded_s, side="right"))
-        if new < len(times):
+        times, wrenches = self._intake.wrench_after(self._decoded_s)
+        if len(times):
             self._decoded_s = float(times[-1])
-            self._record(lambda journal: journal.write_wrenches(times[new:], wrenches[new:]))
+            self._record(lambda journal: journal.write_wrenches(times, wrenches))
         for link in self._intake.health(host_ns):
             if (found := link.beside.get(TEMPERATURE)) is not None:
                 self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link.link, celsius=found.now))
@@ -378,7 +377,7 @@ class _Poses:
     def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
         if angles is not None:
             angles = angles[list(arm.arm.joints)]
-            if self._angles is None or not np.array_equal(angles, self._angles):
+            if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
                 self._angles = angles
                 self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)

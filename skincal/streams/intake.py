@@ -33,15 +33,15 @@ import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import compress, islice, pairwise
 from statistics import median
 from types import MappingProxyType
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, mean_rows
 from skincal.model.errors import InputError
 from skincal.model.readings import (
     Batch,
@@ -56,13 +56,14 @@ from skincal.model.readings import (
     SkinBatch,
     Stream,
     WrenchBatch,
+    cut,
     joined,
 )
 from skincal.streams.decoders.base import NO_SEQ, WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import LinkEar
+from skincal.streams.verdicts import Change, LinkEar, values_of
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -132,17 +133,17 @@ class HullClock:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
 
-    def map_steady(self, device_s: Sequence[float], arrival_s: float) -> list[float]:
-        """Return what `map` returns for readings that arrived together; only as many as need none but the usual steps."""
+    def map_steady(self, device_s: Sequence[float], arrivals_s: Sequence[float], begin: int = 0) -> list[float]:
+        """Return what `map` returns for readings from `begin` on; only as many as need none but the usual steps."""
         if self._origin is None or self._behind_since is not None:
             return []
         made: list[float] = []
         first_x, first_y = self._origin
         (low_x, low_y), last_x = self._lowest, self._last_x
         offset, slope = self._offset, self._slope
-        y, end = arrival_s - first_y, self._bucket_start + BUCKET_S
-        for stamp in device_s:
-            x = stamp - first_x
+        end = self._bucket_start + BUCKET_S
+        for stamp, arrival_s in zip(islice(device_s, begin, None), islice(arrivals_s, begin, None), strict=True):
+            x, y = stamp - first_x, arrival_s - first_y
             late = y - offset - slope * x
             # The same sums as in `map`, in the same order; a bucket ends where x - start says so.
             if stamp < last_x - JUMP_S or not -JUMP_S <= late <= JUMP_S or x >= end - STEP_S:
@@ -325,27 +326,43 @@ class Stamper:
         for index in self._index.values():
             index.lost()
 
-    def stamp(self, stream: Stream, device_s: FloatArray, arrival_s: float, seq: IntArray | None = None) -> FloatArray:
-        """Return the host's clock at each reading, seconds, strictly ascending from call to call.
+    def stamp(
+        self, stream: Stream, device_s: FloatArray, arrival_s: float | FloatArray, seq: IntArray | None = None
+    ) -> FloatArray:
+        """Return the host's clock at each reading, (n,) seconds, strictly ascending from call to call.
 
-        `device_s` is (n,), seconds, NaN where the device has no clock; the last of them arrived at `arrival_s`. `seq` (n,) is
-        the device's numbers, `NO_SEQ` where it has none.
+        Parameters
+        ----------
+        device_s : (n,), seconds, NaN where the device has no clock
+        arrival_s : when the last of them arrived, or (n,) when the last of those arrived that came with each
+        seq : (n,), the device's numbers, `NO_SEQ` where it has none
         """
-        last = self._last.get(stream, -math.inf)
-        stamps: list[float] = []
-        readings = device_s.tolist()
+        readings, arrivals = device_s.tolist(), np.broadcast_to(arrival_s, device_s.shape).tolist()
         numbers = [NO_SEQ] * len(readings) if seq is None else seq.tolist()
         clocked = not np.isnan(device_s).any()
-        while len(stamps) < len(readings):
-            made = self._device.map_steady(readings[len(stamps) :], arrival_s) if clocked else []
-            if not made:
-                x, number = readings[len(stamps)], numbers[len(stamps)]
-                made = [self._index[stream].map(arrival_s, number) if math.isnan(x) else self._device.map(x, arrival_s)]
-            for made_s in made:
-                last = made_s if made_s >= last + STEP_S else last + STEP_S
-                stamps.append(last)
-        self._last[stream] = last
-        return np.array(stamps)
+        made: list[float] = []
+        while (at := len(made)) < len(readings):
+            steady = self._device.map_steady(readings, arrivals, at) if clocked else []
+            if steady:
+                made += steady
+            elif math.isnan(readings[at]):
+                made.append(self._index[stream].map(arrivals[at], numbers[at]))
+            else:
+                made.append(self._device.map(readings[at], arrivals[at]))
+        stamps = _ascending(np.array(made), self._last.get(stream, -math.inf))
+        self._last[stream] = float(stamps[-1])
+        return stamps
+
+
+def _ascending(stamps: FloatArray, last: float) -> FloatArray:
+    """Return stamps (n,), seconds, n > 0, each moved to `STEP_S` behind the one before it where it is earlier."""
+    if stamps[0] >= last + STEP_S and (stamps[1:] >= stamps[:-1] + STEP_S).all():
+        return stamps
+    moved: list[float] = []
+    for stamp in stamps.tolist():
+        last = max(stamp, last + STEP_S)
+        moved.append(last)
+    return np.array(moved)
 
 
 WAIT_S = 0.25
@@ -387,14 +404,11 @@ class Intake:
         self._links = {spec.name: LinkIntake(channels, spec, joints) for spec in links}
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
+        self.frozen: frozenset[str] = frozenset()
+        """Names of the links on which a stream that always has noise repeats one reading."""
         self._joints = joints
         self._pairing = Pairing()
         self._now_s = -np.inf
-
-    @property
-    def frozen(self) -> frozenset[str]:
-        """Names of the links on which a stream that always has noise repeats one reading."""
-        return frozenset(name for name, link in self._links.items() if link.ear.frozen)
 
     @property
     def down(self) -> frozenset[str]:
@@ -416,8 +430,10 @@ class Intake:
         self.check(item)
         link = self._links[item.link]
         arrived = link.take_chunk(item) if isinstance(item, Chunk) else link.take_event(item)
-        for arrival_ns, batch in arrived:
-            self._take(link, batch, arrival_ns * 1e-9)
+        for dated in arrived:
+            self._take(dated)
+        if link.ear.frozen != (item.link in self.frozen):
+            self.frozen ^= {item.link}
         # Two readers stamp their bytes before they queue them, so items may be out of order by a little.
         self._now_s = max(self._now_s, item.host_ns * 1e-9)
         return self._pairing.advance(self._now_s)
@@ -427,21 +443,26 @@ class Intake:
         for name, link in self._links.items():
             link.read_ahead([chunk for chunk in chunks if chunk.link == name])
 
-    def _take(self, link: LinkIntake, batch: Batch, arrival_s: float) -> None:
+    def _take(self, dated: Dated) -> None:
+        batch, stamps = dated.batch, dated.stamps
         match batch:
             case WrenchBatch():
-                self._pairing.add_wrench(link.stamper.stamp(Stream.WRENCH, batch.device_s, arrival_s, batch.seq), batch)
+                self._pairing.add_wrench(stamps, batch)
             case SkinBatch():
-                stamps = link.stamper.stamp(Stream.SKIN, batch.device_s, arrival_s, batch.seq).tolist()
-                for stamp, values in zip(stamps, batch.values, strict=True):
-                    self._pairing.add_frame(stamp, arrival_s, values)
+                for stamp, values in zip(stamps.tolist(), batch.values, strict=True):
+                    self._pairing.add_frame(stamp, dated.arrival_s, values)
             case JointsBatch():
-                stamps = link.stamper.stamp(Stream.JOINTS, batch.device_s, arrival_s, batch.seq).tolist()
-                for stamp, angles in zip(stamps, batch.angles, strict=True):
-                    if len(angles) >= self._joints and np.isfinite(angles).all():
+                if batch.angles.shape[1] >= self._joints:
+                    good = np.isfinite(batch.angles).all(axis=1).tolist()
+                    for stamp, angles in compress(zip(stamps.tolist(), batch.angles, strict=True), good):
                         self._pairing.add_joints(stamp, angles)
             case _:
                 assert_never(batch)
+
+    def wrench_after(self, host_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds that are later than `host_s`."""
+        ring = self._pairing.ring
+        return ring.since(max(ring.newest_s - RECENT_S, math.nextafter(host_s, math.inf)))
 
     def recent_wrench(self) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds, as the device says them."""
@@ -454,6 +475,17 @@ class Intake:
             link.health(now_ns, self._pairing.counts if Stream.SKIN in link.spec.carries else none)
             for link in self._links.values()
         )
+
+
+class Dated(NamedTuple):
+    """Readings of one stream that arrived together."""
+
+    batch: Batch
+    stamps: FloatArray
+    """(n,) host's clock at each reading, seconds."""
+    arrival_s: float
+    change: Change | None = None
+    """How they differ, where they were decoded before their turn."""
 
 
 class LinkIntake:
@@ -469,8 +501,8 @@ class LinkIntake:
         self.ear = LinkEar(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
         self._channels = channels
         self._decoder = self._new_decoder()
-        self._ahead: deque[tuple[Chunk, Batch]] = deque()
-        """Chunks that are decoded already."""
+        self._ahead: deque[tuple[Chunk, Dated]] = deque()
+        """Chunks that are decoded and dated already."""
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
         self._beside_before: dict[str, SideReading] = {}
@@ -483,30 +515,39 @@ class LinkIntake:
         return LinkDecoder(format_of(self.spec.address, self.spec.format), self._channels, self.spec.carries)
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:
-        """Decode the chunks of this link that come next at once, where that can be done."""
-        if batches := self._decoder.feed_many([chunk.data for chunk in chunks]):
-            self._ahead.extend(zip(chunks, batches, strict=True))
+        """Decode and date the chunks of this link that come next at once, where that can be done."""
+        found = self._decoder.feed_many([chunk.data for chunk in chunks])
+        if found is None:
+            return
+        whole, ends = found
+        arrivals = [chunk.host_ns * 1e-9 for chunk in chunks]
+        each = np.repeat(arrivals, np.diff(ends, prepend=0))
+        stamps = self.stamper.stamp(values_of(whole)[0], whole.device_s, each, whole.seq)
+        parts = (stamps[begin:end] for begin, end in pairwise([0, *ends]))
+        dated = map(Dated, cut(whole, ends), parts, arrivals, self.ear.compare(whole, ends))
+        self._ahead.extend(zip(chunks, dated, strict=True))
 
-    def take_chunk(self, chunk: Chunk) -> list[tuple[int, Batch]]:
-        """Return the readings that bytes complete, each batch with the arrival of its last bytes."""
+    def take_chunk(self, chunk: Chunk) -> list[Dated]:
+        """Return the readings that bytes complete."""
         if self._last_ns == 0 and self.state is LinkState.LOST:
             self.state, self._text = LinkState.OPEN, ""
         self._last_ns = chunk.host_ns
+        if self._ahead:
+            ahead, dated = self._ahead.popleft()
+            assert ahead is chunk, "chunks come in the order in which they were read ahead"
+            self._count([(chunk.host_ns, dated.batch)])
+            self.ear.hear(chunk.data, chunk.host_ns, [dated.batch], dated.change)
+            return [dated]
         # Found before the batches are dated: after a loss a count of readings no longer tells the time.
         before = self._broken()
-        if self._ahead:
-            ahead, batch = self._ahead.popleft()
-            assert ahead is chunk, "chunks come in the order in which they were read ahead"
-            batches = [(chunk.host_ns, batch)]
-        else:
-            batches = self._decoder.feed(chunk.data, chunk.host_ns)
+        batches = self._decoder.feed(chunk.data, chunk.host_ns)
         if self._broken() > before:
             self.stamper.lost()
         self._count(batches)
         self.ear.hear(chunk.data, chunk.host_ns, [batch for _, batch in batches])
-        return batches
+        return self._dated(batches)
 
-    def take_event(self, event: LinkEvent) -> list[tuple[int, Batch]]:
+    def take_event(self, event: LinkEvent) -> list[Dated]:
         """Follow the link's state; what was held back until the format was sure is let through at the end."""
         batches: list[tuple[int, Batch]] = []
         self.ear.follow(event)
@@ -521,7 +562,14 @@ class LinkIntake:
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
         self.state, self._text = event.state, event.text
-        return batches
+        return self._dated(batches)
+
+    def _dated(self, batches: Sequence[tuple[int, Batch]]) -> list[Dated]:
+        arrived = [(batch, host_ns * 1e-9) for host_ns, batch in batches]
+        return [
+            Dated(batch, self.stamper.stamp(values_of(batch)[0], batch.device_s, arrival_s, batch.seq), arrival_s)
+            for batch, arrival_s in arrived
+        ]
 
     def _broken(self) -> int:
         counts = self._decoder.counts
@@ -703,22 +751,22 @@ class WrenchRing:
 
     def between(self, after_s: float, until_s: float) -> slice:
         """Return where the readings with `after_s < stamp <= until_s` lie."""
-        first, last = np.searchsorted(self._host_s[: self._end], (after_s, until_s), side="right")
-        return slice(int(first), int(last))
+        known = self._host_s[: self._end]
+        return slice(int(known.searchsorted(after_s, side="right")), int(known.searchsorted(until_s, side="right")))
 
     def mean(self, among: slice) -> tuple[FloatArray, int]:
         """Return the mean of the usable readings of a slice, and their number; NaN if there are none."""
         usable = self._usable[among]
         wrench = self._wrench[among]
-        if not usable.all():
+        if np.count_nonzero(usable) < len(usable):
             wrench = wrench[usable]
         if not len(wrench):
             return np.full(WRENCH_WIDTH, np.nan), 0
-        return wrench.mean(axis=0), len(wrench)
+        return mean_rows(wrench), len(wrench)
 
     def flagged(self, among: slice) -> bool:
         """Say whether the device flagged a reading of a slice."""
-        return bool(self._flagged[among].any())
+        return np.count_nonzero(self._flagged[among]) > 0
 
     def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
         """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.

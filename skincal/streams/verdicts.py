@@ -13,6 +13,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,29 +53,50 @@ def values_of(batch: Batch) -> tuple[Stream, FloatArray]:
     return (Stream.SKIN, batch.values) if isinstance(batch, SkinBatch) else (Stream.JOINTS, batch.angles)
 
 
+class Change(NamedTuple):
+    """How readings of one stream that came together differ, each from the one before it."""
+
+    count: int
+    changes: int
+    """Readings that differ in a bit."""
+    newest: int
+    """Index of the last of these."""
+    last: NDArray[np.uint64]
+    """(1, width) bits of the last reading."""
+
+
+def _changes(before: NDArray[np.uint64], bits: NDArray[np.uint64], ends: Sequence[int]) -> list[Change]:
+    """Return the change of each part of (n, width) readings; each part ends before one of `ends`, ascending to n."""
+    differs = np.empty(len(bits), np.int64)
+    differs[0] = (bits[:1] != before).any()
+    differs[1:] = (bits[1:] != bits[:-1]).any(axis=1)
+    begins = np.array([0, *ends[:-1]])
+    changes = np.add.reduceat(differs, begins)
+    newest = np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins
+    parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
+    return [Change(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
+
+
 class _Heard:
     """What one stream brought: when, and how its bits changed from reading to reading."""
 
-    def __init__(self, first: FloatArray, host_ns: int) -> None:
+    def __init__(self, last: NDArray[np.uint64], host_ns: int) -> None:
         self.last_ns = self.changed_ns = host_ns
-        self.last = _bits(first)
+        self.last = last
+        """(1, width) bits of the last reading."""
         self._alike = 0
         """Readings since a bit changed."""
         self.changes = 0
         self._counted = 0
         """Readings before these, without those of a freeze."""
 
-    def take(self, values: FloatArray, host_ns: int) -> None:
-        """Take n readings, (n, width), in their order."""
-        bits = _bits(values)
-        differs = (bits != np.vstack([self.last, bits[:-1]])).any(axis=1)
-        changes = int(np.count_nonzero(differs))
-        if changes:
-            before = int(np.flatnonzero(differs)[-1])
-            self._counted += before + (0 if self.froze else self._alike)
-            self.changes, self.changed_ns, self._alike = self.changes + changes, host_ns, -before
-        self._alike += len(bits)
-        self.last_ns, self.last = host_ns, bits[-1:]
+    def take(self, change: Change, host_ns: int) -> None:
+        """Take readings, in their order."""
+        if change.changes:
+            self._counted += change.newest + (0 if self.froze else self._alike)
+            self.changes, self.changed_ns, self._alike = self.changes + change.changes, host_ns, -change.newest
+        self._alike += change.count
+        self.last_ns, self.last = host_ns, change.last
 
     @property
     def constant(self) -> bool:
@@ -143,16 +166,28 @@ class LinkEar:
             self._heard.clear()
             self._begin(event.host_ns)
 
-    def hear(self, data: bytes, host_ns: int, batches: Sequence[Batch]) -> None:
-        """Take bytes and the readings that a decoder of the wanted streams made of them."""
+    def compare(self, batch: Batch, ends: Sequence[int]) -> list[Change]:
+        """Return how the readings of a batch differ, part by part; each part ends before one of `ends`, ascending."""
+        stream, values = values_of(batch)
+        known, bits = self._heard.get(stream), _bits(values)
+        fits = known is not None and known.last.shape == bits[:1].shape
+        return _changes(known.last if known is not None and fits else bits[:1], bits, ends)
+
+    def hear(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Change | None = None) -> None:
+        """Take bytes and the readings that a decoder of the wanted streams made of them.
+
+        `change` says how these differ where they are one batch, of numbers alone, that was compared already.
+        """
         self._last_ns = host_ns
         self._opened_ns = self._opened_ns or host_ns
-        for stream, values in map(values_of, batches):
-            if np.isfinite(values[-1]).any():
+        for batch in batches:
+            stream, values = values_of(batch)
+            if change is not None or np.isfinite(values[-1]).any():
+                news = change or self.compare(batch, [len(values)])[0]
                 known = self._heard.get(stream)
-                if known is None or known.last.shape[1] != values.shape[1]:
-                    known = self._heard[stream] = _Heard(values[0], host_ns)
-                known.take(values, host_ns)
+                if known is None or known.last.shape != news.last.shape:
+                    known = self._heard[stream] = _Heard(news.last, host_ns)
+                known.take(news, host_ns)
         if self._wanted and not self._missing(host_ns):
             self._since_ns, self._look = None, None
             self._instead.clear()

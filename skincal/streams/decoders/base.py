@@ -275,8 +275,8 @@ class PieceDecoder(ABC):
             self._first = False
         return self._collector.take()
 
-    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:  # noqa: ARG002 - a decoder of text may
-        """Return what `feed` returns for each of the next pieces of bytes, one batch each; None, nothing taken, if not."""
+    def feed_many(self, pieces: Sequence[bytes]) -> tuple[Batch, list[int]] | None:  # noqa: ARG002 - a decoder of text may
+        """Return the readings of the next pieces as one batch, and where those of each end; None, nothing taken, if not."""
         return None
 
     def _measure(self, name: str, value: float) -> None:

@@ -132,8 +132,8 @@ class LinkDecoder:
             return self.finish()
         return []
 
-    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:
-        """Return what `feed` returns for each of the next pieces of bytes, one batch each; None, nothing taken, if not."""
+    def feed_many(self, pieces: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Return the readings of the next pieces as one batch, and where those of each end; None, nothing taken, if not."""
         return None if self._probes is not None or self._chosen is None else self._chosen.feed_many(pieces)
 
     def finish(self) -> list[tuple[int, Batch]]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
-from skincal.model.readings import Batch, Loss, Stream, cut
+from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.decoders.base import PieceDecoder
 
 Item: TypeAlias = "float | str | list[Item]"
@@ -291,16 +291,16 @@ class YarpDecoder(PieceDecoder):
             self.counts[Loss.MISSING] += missing
         return [self._batch(table)]
 
-    def feed_many(self, pieces: Sequence[bytes]) -> list[Batch] | None:
-        """Return what `feed` returns for each of the next pieces, one batch each; None, nothing taken, unless all are as usual.
+    def feed_many(self, pieces: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Return the readings of the next pieces as one batch, and where those of each end; None, nothing taken, if unusual.
 
-        That is: whole lines of plain numbers, of one width, with nothing lost and nothing that is not finite.
+        Usual are whole lines of plain numbers, of one width, with nothing lost and nothing that is not finite.
         """
         table, steps = self._table(pieces), copy(self._steps)
         if table is None or not np.isfinite(table["values"]).all() or steps.all_missing(table["number"]):
             return None
         self._steps = steps
-        return cut(self._batch(table), list(accumulate(piece.count(b"\n") for piece in pieces)))
+        return self._batch(table), list(accumulate(piece.count(b"\n") for piece in pieces))
 
     def _table(self, pieces: Sequence[bytes]) -> NDArray[Any] | None:
         """Return the numbers of pieces that are whole lines of plain numbers, all of one width; None where one is otherwise."""

@@ -225,7 +225,7 @@ def test_readings_that_arrive_together_are_mapped_as_one_by_one_to_the_last_bit(
         expected = [alone.map(stamp, arrival) for stamp in stamps]
         made: list[float] = []
         while len(made) < len(stamps):
-            some = together.map_steady(stamps[len(made) :], arrival)
+            some = together.map_steady(stamps, [arrival] * len(stamps), len(made))
             steady += len(some)
             made += some or [together.map(stamps[len(made)], arrival)]
         assert made == expected
@@ -240,7 +240,7 @@ def test_a_steady_stream_is_mapped_together_but_for_the_ends_of_buckets():
         arrival = 500.0 + batch[-1] + rng.exponential(2e-3)
         stamps = batch.tolist()
         while stamps:
-            made = clock.map_steady(stamps, arrival)
+            made = clock.map_steady(stamps, [arrival] * len(stamps))
             if not made:
                 clock.map(stamps[0], arrival)
                 alone += 1
