@@ -47,10 +47,13 @@ class Watched:
     """What one link brought: readings, rate, losses and what its device says."""
 
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
+        from skincal.sentences import link_verdict_words
         from skincal.streams.decoders.detect import AUTO, LinkDecoder
         from skincal.streams.device_address import format_of
         from skincal.streams.verdicts import LinkEar
 
+        # Now: imported at the first line, what comes meanwhile would count for the second.
+        self._verdict_words = link_verdict_words
         # Without the width of a skin everything fits: who names one stream hears of another in its place.
         named = carries if len(carries) == 1 else ()
         self._ear = LinkEar(
@@ -82,15 +85,13 @@ class Watched:
 
     def figures(self) -> dict[str, Any]:
         """Return the verdict, format, rates since the last call, newest readings, losses and what the device says."""
-        from skincal.sentences import link_verdict_words
-
         now_s = time.monotonic()
         passed_s, self._began_s = max(now_s - self._began_s, 1e-3), now_s
         rates = {stream.value: round(count / passed_s, 1) for stream, count in self.readings.items()}
         self.readings.clear()
         losses: Counter[Loss] = self._decoder.counts
         return {
-            "verdict": link_verdict_words(self._ear.judge(time.monotonic_ns())),
+            "verdict": self._verdict_words(self._ear.judge(time.monotonic_ns())),
             "format": self._decoder.name,
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},

@@ -182,7 +182,7 @@ class MakerOutlets:
         if maker == "netft":
             return RdtOutlet()
         talks: dict[str, tuple[Callable[[], DeviceTalk], str]] = {
-            "rtde": (RtdeTalk, "rtde://127.0.0.1:{}"),
+            "rtde": (lambda: RtdeTalk(b"actual_q" if stream is Stream.JOINTS else b"ft_raw_wrench"), "rtde://127.0.0.1:{}"),
             "xela": (XelaTalk, "xela://127.0.0.1:{}"),
             "robotiq-text": (PlainTalk, "robotiq://127.0.0.1:{}"),
         }

@@ -114,8 +114,10 @@ class RobotiqTextEncoder(MakerEncoder):
 class RtdeEncoder(MakerEncoder):
     """Data packets of a UR controller, recipe 1: time and one field."""
 
+    BYTES = 60
+
     def _wrench(self, t_us: int, wrench: list[float]) -> bytes:
-        return struct.pack(">HBB7d", 60, ord("U"), 1, t_us / 1e6, *wrench)
+        return struct.pack(">HBB7d", self.BYTES, ord("U"), 1, t_us / 1e6, *wrench)
 
     def joints(self, t_us: int, degrees: FloatArray) -> bytes:
         """See `MakerEncoder`: a UR has six."""
@@ -215,15 +217,19 @@ class PlainTalk:
 
 
 class RtdeTalk(PlainTalk):
-    """A UR controller with a sensor at its flange."""
+    """A UR controller with a sensor at its flange, of which one field moves: the others that are asked for are zeros."""
 
     KINDS: Mapping[bytes, bytes] = MappingProxyType(
         {b"timestamp": b"DOUBLE", b"ft_raw_wrench": b"VECTOR6D", b"actual_q": b"VECTOR6D"}
     )
 
-    def __init__(self) -> None:
+    TIME, OTHER = slice(4, 12), bytes(48)
+
+    def __init__(self, field: bytes = b"ft_raw_wrench") -> None:
         super().__init__()
         self.ready = False
+        self._field = field
+        self._asked: list[bytes] = []
 
     def hear(self, data: bytes) -> bytes:
         """See `DeviceTalk`."""
@@ -233,10 +239,23 @@ class RtdeTalk(PlainTalk):
             kind, payload, self.heard = self.heard[2:3], self.heard[3:length], self.heard[length:]
             answer = b"\x01"
             if kind == b"O":
-                answer += b",".join(self.KINDS.get(name, b"NOT_FOUND") for name in payload[8:].split(b","))
+                self._asked = payload[8:].split(b",")
+                answer += b",".join(self.KINDS.get(name, b"NOT_FOUND") for name in self._asked)
             self.ready = self.ready or kind == b"S"
             out += struct.pack(">HB", 3 + len(answer), kind[0]) + answer
         return out
+
+    def wrap(self, data: bytes) -> bytes:
+        """See `DeviceTalk`: the fields as they were asked for."""
+        if self._asked == [b"timestamp", self._field]:
+            return data
+        size = RtdeEncoder.BYTES
+        return b"".join(self._packet(data[at : at + size]) for at in range(0, len(data), size))
+
+    def _packet(self, packet: bytes) -> bytes:
+        known = {b"timestamp": packet[self.TIME], self._field: packet[self.TIME.stop :]}
+        body = b"".join(known.get(name, self.OTHER) for name in self._asked)
+        return struct.pack(">HBB", 4 + len(body), ord("U"), 1) + body
 
 
 class YarpTalk(PlainTalk):

@@ -479,6 +479,10 @@ READ_S = 0.1
 """s. Longest wait in one read: how soon a stop is seen."""
 RETRY_S = 0.1
 """s. Pause between attempts to open a link that is away."""
+STEADY_S = 1.0
+"""s. A link that is lost sooner after it was opened was lost hastily: a server that has no room hangs up at once."""
+RETRY_MOST_S = 5.0
+"""s. A link that is lost hastily again and again is opened anew ever later, up to this."""
 JOIN_S = 2.0
 """s. Longest wait for the thread at a stop: longer than a connection may take."""
 HOLD_S, HOLD_STEP_S = 5.0, 0.02
@@ -572,7 +576,8 @@ class Reader:
 
     Events: OPEN each time the link opens; FAILED when it cannot be opened at first, LOST when it vanished, each with a
     sentence, and again if the reason becomes another; ENDED at the end of a file. Attempts to open go on until `stop`,
-    save after an end and for an address that cannot be right. Silence is no event.
+    save after an end and for an address that cannot be right. Silence is no event. A link that was lost hastily is said to be
+    open again once it brings bytes or holds, so that a server that hangs up on everybody costs one sentence.
     """
 
     def __init__(self, spec: LinkSpec, items: Inbox | queue.SimpleQueue[Chunk | LinkEvent]) -> None:
@@ -581,6 +586,10 @@ class Reader:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {spec.name}", daemon=True)
         self._opened = False
+        self._hasty = 0
+        """Times in a row that the link was lost within `STEADY_S`."""
+        self._opened_s, self._told = 0.0, False
+        """When it was opened last, and whether that was said."""
         self._from_start = from_start(spec.address)
         self._reported = ""
         """The sentence that was reported last."""
@@ -613,7 +622,8 @@ class Reader:
                 final = self._try_once()
                 if final:
                     return
-                self._stop.wait(RETRY_S)
+                # Beyond six times it is the most in any case.
+                self._stop.wait(min(RETRY_S * 2 ** min(self._hasty, 6), RETRY_MOST_S))
         except Exception as error:  # noqa: BLE001 - nothing above catches it: the operator must hear of it
             self._say(LinkState.FAILED, f"Reading stopped by a fault of the program: {error!r}.")
 
@@ -626,12 +636,17 @@ class Reader:
                 return True
             self._could_not_open(failure)
             return failure.kind is FailureKind.ADDRESS
-        self._opened = True
-        self._say(LinkState.OPEN)
+        self._opened, self._opened_s, self._told = True, time.monotonic(), False
+        if not self._hasty:
+            self._say_open()
         try:
             self._read(link)
         except LinkFailure as failure:
-            self._say(AFTER.get(failure.kind, LinkState.LOST), str(failure))
+            self._hasty = self._hasty + 1 if time.monotonic() - self._opened_s < STEADY_S else 0
+            if self._told or failure.kind in AFTER:
+                self._say(AFTER.get(failure.kind, LinkState.LOST), str(failure))
+            else:
+                self._could_not_open(failure)
             # What speaks another language will do so again: one sentence, not one a second.
             return failure.kind in AFTER
         finally:
@@ -643,6 +658,8 @@ class Reader:
         tried: tuple[int, ...] = ()
         while not self._stop.is_set():
             data = link.read(READ_S)
+            if not self._told and (data or time.monotonic() - self._opened_s >= STEADY_S):
+                self._say_open()
             # Stamped at once, by a clock that nobody can set back while a session runs.
             if data:
                 self._hand_on(Chunk(self._spec.name, time.monotonic_ns(), data))
@@ -677,6 +694,10 @@ class Reader:
             self._reason, self._reason_since_s = sentence, now_s
         elif now_s - self._reason_since_s >= NEW_REASON_S:
             self._say(LinkState.LOST if self._opened else LinkState.FAILED, sentence)
+
+    def _say_open(self) -> None:
+        self._told = True
+        self._say(LinkState.OPEN)
 
     def _say(self, state: LinkState, sentence: str = "") -> None:
         self._reported, self._reason = sentence, ""

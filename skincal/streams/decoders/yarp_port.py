@@ -73,7 +73,8 @@ def name_query(port: str) -> bytes:
 def read_names(answer: bytes) -> dict[str, tuple[str, int]]:
     """Return host and number of each port that a name server's answer registers."""
     found = NAME_LINE.findall(answer.decode("utf-8", "replace"))
-    return {name: (host, int(number)) for name, host, number, _ in found if host != "none" and len(number) < 6}
+    ports = {name: (host, int(number)) for name, host, number, _ in found if host != "none" and len(number) < 6}
+    return {name: place for name, place in ports.items() if 0 < place[1] < 1 << 16}
 
 
 # ------------------------------------------------------------------ the handshake

@@ -57,6 +57,15 @@ def test_watch_shows_a_wrench_with_its_units_and_rate(capsys):
     assert "ATI RDT" in out
 
 
+def test_watch_shows_all_that_a_robot_sends_over_one_link(capsys):
+    with sending("rtde", Stream.WRENCH) as address:
+        assert main(["watch", address, "--seconds", "1"]) == 0
+    line = capsys.readouterr().out
+    assert "wrench" in line
+    assert "0.0 0.0 0.0 0.0 0.0 0.0 deg (base, shoulder, elbow and the three of the wrist in degrees)" in line
+    assert "lost" not in line
+
+
 @needs_pty
 def test_watch_shows_the_temperature_of_a_sensor(capsys):
     with sending("bota", Stream.WRENCH) as address:

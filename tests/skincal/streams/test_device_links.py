@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
 from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.streams import links
 from skincal.streams.decoders.rtde import RtdeDialogue
+from skincal.streams.decoders.yarp_port import read_names
 from skincal.streams.device_address import format_of, parse_device
 from skincal.streams.device_links import ANSWER_MAX, TalkingLink, yarp_server
 from skincal.streams.failures import FailureKind, LinkFailure
@@ -403,6 +404,152 @@ def test_websocket_that_lies_costs_one_sentence(frame, monkeypatch):
         assert approved("devices.read_no_further") in next_event(items, LinkState.FAILED).text
         time.sleep(0.4)
         assert all(isinstance(items.get(), Chunk) for _ in range(items.qsize()))
+
+
+# ------------------------------------------------------------------ peers that lie
+
+
+YARP_HELLO = b"YA" + (7).to_bytes(4, "little") + b"RP"
+YARP_HEAD = b"YA\x0a\0\0\0RP\x01\x01" + b"\xff" * 8
+MANY = 50_000
+
+
+def yarp_frame(first, second=0):
+    return YARP_HEAD + (first % 2**32).to_bytes(4, "little") + (second % 2**32).to_bytes(4, "little")
+
+
+def rtde_packet(kind, length):
+    return length.to_bytes(2, "big") + kind + bytes(length - 3)
+
+
+RTDE_HELLO = b"\0\x04V\x01" + b"\0\x14O\x01DOUBLE,VECTOR6D" + b"\0\x04S\x01"
+ENDLESS = {
+    "a page without an end": ("netft://127.0.0.1:9?page={}", b"HTTP/1.0 200 OK\r\n\r\n<netft>", b"<a>b</a>" * MANY),
+    "a page of heads": ("netft://127.0.0.1:9?page={}", b"HTTP/1.0 200 OK\r\n", b"X: y\r\n" * MANY),
+    "names without an end": ("yarp://127.0.0.1:{}/x", b"", b"registration name /x " * MANY),
+    "a name of megabytes": ("yarp://127.0.0.1:{}/x", b"registration name /", b"x" * MANY),
+    "lines of words": ("lines://127.0.0.1:{}", b"", b"word " * MANY),
+    "a line of digits": ("lines://127.0.0.1:{}", b"", b"1" * MANY),
+    "a line of numbers": ("lines://127.0.0.1:{}", b"", b"1," * MANY),
+    "text without a bracket": ("robotiq://127.0.0.1:{}", b"", b"1 , " * MANY),
+    "brackets alone": ("robotiq://127.0.0.1:{}", b"", b"()" * MANY),
+    "beginnings of frames": ("socket://127.0.0.1:{}", b"", bytes.fromhex("55667788") * MANY),
+    "ends of frames": ("socket://127.0.0.1:{}", bytes.fromhex("55667788"), bytes.fromhex("AABBCCDD") * MANY),
+    "heads of two makers": ("socket://127.0.0.1:{}", b"", b"\xaa\x20\x4e" * MANY),
+    "a controller that only talks": ("rtde://127.0.0.1:{}", b"", rtde_packet(b"M", 65535)),
+    "packets of another length": ("rtde://127.0.0.1:{}", RTDE_HELLO, rtde_packet(b"U", 65535)),
+    "packets of nothing": ("rtde://127.0.0.1:{}", RTDE_HELLO, rtde_packet(b"U", 3) * MANY),
+    "heads of a websocket": ("xela://127.0.0.1:{}", b"HTTP/1.1 101 Switching\r\n", b"X: y\r\n" * MANY),
+    "a refusal of gigabytes": ("xela://127.0.0.1:{}", b"HTTP/1.1 404 No\r\nContent-Length: 9999999999\r\n\r\n", bytes(MANY)),
+}
+"""Of each liar the address, what it says first, and what it says then without an end."""
+YARP_LIES = {
+    "2 GB": YARP_HELLO + yarp_frame(2**31 - 1),
+    "4 GB of two": YARP_HELLO + yarp_frame(2**31 - 1, 2**31 - 1),
+    "negative": YARP_HELLO + yarp_frame(-1),
+    "negative, and right in sum": YARP_HELLO + yarp_frame(-8, 16),
+    "a port of another kind": b"220 ftp ready\r\n",
+}
+
+
+@contextmanager
+def liar(first, then, pause_s=0.0):
+    """A TCP server that says `first` to everybody who comes, then `then` for ever, or hangs up where that is empty."""
+    server, done, came = socket.create_server(("127.0.0.1", 0)), threading.Event(), []
+    server.settimeout(0.05)
+
+    def say_to(client):
+        client.settimeout(0.2)
+        with client, suppress(OSError):
+            client.sendall(first)
+            while then and not done.is_set():
+                with suppress(TimeoutError):
+                    client.sendall(then)
+            done.wait(pause_s)
+
+    def serve():
+        while not done.is_set():
+            with suppress(TimeoutError):
+                client, _ = server.accept()
+                came.append(client)
+                say_to(client)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield server.getsockname()[1], came
+    finally:
+        done.set()
+        thread.join(PATIENCE_S)
+        server.close()
+
+
+def heard_of(address, carries, seconds):
+    """What is said of a link within so long while its bytes are worked on, without what says that bytes were dropped."""
+    inbox, link = Inbox(), spec(address, carries)
+    intake, reader, said = Intake(24, [link]), Reader(link, inbox), []
+    reader.start()
+    try:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            while not inbox.empty() and time.monotonic() < end:
+                item = inbox.get()
+                intake.feed(item)
+                if isinstance(item, LinkEvent) and item.text and not item.dropped:
+                    said.append(item.text)
+            time.sleep(0.01)
+    finally:
+        reader.stop()
+    assert not reader.running
+    (health,) = intake.health(0)
+    assert len(health.text) <= SENTENCE_MOST + 200
+    assert health.readings < 10, "what a liar sends is no reading"
+    return said
+
+
+def held_mb():
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+def test_a_liar_without_an_end_costs_one_sentence_and_little_memory(name):
+    form, first, then = ENDLESS[name]
+    carries = (Stream.SKIN,) if form.startswith("xela") else WRENCH
+    with liar(first, then) as (port, came):
+        begun = held_mb() if sys.platform.startswith("linux") else 0.0
+        said = heard_of(form.format(port), carries, 0.6)
+        held = held_mb() - begun if sys.platform.startswith("linux") else 0.0
+    assert came
+    assert len(said) <= 1, said
+    assert not any("fault of the program" in words for words in said)
+    assert held < 40.0, f"{held:.0f} MB"
+
+
+@pytest.mark.parametrize("name", YARP_LIES)
+def test_a_name_server_that_sends_a_reader_to_a_liar_costs_one_sentence(name):
+    with (
+        liar(YARP_LIES[name], b"x" * MANY) as (number, came),
+        served(TalkOutlet(lambda: NameTalk({"/x": number}), "yarp://127.0.0.1:{}/x")) as (names,),
+    ):
+        (said,) = heard_of(names.address, WRENCH, 1.0)
+    assert came
+    assert "no YARP port" in said or "announces a message of" in said or "no YARP message" in said
+
+
+def test_a_name_server_with_numbers_that_no_port_has():
+    answer = b"".join(b"registration name /%d ip 127.0.0.1 port %d type tcp\r\n" % (k, k) for k in (0, 80, 65535, 65536, 99999))
+    assert read_names(answer) == {"/80": ("127.0.0.1", 80), "/65535": ("127.0.0.1", 65535)}
+
+
+@pytest.mark.parametrize("first", [b"", b"Port already in use\r\n"], ids=["at once", "with a word"])
+def test_a_server_that_hangs_up_on_everybody_is_asked_ever_later(first, monkeypatch):
+    """As a serial server whose port has another reader: ten lines a second would hide all else."""
+    monkeypatch.setattr(links, "RETRY_S", 0.02)
+    with liar(first, b"") as (port, came):
+        said = heard_of(f"socket://127.0.0.1:{port}", WRENCH, 1.2)
+    assert 3 <= len(came) <= 6, "after 0, 0.04, 0.12, 0.28, 0.6 and 1.24 s"
+    assert set(said) == {f"socket://127.0.0.1:{port}: {approved('devices.hung_up')}"}
+    assert len(said) == (1 if not first else len(came))
 
 
 # ------------------------------------------------------------------ addresses
