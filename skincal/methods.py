@@ -86,7 +86,7 @@ def estimate_taxels(
             # Imported only where a scene knows distances.
             from skincal.modules.distances import refined
 
-            found |= refined(model, kept, found)[0]
+            found |= refined(model, kept, found, noise)[0]
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }

@@ -9,7 +9,8 @@ gradient J of |p_a - p_b|. Gauss and Newton's step for all of them is, with S = 
 
     x = P J' S^-1 (D - |p_a - p_b| + J x),   covariance P - P J' S^-1 J P,   and M - P J' S^-1 J M for M.
 
-R is sd^2 and what the mesh may be wrong by along the distance (`off_surface`). Pokes come in by C, M and the fit alone.
+R is sd^2 and, along the distance, what the mesh may be wrong by (`off_surface`) or, without one, how far the skin's bend lifts
+the end off its module, which is taken for flat. Pokes come in by C, M and the fit alone.
 This is least squares over all pokes and distances, exact but for the curvature of the pokes' rows over the step.
 
 **Which count.** A distance that lies far off what pokes and the other distances predict is left out. The rest is tried on
@@ -29,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.scene import KnownDistance
+from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.modules.estimate import FittedModule
-from skincal.modules.pose import ModuleModel, ModulePoses, joined
+from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, joined
 from skincal.modules.pose_fit import FULL, NO_RANK
 from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import with_shared
@@ -143,7 +144,9 @@ class _Solved:
 class _Joined:
     """Modules that distances join, as their own pokes put them."""
 
-    def __init__(self, model: ModuleModel, modules: Mapping[int, FittedModule], told: Sequence[KnownDistance]) -> None:
+    def __init__(
+        self, model: ModuleModel, modules: Mapping[int, FittedModule], told: Sequence[KnownDistance], radius: float
+    ) -> None:
         ends = [[_end(model, distance, side) for side in (0, 1)] for distance in told]
         self.modules = sorted({module for pair in ends for module, _ in pair})
         self.fitted = [modules[module] for module in self.modules]
@@ -154,6 +157,10 @@ class _Joined:
         self._poses = joined([own.pose for own in self.fitted])
         self.heights: FloatArray = np.array([own.height for own in self.fitted])
         """(b,) float, m^2, of `FittedModule`."""
+        self._off = self.heights[self.ends]
+        """(k, 2) float, m^2: how far each end may be off along the normal there."""
+        if isinstance(model.ground, ModulesInSpace):
+            self._off = np.array([[_bend(model.pads[module], point, radius) for module, point in pair] for pair in ends]) ** 2
         self._factors = np.array([own.factor for own in self.fitted])
         self.prior = _Prior(
             np.zeros((len(self.fitted), model.ground.unknowns)),
@@ -179,7 +186,7 @@ class _Joined:
         slopes, at = np.zeros((count, *x.shape)), np.arange(count)
         slopes[at, self.ends[:, 0]], slopes[at, self.ends[:, 1]] = gradients[:, 0], -gradients[:, 1]
         variances = np.array([told.sd**2 for told in self._told])
-        variances = variances + np.sum(self.heights[self.ends] * np.einsum("ksc,kc->ks", normals, along) ** 2, axis=1)
+        variances = variances + np.sum(self._off * np.einsum("ksc,kc->ks", normals, along) ** 2, axis=1)
         left = np.array([told.length for told in self._told]) - length + np.einsum("kbd,bd->k", slopes, x)
         return _Rows(slopes, left, variances)
 
@@ -283,6 +290,12 @@ def _end(model: ModuleModel, told: KnownDistance, side: int) -> tuple[int, Float
     return [module.id for module in model.layout.modules].index(end), np.zeros(2)
 
 
+def _bend(pads: FloatArray, point: FloatArray, radius: float) -> float:
+    """Return how far skin of a radius lies over the plane that is nearest to its pads (n, 2), at a point (2,); metres."""
+    squares = [float(np.sum((places - pads.mean(axis=0)) ** 2)) for places in (pads, point)]
+    return (squares[0] / len(pads) - squares[1]) / (2.0 * radius)
+
+
 def _log_densities(misses: FloatArray, covariances: FloatArray) -> FloatArray:
     """Return (m,) the logarithms of the normal densities of misses (m, 2), but for a constant."""
     squares = np.sum(misses * np.linalg.solve(covariances, misses[:, :, None])[:, :, 0], axis=1)
@@ -290,7 +303,7 @@ def _log_densities(misses: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def refined(
-    model: ModuleModel, modules: Mapping[int, FittedModule], estimates: Mapping[int, Estimate]
+    model: ModuleModel, modules: Mapping[int, FittedModule], estimates: Mapping[int, Estimate], noise: NoiseSettings
 ) -> tuple[dict[int, Estimate], tuple[TriedDistance, ...]]:
     """Refine modules by the known distances of `model`.
 
@@ -298,6 +311,7 @@ def refined(
     ----------
     modules : those that their own pokes place, by index
     estimates : of their taxels, by channel, from these pokes alone
+    noise : of the scene
 
     Returns
     -------
@@ -307,7 +321,7 @@ def refined(
     tried = {distance: TriedDistance(distance, DistanceUse.UNKNOWN) for distance in model.distances}
     if not told:
         return {}, tuple(tried.values())
-    all_ = _Joined(model, modules, told)
+    all_ = _Joined(model, modules, told, noise.radius)
     alone = _Update.of(all_.prior, all_.plain)
     uses = [DistanceUse.USED] * len(told)
     solved = _helping(all_, _agreeing(all_, uses), uses)

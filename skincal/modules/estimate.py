@@ -199,7 +199,7 @@ def _carried(
     """
     order = np.lexsort((touches.evidence.pokes[touches.rows], touches.of))
     rows, trust = whitened(touches, fitted.pads, noise), fitted.trust[order]
-    ordered, places = _pulls(touches, fitted, rows, order)
+    ordered, places = _pulls(touches, fitted, rows, order, shared is not None)
     squares, gradients = np.sum(rows.misses[order] ** 2, axis=1), fitted.pads.gradients
     factors = variance_factors(squares, trust, ordered.starts, gradients.shape[2])
     added = ordered.covariances(noise.skin)
@@ -226,7 +226,7 @@ def _carried(
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
-def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray) -> tuple[Pulls, FloatArray]:
+def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray, corrected: bool) -> tuple[Pulls, FloatArray]:
     """Return how the pokes, in this order, hold their modules, and the places (m, 3), metres, that they touched."""
     evidence, at, trust = touches.evidence, touches.rows[order], fitted.trust[order]
     pairs, places, slopes = evidence.pairs[at], touches.middles(fitted.pads)[0][order], rows.slopes[order]
@@ -234,7 +234,8 @@ def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray) 
     begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ rows.whiten[order]
     held = np.add.reduceat(weighted @ slopes, begins)
     misses = trust[:, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
-    return Pulls(begins, evidence.pokes[at], evidence.poses[at], pairs, misses, pulls, held, rows.normals[order]), places
+    of_pokes = evidence.pokes[at], evidence.poses[at], pairs, misses, pulls
+    return Pulls(begins, *of_pokes, held, rows.normals[order], corrected), places
 
 
 def _fitted_modules(

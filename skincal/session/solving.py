@@ -123,7 +123,7 @@ class Solving:
 
         assert self.module_model is not None
         assert self._fitted is not None
-        moved, self.tried_distances = refined(self.module_model, self._fitted, self._apart)
+        moved, self.tried_distances = refined(self.module_model, self._fitted, self._apart, self._noise)
         self._estimates[Method.MODULES].update({**self._apart, **moved})
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:

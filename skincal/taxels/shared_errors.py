@@ -39,6 +39,9 @@ SLOW = 60
 """Pokes that share what changes slowly, about two minutes of work: drift of the sensor, an arm that creeps."""
 NEAR = SLOW // 4
 """Pokes at most this far from each other say how much of that there is."""
+TAKEN_UP = 2.0
+"""Variance of slow errors over what misses show of it once a correction has moved each arm pose: it takes up the mean over a
+pose. Of what is forgotten over `SLOW`/2 pokes that mean has half the variance, over a pose of 60 to 80 pokes."""
 
 
 def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, unknowns: int) -> FloatArray:
@@ -79,6 +82,8 @@ class Pulls:
     held: FloatArray
     normals: FloatArray
     """(m, 3) float, unit, outward: of the skin there; zeros where unknown."""
+    corrected: bool
+    """Whether a correction of the rig has moved the arm poses."""
 
     def covariances(self, skin: float) -> FloatArray:
         """Return (g, d, d) what slow errors and the skin's thickness, sd `skin`, m, add to the covariances of the unknowns."""
@@ -122,7 +127,8 @@ class Pulls:
         """Return (g,) the variance of what pokes near each other share, each direction, m^2.
 
         It is the mean product of the misses of neighbours, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its standard
-        error: where few pokes tell, none is seen.
+        error: where few pokes tell, none is seen. What a correction has taken up is not in the misses, but in the estimates:
+        landmarks were poked at another time.
         """
         way = np.sum(self.pairs * self.misses[:, :, None], axis=1)
         sums = np.zeros((3, len(self.starts)))
@@ -135,7 +141,8 @@ class Pulls:
             for row, values in enumerate((product, product**2, shared)):
                 sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
         product, squares, shared = sums
-        return np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
+        seen = np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
+        return TAKEN_UP * seen if self.corrected else seen
 
 
 def carried(
@@ -162,7 +169,9 @@ def carried(
     pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
     held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
     misses = trust[order, None] * np.sum(pairs * (evidence.nearest[order] - places)[:, None], axis=2)
-    ordered = Pulls(starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of])
+    ordered = Pulls(
+        starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of], shared is not None
+    )
     outward = free.transpose(0, 2, 1)
     inside = ordered.covariances(noise.skin)
     factors = _factors(evidence, trust, places, noise, free.shape[1])

@@ -10,7 +10,7 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Estimate, Method, State
-from skincal.taxels.shared_errors import SLOW, PredictedError, predicted_error
+from skincal.taxels.shared_errors import SLOW, TAKEN_UP, PredictedError, predicted_error
 
 EVEN = NoiseSettings(force=1e-4, moment=1e-5, contact=5e-4, reach=1e-6, radius=1e9, skin=0.0)
 TAXEL = np.array([0.03, -0.02, 0.05])
@@ -54,6 +54,42 @@ def test_what_thirty_pokes_share_is_in_the_spread(first):
         alone.append(plain.rms**2)
     assert 0.6 < np.mean(predicted) / np.mean(squares) < 1.5
     assert np.mean(alone) < 0.1 * np.mean(squares)
+
+
+def drifting(rng, poses, per_pose, size):
+    """Errors (poses, per_pose, 3) whose correlation falls to 1/e over half of `SLOW` pokes."""
+    kept, found = np.exp(-2.0 / SLOW), rng.standard_normal((poses, per_pose, 3))
+    found[:, 1:] *= np.sqrt(1.0 - kept**2)
+    for at in range(1, per_pose):
+        found[:, at] += kept * found[:, at - 1]
+    return size * found
+
+
+def test_what_a_correction_takes_up_of_slow_errors_stays_in_the_spread():
+    """It moves each arm pose until the pokes there agree with the others; landmarks were poked before: all are off by that."""
+    squares, predicted, shown, halves = [], [], [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        drift = drifting(rng, 6, 72, 1e-3)
+        means = drift.mean(axis=1, keepdims=True)
+        halves.append(np.mean(means**2) / 1e-6)
+        left = (drift - means + np.mean(means[:, 0] - drift[:, 0], axis=0)).reshape(-1, 3)
+        contacts = [
+            replace(contact, pose=str(number // 72), moment=contact.moment + np.cross(left[number], contact.force))
+            for number, contact in enumerate(pokes(rng, len(left)))
+        ]
+        estimate = estimate_taxels(contacts, [0], [Method.FREE], EVEN, None, shared=nothing_shared)[Method.FREE][0]
+        squares.append(np.sum((estimate.position - TAXEL) ** 2))
+        predicted.append(estimate.rms**2)
+        shown.append(both(contacts)[0].rms ** 2)
+    assert np.mean(halves) == pytest.approx(1.0 - 1.0 / TAKEN_UP, abs=0.05)
+    assert 0.5 < np.mean(predicted) / np.mean(squares) < 1.5
+    assert np.mean(shown) < 0.35 * np.mean(squares), "what misses show is not all"
+
+
+def nothing_shared(pokes, *_):
+    """A correction that knows the rig exactly."""
+    return np.zeros((len(pokes), 2, 1)), np.zeros((len(pokes), 2, 6))
 
 
 def test_white_noise_adds_almost_nothing():
