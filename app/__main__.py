@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from app.preflight import no_display, objection
+from app.session.opening import MESHES
 from skincal.model.errors import InputError
 
 HELP = ("-h", "--help", "--version")
@@ -25,6 +26,9 @@ HELP = ("-h", "--help", "--version")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command or the window and return the exit code: 0 done, 2 the user's input is at fault, 1 ours."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(MESHES):
+        # As where a file is dropped onto the program.
+        arguments.insert(0, "--scene")
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         from skincal.cli import main as run_command
 
@@ -61,6 +65,10 @@ def _run(options: argparse.Namespace) -> int:
     named = options.wrench or options.skin or options.joints or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:
+        if options.scene is not None and options.scene.suffix.lower() in MESHES:
+            raise InputError(
+                f"{options.scene}: is a mesh, and the window alone makes a scene of it; expected a scene (*.toml)."
+            )
         from app.headless import run_headless
         from app.session.opening import find_scene
 
@@ -88,7 +96,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "skincal", description="Open the window: on a simulated forearm, if no option says otherwise."
     )
-    parser.add_argument("--scene", type=Path, help="scene file (*.toml), or the name of one that ships")
+    parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, or a mesh")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
     parser.add_argument("--skin", default="", help="device of the skin")

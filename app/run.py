@@ -19,7 +19,15 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
-from app.session.opening import Addresses, OpenRequest, check_addresses, dated_folder, find_scene, server_command
+from app.session.opening import (
+    MESHES,
+    Addresses,
+    OpenRequest,
+    check_addresses,
+    dated_folder,
+    find_scene,
+    server_command,
+)
 from app.sound.player import Player
 from app.text.message import Message
 from app.theme import Choice
@@ -68,6 +76,8 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     if options.session is not None:
         find_segments(options.session)
         return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
+    if options.scene is not None and options.scene.suffix.lower() in MESHES:
+        return _mesh_request(options)
     # The usual scene is looked up later, beside the window: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None:
@@ -79,6 +89,19 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     demo = scene is None and folder is None
     server = server_command(scene)
     return OpenRequest(scene=scene, addresses=addresses, server=server, folder=folder, targets=options.targets, demo=demo)
+
+
+def _mesh_request(options: argparse.Namespace) -> OpenRequest:
+    """Return what to open for a mesh in place of a scene; InputError where it is to be recorded already."""
+    seen = [f"--{name}" for name in ("wrench", "skin", "joints", "targets", "new") if getattr(options, name)]
+    if seen:
+        raise InputError(
+            f"{options.scene}: is a mesh, given together with {' and '.join(seen)}; expected a scene, which says what a mesh "
+            "cannot. Open the mesh alone: the window makes a scene of it and says what is missing."
+        )
+    if not options.scene.is_file():
+        raise InputError(f"{options.scene}: there is no such file; check the path.")
+    return OpenRequest(mesh=options.scene)
 
 
 class Faults(QObject):

@@ -338,7 +338,7 @@ class Window(QMainWindow):
         self.commands.follow_pace(pace_words(self.controller.pace), served=self.controller.served)
         if self.session_view is not None:
             if running is Running.OFFLINE and self.session_view.state is None:
-                self.session_view.workspace.wait("nothing to show", "No device could be opened; Ctrl+N names others.")
+                self.session_view.workspace.wait("nothing to show", "No device is read; Ctrl+N names devices.")
             self.session_view.follow_again()
 
     def _show_opening(self) -> None:

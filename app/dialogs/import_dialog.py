@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,7 @@ from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
-from skincal.session.importing import Imported, ImportRequest, missing_folders, take_away
+from skincal.session.importing import STOPPED, Imported, ImportRequest, missing_folders, take_away
 
 SIZE = (760, 680)
 """Pixels at 100 %, where the screen has them."""
@@ -69,6 +70,8 @@ LOOK_MS = 400
 """Typing rests for so long before a recording is looked at."""
 TOLD_MS = 100
 """Between two looks at how far the import is."""
+PATIENCE_MS = 500
+"""An import that is stopped ends by itself within this, or by force: one that reads a large log through hears nothing."""
 KINDS_OF_FILES = "Recordings (*.csv *.tsv *.txt *.log);;All files (*)"
 DOTS = "\N{HORIZONTAL ELLIPSIS}"
 TITLES = {Stream.WRENCH: "&Force/torque", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
@@ -77,6 +80,16 @@ HINTS = {
     Stream.SKIN: "a folder with data.log, or a table",
     Stream.JOINTS: "only where they were recorded",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class SessionPlace:
+    """What is found where the session is to lie."""
+
+    objection: str
+    """Why none can be made there; empty where nothing is known against it."""
+    missing: tuple[Path, ...] = ()
+    """Folders that are not there yet, the innermost first."""
 
 
 class ForceCurve(Painted):
@@ -133,17 +146,22 @@ class ImportDialog(QDialog):
     _scene: Scene | None = None
     _scene_trouble = ""
     """Why there is no scene; empty also while it is read."""
+    _asks = False
+    """The session's folder is looked at, and `_place` is of the one before."""
+    _begins = False
+    """The import begins once that is done."""
+    _share = 0.0
+    """Of the import, told in the thread that waits for it."""
 
     def __init__(self, paths: Sequence[Path], scene: Path, folder: Path, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import a recording")
         self._jobs = JobService(self)
-        self._scenes, self._finds = (ThreadService(name, self) for name in ("scenes", "recordings"))
+        self._scenes, self._finds, self._places = (ThreadService(name, self) for name in ("scenes", "recordings", "places"))
         self._preview: RecordingPreview | None = None
         self._trouble = ""
         """Why there is no preview."""
-        self._share = 0.0
-        """Of the import, told in the thread that waits for it."""
+        self._place = SessionPlace("")
         self.importing = False
         self.take_folder, self.take_files = QPushButton(f"A f&older{DOTS}"), QPushButton(f"Fi&les{DOTS}")
         self.fields = {stream: QLineEdit() for stream in TITLES}
@@ -158,11 +176,12 @@ class ImportDialog(QDialog):
         standard = QDialogButtonBox.StandardButton
         self.buttons = QDialogButtonBox(standard.Ok | standard.Cancel)
         self.start, self.stop = self.buttons.button(standard.Ok), self.buttons.button(standard.Cancel)
-        self._settled, self._watching = QTimer(self), QTimer(self)
+        self._settled, self._watching, self._patience = QTimer(self), QTimer(self), QTimer(self)
         self._fill_scenes(scene)
         self._arrange()
         self._connect()
         self._scene_chosen()
+        self._folder_chosen()
         if paths:
             self.take(paths)
 
@@ -238,6 +257,7 @@ class ImportDialog(QDialog):
         for timer, each_ms, once, do in (
             (self._settled, LOOK_MS, True, self._look),
             (self._watching, TOLD_MS, False, self._show_share),
+            (self._patience, PATIENCE_MS, True, self._stop_by_force),
         ):
             timer.setInterval(each_ms)
             timer.setSingleShot(once)
@@ -248,7 +268,7 @@ class ImportDialog(QDialog):
         self.take_files.clicked.connect(self._choose_recording_files)
         self.scene.currentTextChanged.connect(self._scene_chosen)
         self.pose.currentIndexChanged.connect(self._judge)
-        self.folder.textChanged.connect(self._judge)
+        self.folder.textChanged.connect(self._folder_chosen)
         dropped = DropTarget(self)
         dropped.recording_dropped.connect(self.take)
         dropped.refused.connect(self._object)
@@ -267,6 +287,7 @@ class ImportDialog(QDialog):
         """Take files, or a folder of them: each is taken for the stream that it looks like."""
         if self.importing:
             return
+        self.kind.setText(LOOKING)
         self._finds.renew()
         self._finds.submit(lambda: _find(paths), self._found, lambda why: self._looked(None, why))
 
@@ -328,6 +349,19 @@ class ImportDialog(QDialog):
         self.pose.setCurrentText(chosen)
         self._judge()
 
+    def _folder_chosen(self) -> None:
+        """Look at the session's folder beside the window: a disk may be slow, and one on a network silent."""
+        self._asks, self._begins, text = True, False, self.folder.text().strip()
+        self._places.renew()
+        self._places.submit(lambda: _place_of(text), self._take_place)
+
+    def _take_place(self, place: SessionPlace) -> None:
+        begins, self._begins, self._asks = self._begins, False, False
+        self._place = place
+        self._judge()
+        if begins and self.start.isEnabled():
+            self._import()
+
     # What is seen
 
     def _look(self) -> None:
@@ -367,7 +401,7 @@ class ImportDialog(QDialog):
             found = (self._trouble,)
         else:
             found = (self._scene_trouble,) if self._scene is None else preview.misfits(self._scene, pose)
-        return (*filter(None, (*found, _folder_objection(self.folder.text().strip()))),)
+        return (*filter(None, (*found, self._place.objection)),)
 
     def _judge(self) -> None:
         """Say what is in the way, and enable the import where nothing is."""
@@ -384,13 +418,19 @@ class ImportDialog(QDialog):
     # The import
 
     def _import(self) -> None:
+        if self._asks:
+            self._begins = True
+            return
         files, folder = self.files(), Path(self.folder.text().strip())
         pose = "" if files.joints is not None else self.pose.currentText()
         request = ImportRequest(files, self._scene_file(), pose, folder)
-        missing = missing_folders(folder)
+        missing = self._place.missing
         self._set_importing(True)
-        watch = Watch(self._hear, lambda: take_away(folder, missing))
-        self._jobs.submit(import_job, (request,), self._imported, self._failed, watch)
+
+        def undo(_result: object = None) -> None:
+            take_away(folder, missing)
+
+        self._jobs.submit(import_job, (request,), self._imported, self._failed, Watch(self._hear, undo), undo)
 
     def _hear(self, share: float) -> None:
         # In another thread, which must not touch a widget.
@@ -411,6 +451,7 @@ class ImportDialog(QDialog):
             self._watching.start()
         else:
             self._watching.stop()
+            self._patience.stop()
 
     def _show_share(self) -> None:
         self.progress.setValue(round(1000 * self._share))
@@ -432,8 +473,14 @@ class ImportDialog(QDialog):
             self.stop.setEnabled(False)
             self.progress.setFormat(STOPPING)
             self._jobs.interrupt()
+            self._patience.start()
             return
         super().reject()
+
+    def _stop_by_force(self) -> None:
+        """End an import that does not end by itself; what it made is taken away beside the window."""
+        self._jobs.drop()
+        self._failed(STOPPED)
 
     def done(self, result: int) -> None:
         """Close, and look at nothing any more."""
@@ -444,8 +491,9 @@ class ImportDialog(QDialog):
     def end(self) -> None:
         """End what is done beside the window, by force; of an import nothing is left behind."""
         self._watching.stop()
+        self._patience.stop()
         self._jobs.close()
-        for service in (self._scenes, self._finds):
+        for service in (self._scenes, self._finds, self._places):
             service.close(0.0)
 
 
@@ -456,14 +504,16 @@ def _find(paths: Sequence[Path]) -> RecordingFiles:
         raise InputError(str(error)) from error
 
 
-def _folder_objection(text: str) -> str:
-    """Return why no session can be made in a folder; empty where nothing is known against it."""
+def _place_of(text: str) -> SessionPlace:
+    """Return whether a session can be made in a folder; in a thread."""
+    if not text:
+        return SessionPlace(NO_FOLDER)
     folder = Path(text)
     try:
-        taken = bool(text) and ((folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*")))
+        taken = (folder / SCENE_FOLDER).exists() or any(folder.glob("segment-*"))
+        return SessionPlace(HOLDS_SESSION if taken else "", tuple(missing_folders(folder)))
     except (OSError, ValueError) as error:
-        return f"{text}: cannot be looked at ({error}); name another folder."
-    return HOLDS_SESSION if taken else "" if text else NO_FOLDER
+        return SessionPlace(f"{text}: cannot be looked at ({error}); name another folder.")
 
 
 def _row(*widgets: QWidget) -> QHBoxLayout:

@@ -22,6 +22,7 @@ from app.session.opening import (
     find_scene,
     find_truth_of,
     link_specs,
+    load_mesh_part,
     look_at,
     resume_pipeline,
     rig_again,
@@ -246,7 +247,7 @@ class Controller(QObject):
             self._serve_targets(request.targets)
         elif request.server:
             self._start_server(request.server)
-        self.compute(lambda: self._load_scene(request.scene), self._take_part)
+        self.compute(lambda: self._load_scene(request), self._take_part)
 
     def _release(self) -> None:
         """Let go of what is open; its end takes too long for the window and happens in the background."""
@@ -405,7 +406,9 @@ class Controller(QObject):
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
-        if record:
+        if record and not self._links and self._server is None:
+            self._set_running(Running.OFFLINE)
+        elif record:
             self._start_recording()
 
     def _start_recording(self) -> None:
@@ -752,12 +755,12 @@ class Controller(QObject):
 
     # Helpers
 
-    def _load_scene(self, scene: Path | None) -> Part:
+    def _load_scene(self, request: OpenRequest) -> Part:
         """Load a scene, and import what shows it, beside the window."""
         self.prepare()
         from skincal.session.part import load_part
 
-        return load_part(find_scene(scene))
+        return load_part(find_scene(request.scene)) if request.mesh is None else load_mesh_part(request.mesh, self._documents)
 
     def _load_session(
         self, storage: Storage, links: tuple[LinkSpec, ...] | None

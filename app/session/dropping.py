@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.session.opening import OpenRequest, server_command
+from app.session.opening import MESHES, OpenRequest, server_command
 from skincal.model.errors import InputError
 
-MESHES = (".stl", ".obj", ".ply", ".off")
 TABLES = (".csv", ".tsv", ".log")
-EXPECTED = "drop the folder of a session, a scene (*.toml), or a recording of yarpdatadumper or in CSV files."
+EXPECTED = "drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +21,7 @@ class DroppedRecording:
 
 
 def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
-    """Return what to open for what was dropped: a recorded session, a scene with a simulated rig, or a recording to import.
+    """Return what to open for what was dropped: a session, a scene with a simulated rig, a mesh, or a recording to import.
 
     Raises
     ------
@@ -54,7 +53,7 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     if kind == ".toml":
         return OpenRequest(scene=path, server=server_command(path))
     if kind in MESHES:
-        raise InputError(f'{path}: is a mesh. Name it in a scene (mesh = "{path.name}" below [surface]) and drop that.')
+        return OpenRequest(mesh=path)
     raise InputError(f"{path}: is nothing that can be opened; {EXPECTED}")
 
 

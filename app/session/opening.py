@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from skincal.streams.links import LinkSpec
 
 DEFAULT_SCENE = "icub-forearm"
+MESHES = (".stl", ".obj", ".ply", ".off")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,8 @@ class OpenRequest:
 
     scene: Path | None = None
     session: Path | None = None
+    mesh: Path | None = None
+    """Of a part of which nothing else is known."""
     addresses: Addresses = Addresses()
     server: tuple[str, ...] = ()
     """A command that prints its links and serves them; used where no address is given."""
@@ -173,6 +176,21 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
     pipeline.snapshot()
     return pipeline
+
+
+def load_mesh_part(mesh: Path, documents: Path) -> Part:
+    """Load the scene of a part of which a mesh alone is known, among the documents; it says what is still missing.
+
+    Raises
+    ------
+    InputError
+        The mesh cannot be read, or the scene cannot be written.
+    """
+    from app.text.message import mesh_words
+    from skincal.session.part import load_part, scene_of_mesh
+
+    part = load_part(scene_of_mesh(mesh, documents / "scenes"))
+    return replace(part, findings=(mesh_words(part), *part.findings))
 
 
 def look_at(folder: Path) -> tuple[Part, Pipeline]:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skincal.model.errors import plain_text
+
+if TYPE_CHECKING:
+    from skincal.session.part import Part
 
 REPORTING = "The report is being written; it is said when it is there."
 ADDRESS_WIDTH = 120
@@ -64,6 +68,22 @@ def keep_question(pokes: int) -> tuple[str, str]:
     """Return what is asked before a temporary recording of so many pokes goes, and what follows from the answer."""
     number = f"{pokes} poke{'' if pokes == 1 else 's'}"
     return f"Keep this session, with its {number}?", "It lies in a temporary folder, which goes now unless it is kept."
+
+
+def mesh_words(part: Part) -> str:
+    """Return what is said where a mesh alone became a scene: where that is, how large the part is, and what it lacks."""
+    import numpy as np
+
+    scene, surface = part.scene, part.surface
+    sides = np.zeros(3) if surface is None else np.ptp(surface.vertices, axis=0) * 1e3
+    missing = [f"how many channels the skin has (taken for {scene.skin.channels})"]
+    missing += ["the layout of its modules"] if scene.skin.layout is None else []
+    missing += ["where the sensor is"] if scene.arm is None and (scene.sensor_pose == np.eye(4)).all() else []
+    return (
+        f"The mesh is the part of a scene now, {scene.path}: {' x '.join(f'{side:.0f}' for side in sides)} mm. To be poked the "
+        f"scene has to say {', '.join(missing[:-1])}{' and ' if missing[1:] else ''}{missing[-1]}; write that into it, then "
+        "Ctrl+N names the devices."
+    )
 
 
 def copy_words(shipped: Path) -> str:

@@ -248,6 +248,7 @@ class JobService:
         done: Callable[[T], None],
         failed: Callable[[str], None],
         watch: Watch | None = None,
+        dropped: Callable[[T], None] | None = None,
     ) -> None:
         """Do `job(*arguments)` in a process; returns at once.
 
@@ -257,13 +258,14 @@ class JobService:
         done : gets its answer, in the window's thread; nothing where something else was opened meanwhile (`renew`)
         failed : gets why there is none, in a sentence
         watch : hears of the job in its thread; the job then gets a `Wanted` as its last argument
+        dropped : gets, in place of `done`, an answer that comes after `renew` or `drop`
         """
         # With its ticket, so that it can be interrupted before its process is there.
         process = ProcessService()
         self._waiting.append(process)
         asked = (do_job, job, arguments) if watch is None else (job, *arguments)
         work = partial(process.ask, process.ticket(), *asked, watch=watch)
-        self._threads.submit(partial(self._do, process, work), done, failed)
+        self._threads.submit(partial(self._do, process, work), done, failed, dropped)
 
     def interrupt(self) -> None:
         """Let what is done know that it is not wanted any more; it ends in its own way, and says so."""

@@ -5,17 +5,20 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
 from PySide6.QtWidgets import QApplication
 
-from app.session.dropping import MESHES, DroppedRecording, request_of
-from app.session.opening import OpenRequest
+from app.__main__ import main
+from app.session.dropping import DroppedRecording, request_of
+from app.session.opening import MESHES, OpenRequest
 from app.state.running import Running
 from skincal.mesh.load import read_mesh
 from skincal.model.errors import InputError
-from skincal.model.scene import resource
+from skincal.model.scene import load_scene, resource
+from skincal.session.part import load_part, scene_of_mesh
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 
@@ -56,9 +59,9 @@ def test_a_scene_that_is_dropped_is_opened_with_a_simulated_rig(bench):
 
 def test_of_what_cannot_be_opened_the_window_says_so_and_stays_as_it_is(bench, tmp_path, recorded):
     bench.open(OpenRequest(session=recorded))
-    mesh = tmp_path / "elbow.STL"
-    mesh.write_bytes(b"")
-    assert drop(bench.window, of(mesh))
+    drawing = tmp_path / "elbow.step"
+    drawing.write_bytes(b"")
+    assert drop(bench.window, of(drawing))
     assert bench.window.messages.isVisible()
     assert drop(bench.window, "https://example.org/session")
     assert bench.window.messages.isVisible()
@@ -72,7 +75,6 @@ def test_only_files_are_taken(bench):
 @pytest.mark.parametrize(
     ("name", "sentence"),
     [
-        *((f"elbow{kind}", approved("dropping.mesh", name=f"elbow{kind}")) for kind in (*MESHES, ".PLY")),
         *((name, approved("dropping.nothing")) for name in ("places.json", "without")),
         ("photographs/me.png", approved("dropping.no_session")),
     ],
@@ -116,3 +118,51 @@ def test_one_thing_at_a_time_that_is_there(tmp_path, recorded):
 def test_the_meshes_are_those_that_are_read(kind):
     with pytest.raises(InputError, match="export the mesh again"):
         read_mesh(Path(f"part{kind}"), b"?")
+
+
+FOREARM = resource("scenes/icub-forearm/forearm.obj")
+
+
+def test_a_mesh_that_is_dropped_is_the_part_of_a_scene_which_says_what_it_lacks(bench, tmp_path):
+    mesh = shutil.copy(FOREARM, tmp_path / "elbow.OBJ")
+    made = bench.documents / "scenes" / "elbow" / "scene.toml"
+    for _ in range(2):
+        bench.messages.clear()
+        with bench.qtbot.waitSignal(bench.controller.part_loaded, timeout=OPEN_MS):
+            assert drop(bench.window, of(mesh))
+        bench.until(lambda: bench.controller.running is Running.OFFLINE, 5000)
+        sides = " x ".join(f"{side:.0f}" for side in np.ptp(load_part(made).surface.vertices, axis=0) * 1e3)
+        assert approved("dropping.mesh", scene=made, sides=sides) in [message.text for message in bench.messages]
+        assert bench.window.session_view.workspace.part.scene.path == made
+    # The second time it is the same scene, with what was written into it.
+    assert [folder.name for folder in made.parent.parent.iterdir()] == ["elbow"]
+    (made.parent / "part.obj").write_bytes(b"another")
+    assert scene_of_mesh(mesh, made.parent.parent).parent.name == "elbow-2"
+
+
+@pytest.mark.parametrize("data", [b"", b"?"])
+def test_a_mesh_that_is_not_one_leaves_no_scene(bench, tmp_path, data):
+    mesh = tmp_path / "elbow.stl"
+    mesh.write_bytes(data)
+    assert drop(bench.window, of(mesh))
+    bench.until(lambda: any(message.error and str(mesh) in message.text for message in bench.messages), OPEN_MS)
+    assert not (bench.documents / "scenes").exists()
+
+
+@pytest.mark.parametrize(("largest", "unit"), [(300.0, 1e-3), (0.3, 1.0)])
+def test_the_unit_of_a_mesh_is_that_of_a_part_of_a_robot(tmp_path, largest, unit):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv {largest} 0 0\nv 0 {largest} 0\nf 1 2 3\n")
+    assert load_scene(scene_of_mesh(tmp_path / "a.obj", tmp_path / "scenes")).surface.scale == unit
+
+
+def test_a_mesh_is_named_on_the_command_line_like_a_scene(capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("app.run.run_window", lambda request: asked.append(request) or 0)
+    monkeypatch.setattr("app.__main__.objection", lambda: "")
+    monkeypatch.setattr("app.__main__.no_display", lambda: "")
+    assert [main(words) for words in ([str(FOREARM)], ["--scene", str(FOREARM)])] == [0, 0]
+    assert asked == [OpenRequest(mesh=FOREARM)] * 2
+    assert main([str(FOREARM), "--wrench", "a", "--skin", "b"]) == 2
+    assert approved("dropping.mesh_with_devices", mesh=FOREARM) in capsys.readouterr().err.replace(" and --skin", "")
+    assert main([str(FOREARM), "--headless"]) == 2
+    assert approved("dropping.mesh_without_window", mesh=FOREARM) in capsys.readouterr().err

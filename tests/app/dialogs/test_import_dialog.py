@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
 from app.dialogs import import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
-from app.text.import_text import HOLDS_SESSION, NO_FOLDER, imported_words, stream_row
+from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, imported_words, stream_row
 from app.text_size import STEPS
 from skincal.files.importers.overview import StreamPreview
 from skincal.model.readings import Stream
@@ -25,6 +26,7 @@ from tests.app.test_commands import dialog_of, gone, tap
 from tests.app.test_window_drop import drop, of
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import changed, pixels
+from tests.app.workers import process_support
 from tests.approved import approved
 from tests.skincal.import_support import write_csv, write_yarp
 from tests.skincal.poke_script import some_pokes, write_scene
@@ -133,14 +135,12 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     bench.until(lambda: "gone.toml" in dialog.objection.text(), 5000)
     dialog.scene.setEditText(str(scene))
     bench.until(dialog.start.isEnabled, 5000)
-    dialog.folder.setText(str(recorded))
-    assert HOLDS_SESSION in dialog.objection.text()
-    dialog.folder.setText(" ")
-    assert NO_FOLDER in dialog.objection.text()
-    dialog.folder.setText(str(tmp_path / ("n" * 300)))
-    assert "cannot be looked at" in dialog.objection.text()
+    for place, said in ((recorded, HOLDS_SESSION), (" ", NO_FOLDER), (tmp_path / ("n" * 300), "cannot be looked at")):
+        dialog.folder.setText(str(place))
+        bench.until(lambda said=said: said in dialog.objection.text(), 5000)
+        assert not dialog.start.isEnabled()
     dialog.folder.setText(str(tmp_path / "new"))
-    assert dialog.start.isEnabled()
+    bench.until(dialog.start.isEnabled, 5000)
     (folder / "left_ft" / "data.log").write_text("nothing of a log\n")
     dialog.take([folder / "left_forearm_skin"])
     bench.until(lambda: not dialog.start.isEnabled(), 5000)
@@ -154,15 +154,15 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
 def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monkeypatch):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     threads = []
-    for name in ("load_scene", "find_files"):
+    for name in ("load_scene", "find_files", "missing_folders"):
         real = getattr(import_dialog, name)
         monkeypatch.setattr(import_dialog, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
     dialog.folder.setText(str(tmp_path / "elsewhere"))
     dialog.scene.setEditText("flat-patch")
     dialog.take([tmp_path / "log"])
-    bench.until(lambda: len(threads) == 2, 5000)
+    bench.until(lambda: len(threads) == 3, 5000)
     bench.qtbot.wait(100)
-    assert len(threads) == 2, "a letter of the folder reads no scene"
+    assert len(threads) == 3, "a letter of the folder reads no scene"
     assert threading.main_thread() not in threads
     until_seen(bench, dialog)
 
@@ -189,7 +189,7 @@ def long_import(bench, scene, tmp_path) -> tuple[ImportDialog, Path]:
     dialog.folder.setText(str(where))
     dialog.start.setFocus()
     tap(bench, Key.Key_Space)
-    assert dialog.importing
+    bench.until(lambda: dialog.importing, 5000)
     bench.until(lambda: dialog.progress.value() > 0, OPEN_MS)
     assert where.exists()
     return dialog, where
@@ -206,6 +206,31 @@ def test_an_import_that_is_stopped_leaves_nothing_behind(bench, scene, tmp_path)
     assert not (tmp_path / "deep").exists()
     assert dialog.start.isEnabled()
     tap(bench, Key.Key_Escape)
+    gone(bench, ImportDialog)
+
+
+def test_an_import_that_hears_nothing_is_stopped_within_a_second(bench, scene, samples, tmp_path, monkeypatch):
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    dialog.folder.setText(str(tmp_path / "deep" / "session"))
+    monkeypatch.setattr(import_dialog, "import_job", process_support.deaf_import)
+    dialog._import()
+    bench.until((tmp_path / "deep" / "session" / "segment-0001.mcap").exists, OPEN_MS)
+    tap(bench, Key.Key_Escape)
+    bench.until(lambda: not dialog.importing, 1000)
+    assert approved("import.stopped") in dialog.objection.text()
+    bench.until(lambda: not (tmp_path / "deep").exists(), 5000)
+    bench.until(dialog.start.isEnabled, 5000)
+
+
+def test_a_page_that_looks_at_a_large_log_closes_within_a_second(bench, scene, samples, tmp_path, monkeypatch):
+    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
+    monkeypatch.setattr(import_dialog, "look_job", process_support.deaf_look)
+    dialog.take([tmp_path / "log"])
+    bench.until(lambda: bool(dialog._jobs._waiting) and dialog._jobs._waiting[0].pid is not None, 5000)
+    assert dialog.kind.text() == LOOKING
+    began = time.monotonic()
+    tap(bench, Key.Key_Escape)
+    assert time.monotonic() - began < 1.0
     gone(bench, ImportDialog)
 
 

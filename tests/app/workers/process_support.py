@@ -39,3 +39,15 @@ def until_unwanted(path, wanted):
     while wanted():
         time.sleep(0.001)
     return "unwanted"
+
+
+def deaf_look(_files, _wanted):
+    """Look for ever, and ask nobody whether that is wanted."""
+    time.sleep(60)
+
+
+def deaf_import(request, _wanted):
+    """Begin a session, and hear nothing from then on."""
+    request.folder.mkdir(parents=True)
+    (request.folder / "segment-0001.mcap").touch()
+    time.sleep(60)
