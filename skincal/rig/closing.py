@@ -111,7 +111,7 @@ def closing_check(
     # Along each of these axes the movement is known apart from the others.
     weights, axes = np.linalg.eigh(precision)
     seen = weights >= SEEN**-2
-    along: FloatArray = (axes.T @ shift)[seen]
+    along = np.asarray((axes.T @ shift)[seen], dtype=np.float64)
     if not seen.any():
         return None
     square, size = float(weights[seen] @ along**2), float(np.sqrt(along @ along))

@@ -453,7 +453,7 @@ class Intake:
                     self._pairing.add_frame(stamp, dated.arrival_s, values)
             case JointsBatch():
                 if batch.angles.shape[1] >= self._joints:
-                    good = np.isfinite(batch.angles).all(axis=1).tolist()
+                    good = np.asarray(np.isfinite(batch.angles).all(axis=1))
                     for stamp, angles in compress(zip(stamps.tolist(), batch.angles, strict=True), good):
                         self._pairing.add_joints(stamp, angles)
             case _:
@@ -766,7 +766,7 @@ class WrenchRing:
 
     def flagged(self, among: slice) -> bool:
         """Say whether the device flagged a reading of a slice."""
-        return np.count_nonzero(self._flagged[among]) > 0
+        return bool(np.count_nonzero(self._flagged[among]))
 
     def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
         """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.

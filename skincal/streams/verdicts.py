@@ -56,7 +56,7 @@ def values_of(batch: Batch) -> tuple[Stream, FloatArray]:
 class Change(NamedTuple):
     """How readings of one stream that came together differ, each from the one before it."""
 
-    count: int
+    readings: int
     changes: int
     """Readings that differ in a bit."""
     newest: int
@@ -95,7 +95,7 @@ class _Heard:
         if change.changes:
             self._counted += change.newest + (0 if self.froze else self._alike)
             self.changes, self.changed_ns, self._alike = self.changes + change.changes, host_ns, -change.newest
-        self._alike += change.count
+        self._alike += change.readings
         self.last_ns, self.last = host_ns, change.last
 
     @property
