@@ -34,6 +34,8 @@ def turned(before: ArmPose, now: ArmPose) -> float:
 
     Where joints are not streamed, or another pose was chosen than the one streamed, it is the rotation of the link.
     """
+    if before is now:
+        return 0.0
     joints, change = 0, 0.0
     if before.angles is not None and now.angles is not None:
         pairs = zip(now.angles.tolist(), before.angles.tolist(), strict=True)

@@ -338,9 +338,9 @@ class Pipeline:
         if len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times, wrenches))
-        for link in self._intake.health(host_ns):
-            if (found := link.beside.get(TEMPERATURE)) is not None:
-                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link.link, celsius=found.now))
+        for link, beside in self._intake.beside().items():
+            if (found := beside.get(TEMPERATURE)) is not None:
+                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link, celsius=found.now))
 
     def sync(self) -> None:
         """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""

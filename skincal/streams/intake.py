@@ -32,7 +32,6 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import compress, islice, pairwise
 from statistics import median
 from types import MappingProxyType
@@ -141,6 +140,7 @@ class HullClock:
         first_x, first_y = self._origin
         (low_x, low_y), last_x = self._lowest, self._last_x
         offset, slope = self._offset, self._slope
+        low_late = low_y - offset - slope * low_x
         end = self._bucket_start + BUCKET_S
         for stamp, arrival_s in zip(islice(device_s, begin, None), islice(arrivals_s, begin, None), strict=True):
             x, y = stamp - first_x, arrival_s - first_y
@@ -151,8 +151,10 @@ class HullClock:
             if late < 0.0:
                 offset += late
                 late = 0.0
-            if late <= low_y - offset - slope * low_x:
+                low_late = low_y - offset - slope * low_x
+            if late <= low_late:
                 low_x, low_y = x, y
+                low_late = y - offset - slope * x
             if stamp > last_x:
                 last_x = stamp
             made.append(arrival_s - (y - offset - slope * x))
@@ -201,7 +203,7 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
     The slope is held within `slope_change_max` of 1.
     """
     hull = _lower_hull(points)
-    mean = math.fsum(x for x, _ in points) / len(points)
+    mean = math.fsum([x for x, _ in points]) / len(points)
     slope = 1.0
     for (x0, y0), (x1, y1) in pairwise(hull):
         if x0 <= mean <= x1 and x1 > x0:
@@ -214,20 +216,22 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
 
 def _lower_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """Return the lower convex hull, left to right (Andrew's monotone chain)."""
-    hull: list[tuple[float, float]] = []
-    drop, count = hull.pop, 0
-    for point in points:
-        x, y = point
-        while count > 1:
-            x1, y1 = hull[-1]
-            x0, y0 = hull[-2]
-            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+    # Each corner but the first with the one before it, and the way from there.
+    edges: list[tuple[float, float, float, float, float, float]] = []
+    drop, keep = edges.pop, edges.append
+    first_x, first_y = last_x, last_y = points[0]
+    for x, y in points[1:]:
+        while edges:
+            _, _, x0, y0, dx, dy = edges[-1]
+            if dx * (y - y0) > dy * (x - x0):
                 break
             drop()
-            count -= 1
-        hull.append(point)
-        count += 1
-    return hull
+        if edges:
+            last_x, last_y = edges[-1][:2]
+        else:
+            last_x, last_y = first_x, first_y
+        keep((x, y, last_x, last_y, x - last_x, y - last_y))
+    return [points[0], *[(edge[0], edge[1]) for edge in edges]]
 
 
 class IndexClock:
@@ -467,6 +471,10 @@ class Intake:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds, as the device says them."""
         return self._pairing.ring.since(self._pairing.ring.newest_s - RECENT_S)
 
+    def beside(self) -> dict[str, Mapping[str, SideReading]]:
+        """Return what each link's device measured beside its readings."""
+        return {name: link.beside() for name, link in self._links.items()}
+
     def health(self, now_ns: int) -> tuple[LinkHealth, ...]:
         """Say how each link does; the rate counts the two seconds before `now_ns` of the host's monotonic clock."""
         none: Counter[Loss] = Counter()
@@ -504,7 +512,7 @@ class LinkIntake:
         """Chunks that are decoded and dated already."""
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
-        self._beside_before: dict[str, SideReading] = {}
+        self._beside_before: Mapping[str, SideReading] = {}
         self.state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
@@ -556,7 +564,7 @@ class LinkIntake:
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
-            self._beside_before = self._beside()
+            self._beside_before = self.beside()
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
@@ -600,13 +608,14 @@ class LinkIntake:
             rate,
             self._last_ns,
             losses,
-            self._beside(),
+            self.beside(),
             units,
             verdict,
             spec.address,
         )
 
-    def _beside(self) -> dict[str, SideReading]:
+    def beside(self) -> Mapping[str, SideReading]:
+        """Return what the device measured beside its readings."""
         return joined(self._beside_before, self._decoder.beside)
 
     def _rate_until(self, now_ns: int) -> float:
@@ -619,8 +628,7 @@ class LinkIntake:
         return sum(count for _, count in counted) / ((now_step_ns - counted[0][0]) * 1e-9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
+class _Frame(NamedTuple):
     host_s: float
     arrival_s: float
     period_s: float
