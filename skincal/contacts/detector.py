@@ -474,9 +474,9 @@ class ContactDetector:
             self._tares.feed(sample, self._period_s)
             return outcomes
         press.add(sample, pose)
-        if press.steady and sample.host_s - press.start_s > TARE_AGE_MAX_S:
+        if sample.host_s - press.start_s > TARE_AGE_MAX_S and press.steady:
             return self._give_up(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
-        if press.steady and not self._rest_seen and self._lifted(press, sample):
+        if not self._rest_seen and press.steady and self._lifted(press, sample):
             outcomes = self._give_up(press, sample, 0.0, self._thresholds.quiet_s)
             self._tares.resting = None
             # What was still just now is the quiet that was wanted.

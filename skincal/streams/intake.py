@@ -35,7 +35,7 @@ from collections.abc import Mapping, Sequence
 from itertools import compress, islice, pairwise
 from statistics import median
 from types import MappingProxyType
-from typing import NamedTuple, assert_never
+from typing import NamedTuple, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +90,10 @@ RESTARTS_S = 60.0
 """s. More restarts than `RESTARTS_MAX` in this time mean that the device keeps no pace."""
 
 
+Point: TypeAlias = tuple[float, float]
+"""A reading's time by the device's clock and its arrival, seconds."""
+
+
 class HullClock:
     """Maps a device's time to the host's: the supporting line of the module's theory, for points as they come."""
 
@@ -106,7 +110,10 @@ class HullClock:
         self._behind_since: float | None = None
         self._lowest = (0.0, 0.0)
         self._bucket_start = 0.0
-        self._points: deque[tuple[float, float]] = deque()
+        self._points: deque[Point] = deque()
+        # The points in order, and their hull, as the last bucket left them.
+        self._ordered: list[Point] = []
+        self._hull: list[Point] = []
 
     def map(self, device_s: float, arrival_s: float) -> float:
         """Return when the reading was made, up to the constant least delay, on the host's clock.
@@ -192,17 +199,21 @@ class HullClock:
         self._bucket_start, self._lowest = x, (x, y)
         # Sorted: a skin frame may be stamped a little before the wrench that was sent ahead of it: one line serves all
         # streams of a device.
-        self._offset, self._slope = supporting_line(sorted(self._points), self._slope_change_max)
+        ordered = sorted(self._points)
+        # The usual bucket: one point came at the right, and some went at the left.
+        goes_on = ordered[:-1] == self._ordered[len(self._ordered) + 1 - len(ordered) :]
+        self._hull = lower_hull(ordered, self._hull if goes_on else ())
+        self._ordered = ordered
+        self._offset, self._slope = supporting_line(ordered, self._hull, self._slope_change_max)
         # The reading that ends the bucket is not among the points yet, and the line may not lie above it either.
         self._offset += min(y - self._offset - self._slope * x, 0.0)
 
 
-def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: float) -> tuple[float, float]:
+def supporting_line(points: Sequence[Point], hull: Sequence[Point], slope_change_max: float) -> tuple[float, float]:
     """Find offset and slope of the line under all `points` (x, y), seconds, ascending in x, that is highest at their mean x.
 
-    The slope is held within `slope_change_max` of 1.
+    `hull` is their lower hull. The slope is held within `slope_change_max` of 1.
     """
-    hull = _lower_hull(points)
     mean = math.fsum([x for x, _ in points]) / len(points)
     slope = 1.0
     for (x0, y0), (x1, y1) in pairwise(hull):
@@ -214,24 +225,33 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
     return min(y - slope * x for x, y in hull), slope
 
 
-def _lower_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the lower convex hull, left to right (Andrew's monotone chain)."""
-    # Each corner but the first with the one before it, and the way from there.
-    edges: list[tuple[float, float, float, float, float, float]] = []
-    drop, keep = edges.pop, edges.append
-    first_x, first_y = last_x, last_y = points[0]
-    for x, y in points[1:]:
-        while edges:
-            _, _, x0, y0, dx, dy = edges[-1]
-            if dx * (y - y0) > dy * (x - x0):
-                break
-            drop()
-        if edges:
-            last_x, last_y = edges[-1][:2]
-        else:
-            last_x, last_y = first_x, first_y
-        keep((x, y, last_x, last_y, x - last_x, y - last_y))
-    return [points[0], *[(edge[0], edge[1]) for edge in edges]]
+def lower_hull(points: Sequence[Point], known: Sequence[Point] = ()) -> list[Point]:
+    """Return the lower convex hull, left to right (Andrew's monotone chain).
+
+    `known` is that of all but the last of the points, and of others left of them. Where the chain comes to a corner of it by
+    the edge that it had there, it goes on as it did, since nothing is asked any more about what lies before that edge.
+    """
+    places = {id(corner): place for place, corner in enumerate(known)}
+    hull: list[Point] = []
+    for point in points:
+        _add_corner(hull, point)
+        place = places.get(id(point))
+        if place and len(hull) > 1 and hull[-2] is known[place - 1]:
+            hull += known[place + 1 :]
+            _add_corner(hull, points[-1])
+            break
+    return hull
+
+
+def _add_corner(hull: list[Point], point: Point) -> None:
+    x, y = point
+    while len(hull) > 1:
+        x1, y1 = hull[-1]
+        x0, y0 = hull[-2]
+        if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+            break
+        del hull[-1]
+    hull.append(point)
 
 
 class IndexClock:
