@@ -279,6 +279,7 @@ class ContactDetector:
         self._period_s = 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
+        self._joints = None if scene.arm is None else np.array(scene.arm.arm.joints, np.int64)
         self._arm_pose: ArmPose | None = None
         self._tare_pose: ArmPose | None = None
         self._rest_seen = False
@@ -406,8 +407,8 @@ class ContactDetector:
 
     def _pose_now(self, sample: Sample, link_from_sensor: FloatArray | None, name: str) -> ArmPose:
         """Return the arm's pose; the same object while the arm stands."""
-        arm, before = self._scene.arm, self._arm_pose
-        angles = None if arm is None or sample.angles is None else sample.angles[list(arm.arm.joints)]
+        before = self._arm_pose
+        angles = None if self._joints is None or sample.angles is None else sample.angles.take(self._joints)
         if before is not None and before.link_from_sensor is link_from_sensor and before.name == name:
             known = before.angles
             if known is angles or (known is not None and angles is not None and known.tolist() == angles.tolist()):

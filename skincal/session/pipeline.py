@@ -362,6 +362,7 @@ class _Poses:
 
     def __init__(self, scene: Scene) -> None:
         self._arm, self._fixed = scene.arm, scene.sensor_pose
+        self._joints = np.array([] if scene.arm is None else scene.arm.arm.joints, np.int64)
         self._chosen: dict[str, FloatArray] = {}
         self._angles: FloatArray | None = None
         self._streamed: tuple[str, FloatArray] | None = None
@@ -377,7 +378,7 @@ class _Poses:
 
     def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
         if angles is not None:
-            angles = angles[list(arm.arm.joints)]
+            angles = angles.take(self._joints)
             if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
                 self._angles = angles

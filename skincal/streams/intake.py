@@ -32,7 +32,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping, Sequence
-from itertools import compress, islice, pairwise
+from itertools import islice, pairwise
 from statistics import median
 from types import MappingProxyType
 from typing import NamedTuple, TypeAlias, assert_never
@@ -476,9 +476,9 @@ class Intake:
                     self._pairing.add_frame(stamp, dated.arrival_s, values)
             case JointsBatch():
                 if batch.angles.shape[1] >= self._joints:
-                    good = np.isfinite(batch.angles).all(axis=1).tolist()
-                    for stamp, angles in compress(zip(stamps.tolist(), batch.angles, strict=True), good):
-                        self._pairing.add_joints(stamp, angles)
+                    for stamp, angles in zip(stamps.tolist(), batch.angles, strict=True):
+                        if all(map(math.isfinite, angles.tolist())):
+                            self._pairing.add_joints(stamp, angles)
             case _:
                 assert_never(batch)
 
