@@ -146,6 +146,16 @@ def test_supporting_line_is_the_optimum_of_the_linear_program(points):
         assert offset + slope * x.mean() >= -best.fun / len(x) - 1e-6
 
 
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=80), st.lists(st.integers(0, 3), min_size=80, max_size=80))
+def test_a_hull_that_goes_on_is_that_of_all_points(delays, drops):
+    """Among few delays, so that many points lie on one line: the same corners, rounding and all."""
+    points, known = [], []
+    for at, (delay, drop) in enumerate(zip(delays, drops, strict=False)):
+        points = [*points[1 if drop else 0 :], (at * 0.25, at * 0.25 + delay * 2.4e-7)]
+        known = lower_hull(points, known)
+        assert known == lower_hull(points)
+
+
 def test_memory_and_work_stay_flat():
     clock = HullClock()
     for i in range(30_000):
