@@ -51,7 +51,7 @@ def mean_rows(values: FloatArray) -> FloatArray:
 
 def length_of(vector: FloatArray) -> float:
     """Return the length of a vector (k,): that of `np.linalg.norm` to the last bit, in a third of its time."""
-    return math.sqrt(vector @ vector)
+    return math.sqrt(vector.dot(vector))
 
 
 def axis_point(force: FloatArray, moment: FloatArray) -> FloatArray:

@@ -279,6 +279,8 @@ class ContactDetector:
         self._period_s = 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
+        self._joints = None if scene.arm is None else np.array(scene.arm.arm.joints, np.int64)
+        self._arm_pose: ArmPose | None = None
         self._tare_pose: ArmPose | None = None
         self._rest_seen = False
         self._press: Press | None = None
@@ -314,7 +316,7 @@ class ContactDetector:
         if not all(map(math.isfinite, sample.wrench.tolist())):
             # NaN would spoil every mean; a saturated sample is counted, and its poke is rejected.
             sample = replace(sample, wrench=np.zeros(6), saturated=True)
-        arm_pose = ArmPose(link_from_sensor, pose, self._arm_angles(sample))
+        arm_pose = self._arm_pose = self._pose_now(sample, link_from_sensor, pose)
         gap_s = self._hole(sample)
         self._last = sample
         outcomes = self._rejudge() if self._health.feed(sample.host_s, sample.skin) and self._unused is None else []
@@ -403,11 +405,15 @@ class ContactDetector:
         # Two samples are always alike enough; a quarter of the window says something.
         return PressPhase.STILL if hard and press.still >= 0.25 else PressPhase.PRESSING
 
-    def _arm_angles(self, sample: Sample) -> FloatArray | None:
-        arm = self._scene.arm
-        if arm is None or sample.angles is None:
-            return None
-        return sample.angles[list(arm.arm.joints)]
+    def _pose_now(self, sample: Sample, link_from_sensor: FloatArray | None, name: str) -> ArmPose:
+        """Return the arm's pose; the same object while the arm stands."""
+        before = self._arm_pose
+        angles = None if self._joints is None or sample.angles is None else sample.angles.take(self._joints)
+        if before is not None and before.link_from_sensor is link_from_sensor and before.name == name:
+            known = before.angles
+            if known is angles or (known is not None and angles is not None and known.tolist() == angles.tolist()):
+                return before
+        return ArmPose(link_from_sensor, name, angles)
 
     def _hole(self, sample: Sample) -> float:
         """Return the length of a hole before this sample, else 0; keep the period."""
@@ -469,9 +475,9 @@ class ContactDetector:
             self._tares.feed(sample, self._period_s)
             return outcomes
         press.add(sample, pose)
-        if press.steady and sample.host_s - press.start_s > TARE_AGE_MAX_S:
+        if sample.host_s - press.start_s > TARE_AGE_MAX_S and press.steady:
             return self._give_up(press, sample, sample.host_s - press.tare.end_s, TARE_AGE_MAX_S)
-        if press.steady and not self._rest_seen and self._lifted(press, sample):
+        if not self._rest_seen and press.steady and self._lifted(press, sample):
             outcomes = self._give_up(press, sample, 0.0, self._thresholds.quiet_s)
             self._tares.resting = None
             # What was still just now is the quiet that was wanted.

@@ -34,6 +34,8 @@ def turned(before: ArmPose, now: ArmPose) -> float:
 
     Where joints are not streamed, or another pose was chosen than the one streamed, it is the rotation of the link.
     """
+    if before is now:
+        return 0.0
     joints, change = 0, 0.0
     if before.angles is not None and now.angles is not None:
         pairs = zip(now.angles.tolist(), before.angles.tolist(), strict=True)
@@ -163,8 +165,8 @@ class Press:
         self.moved = 0.0
         """rad, how far the arm moved."""
         self.best: StillWindow | None = None
-        self.still = 0.0
-        """Share of the still window that is filled, 0 to 1."""
+        # None where it is not asked for yet.
+        self._still: float | None = 0.0
         self.force = np.zeros(3)
         self.settings = settings
         self._length = window_length(settings.still_s, period_s)
@@ -176,6 +178,14 @@ class Press:
     def held(self) -> bool:
         """A window is still and in the force window: the operator may release."""
         return self.best is not None and self.best.good
+
+    @property
+    def still(self) -> float:
+        """Share of the still window that is filled, 0 to 1."""
+        if self._still is None:
+            force = self._wrenches[self._end - len(self._window) : self._end, :3]
+            self._still = still_share(force, self.settings.still_change) / self._length
+        return self._still
 
     @property
     def steady(self) -> bool:
@@ -193,13 +203,13 @@ class Press:
         if sample.saturated:
             # Its force is not known, and a still window must not reach across it.
             self.saturated += 1
-            self.still = 0.0
+            self._still = 0.0
             self._window.clear()
             return
         wrench = self._append(sample, pose)
         self.force = wrench[-1, :3]
         self.peak = max(self.peak, length_of(self.force))
-        self.still = still_share(wrench[:, :3], self.settings.still_change) / self._length
+        self._still = None
         if len(self._window) == self._length:
             self._weigh(wrench)
 
@@ -216,6 +226,8 @@ class Press:
     def lose(self, gap_s: float) -> None:
         """Note a hole in the samples; a still window does not reach across it."""
         self.gap_s = max(self.gap_s, gap_s)
+        # What was still stays so until the next sample.
+        self._still = self.still
         self._window.clear()
 
     def _weigh(self, wrench: FloatArray) -> None:

@@ -171,7 +171,7 @@ class TareKeeper:
         if not is_quiet(wrench[:quiet, :3], wrench[quiet:, :3]):
             return None
         window = run[:quiet]
-        median, sd = robust_level(np.stack([sample.skin for sample in window]))
+        median, sd = robust_level(np.array([sample.skin for sample in window]))
         self._learn_noise(sd)
         tare = Tare(
             time_s=mean_time(window),
@@ -188,8 +188,7 @@ class TareKeeper:
     def _learn_noise(self, sd: FloatArray) -> None:
         self._blocks = min(self._blocks + 1, NOISE_BLOCKS)
         # A running mean of the variance: of the first blocks all alike, then the newest weigh one in `NOISE_BLOCKS`.
-        known = np.isfinite(sd)
-        self._variance[known] += (sd[known] ** 2 - self._variance[known]) / self._blocks
+        self._variance += np.where(np.isfinite(sd), sd**2 - self._variance, 0.0) / self._blocks
         self.noise = np.sqrt(self._variance)
 
 

@@ -494,15 +494,20 @@ def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: Fl
 
 def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: FloatArray) -> bytes:
     """Return a `sensor_msgs/msg/JointState` of (joints,) angles, radians, without velocities and efforts."""
-    body = _stamped(unix_ns, frame)
+    positions = np.ascontiguousarray(angles, dtype="<f8").tobytes()
+    return _PREFIX + _time(unix_ns) + _joint_names(frame, names, len(angles)) + positions + bytes(8)
+
+
+@lru_cache
+def _joint_names(frame: str, names: tuple[str, ...], count: int) -> bytes:
+    """Return what stands in a `JointState` between its time and its positions, which are the same in each of a session."""
+    body = bytes(8) + _text(frame)
     body += bytes(-len(body) % 4) + struct.pack("<I", len(names))
     for name in names:
         body += bytes(-len(body) % 4) + _text(name)
-    body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
+    body += bytes(-len(body) % 4) + struct.pack("<I", count)
     # CDR aligns where a number is written: an empty sequence has no padding behind its length.
-    if len(angles):
-        body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
-    return _PREFIX + body + struct.pack("<II", 0, 0)
+    return (body + bytes(-len(body) % 8 if count else 0))[8:]
 
 
 def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
@@ -512,10 +517,15 @@ def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
 
 
 def _stamped(unix_ns: int, frame: str) -> bytes:
+    return _time(unix_ns) + _text(frame)
+
+
+def _time(unix_ns: int) -> bytes:
     seconds, rest = divmod(unix_ns, 1_000_000_000)
-    return struct.pack("<iI", min(seconds, SECONDS_MAX), rest) + _text(frame)
+    return struct.pack("<iI", min(seconds, SECONDS_MAX), rest)
 
 
+@lru_cache
 def _text(text: str) -> bytes:
     # CDR counts the closing zero of a string.
     raw = text.encode() + b"\x00"

@@ -28,7 +28,7 @@ import time
 import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import wraps
+from functools import lru_cache, wraps
 from io import BufferedWriter
 from pathlib import Path
 from typing import Any, Concatenate, NoReturn, ParamSpec
@@ -234,8 +234,7 @@ class JournalWriter:
         self._add("/taxels", at, documents.encode_taxels(at, frame, self._frames, 0, sample.skin))
         self._frames += 1
         if sample.angles is not None:
-            names = tuple(f"joint{k}" for k in range(len(sample.angles)))
-            self._add("/joints", at, documents.encode_joints(at, frame, names, sample.angles))
+            self._add("/joints", at, documents.encode_joints(at, frame, _joint_names(len(sample.angles)), sample.angles))
 
     @_guarded
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
@@ -421,6 +420,11 @@ class JournalWriter:
     def _let_go(self) -> None:
         if self._holds_lock:
             self._lock.release()
+
+
+@lru_cache
+def _joint_names(count: int) -> tuple[str, ...]:
+    return tuple(f"joint{k}" for k in range(count))
 
 
 def copy_scene(scene: Scene, folder: Path) -> Path:

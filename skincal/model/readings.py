@@ -120,7 +120,7 @@ Batch: TypeAlias = WrenchBatch | SkinBatch | JointsBatch
 def cut(batch: Batch, ends: Sequence[int]) -> list[Batch]:
     """Return the readings of a batch in parts; each part ends before one of `ends`, which ascend to its length."""
     arrays = [getattr(batch, item.name) for item in fields(batch)]
-    return [type(batch)(*(array[begin:end] for array in arrays)) for begin, end in pairwise([0, *ends])]
+    return [type(batch)(*[array[begin:end] for array in arrays]) for begin, end in pairwise([0, *ends])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

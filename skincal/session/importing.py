@@ -112,7 +112,6 @@ def play_recording(
             if count % TOLD_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
                 raise StoppedError(STOPPED)
             pipeline.feed(chunk)
-            pipeline.tick(chunk.host_ns)
             if pipeline.journal_failure:
                 break
     finally:

@@ -337,9 +337,9 @@ class Pipeline:
         if len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times, wrenches))
-        for link in self._intake.health(host_ns):
-            if (found := link.beside.get(TEMPERATURE)) is not None:
-                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link.link, celsius=found.now))
+        for link, beside in self._intake.beside().items():
+            if (found := beside.get(TEMPERATURE)) is not None:
+                self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link, celsius=found.now))
 
     def sync(self) -> None:
         """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""
@@ -361,6 +361,7 @@ class _Poses:
 
     def __init__(self, scene: Scene) -> None:
         self._arm, self._fixed = scene.arm, scene.sensor_pose
+        self._joints = np.array([] if scene.arm is None else scene.arm.arm.joints, np.int64)
         self._chosen: dict[str, FloatArray] = {}
         self._angles: FloatArray | None = None
         self._streamed: tuple[str, FloatArray] | None = None
@@ -376,7 +377,7 @@ class _Poses:
 
     def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
         if angles is not None:
-            angles = angles[list(arm.arm.joints)]
+            angles = angles.take(self._joints)
             if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
                 self._angles = angles

@@ -32,11 +32,10 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import compress, islice, pairwise
+from itertools import islice, pairwise
 from statistics import median
 from types import MappingProxyType
-from typing import NamedTuple, assert_never
+from typing import NamedTuple, TypeAlias, assert_never
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,7 @@ from skincal.streams.decoders.base import NO_SEQ, WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import Change, LinkEar, values_of
+from skincal.streams.verdicts import Differing, LinkEar, values_of
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -91,6 +90,10 @@ RESTARTS_S = 60.0
 """s. More restarts than `RESTARTS_MAX` in this time mean that the device keeps no pace."""
 
 
+Point: TypeAlias = tuple[float, float]
+"""A reading's time by the device's clock and its arrival, seconds."""
+
+
 class HullClock:
     """Maps a device's time to the host's: the supporting line of the module's theory, for points as they come."""
 
@@ -107,7 +110,10 @@ class HullClock:
         self._behind_since: float | None = None
         self._lowest = (0.0, 0.0)
         self._bucket_start = 0.0
-        self._points: deque[tuple[float, float]] = deque()
+        self._points: deque[Point] = deque()
+        # The points in order, and their hull, as the last bucket left them.
+        self._ordered: list[Point] = []
+        self._hull: list[Point] = []
 
     def map(self, device_s: float, arrival_s: float) -> float:
         """Return when the reading was made, up to the constant least delay, on the host's clock.
@@ -141,6 +147,7 @@ class HullClock:
         first_x, first_y = self._origin
         (low_x, low_y), last_x = self._lowest, self._last_x
         offset, slope = self._offset, self._slope
+        low_late = low_y - offset - slope * low_x
         end = self._bucket_start + BUCKET_S
         for stamp, arrival_s in zip(islice(device_s, begin, None), islice(arrivals_s, begin, None), strict=True):
             x, y = stamp - first_x, arrival_s - first_y
@@ -151,8 +158,10 @@ class HullClock:
             if late < 0.0:
                 offset += late
                 late = 0.0
-            if late <= low_y - offset - slope * low_x:
+                low_late = low_y - offset - slope * low_x
+            if late <= low_late:
                 low_x, low_y = x, y
+                low_late = y - offset - slope * x
             if stamp > last_x:
                 last_x = stamp
             made.append(arrival_s - (y - offset - slope * x))
@@ -190,18 +199,22 @@ class HullClock:
         self._bucket_start, self._lowest = x, (x, y)
         # Sorted: a skin frame may be stamped a little before the wrench that was sent ahead of it: one line serves all
         # streams of a device.
-        self._offset, self._slope = supporting_line(sorted(self._points), self._slope_change_max)
+        ordered = sorted(self._points)
+        # The usual bucket: one point came at the right, and some went at the left.
+        goes_on = ordered[:-1] == self._ordered[len(self._ordered) + 1 - len(ordered) :]
+        self._hull = lower_hull(ordered, self._hull if goes_on else ())
+        self._ordered = ordered
+        self._offset, self._slope = supporting_line(ordered, self._hull, self._slope_change_max)
         # The reading that ends the bucket is not among the points yet, and the line may not lie above it either.
         self._offset += min(y - self._offset - self._slope * x, 0.0)
 
 
-def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: float) -> tuple[float, float]:
+def supporting_line(points: Sequence[Point], hull: Sequence[Point], slope_change_max: float) -> tuple[float, float]:
     """Find offset and slope of the line under all `points` (x, y), seconds, ascending in x, that is highest at their mean x.
 
-    The slope is held within `slope_change_max` of 1.
+    `hull` is their lower hull. The slope is held within `slope_change_max` of 1.
     """
-    hull = _lower_hull(points)
-    mean = math.fsum(x for x, _ in points) / len(points)
+    mean = math.fsum([x for x, _ in points]) / len(points)
     slope = 1.0
     for (x0, y0), (x1, y1) in pairwise(hull):
         if x0 <= mean <= x1 and x1 > x0:
@@ -212,22 +225,33 @@ def supporting_line(points: Sequence[tuple[float, float]], slope_change_max: flo
     return min(y - slope * x for x, y in hull), slope
 
 
-def _lower_hull(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Return the lower convex hull, left to right (Andrew's monotone chain)."""
-    hull: list[tuple[float, float]] = []
-    drop, count = hull.pop, 0
+def lower_hull(points: Sequence[Point], known: Sequence[Point] = ()) -> list[Point]:
+    """Return the lower convex hull, left to right (Andrew's monotone chain).
+
+    `known` is that of all but the last of the points, and of others left of them. Where the chain comes to a corner of it by
+    the edge that it had there, it goes on as it did, since nothing is asked any more about what lies before that edge.
+    """
+    places = {id(corner): place for place, corner in enumerate(known)}
+    hull: list[Point] = []
     for point in points:
-        x, y = point
-        while count > 1:
-            x1, y1 = hull[-1]
-            x0, y0 = hull[-2]
-            if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
-                break
-            drop()
-            count -= 1
-        hull.append(point)
-        count += 1
+        _add_corner(hull, point)
+        place = places.get(id(point))
+        if place and len(hull) > 1 and hull[-2] is known[place - 1]:
+            hull += known[place + 1 :]
+            _add_corner(hull, points[-1])
+            break
     return hull
+
+
+def _add_corner(hull: list[Point], point: Point) -> None:
+    x, y = point
+    while len(hull) > 1:
+        x1, y1 = hull[-1]
+        x0, y0 = hull[-2]
+        if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+            break
+        del hull[-1]
+    hull.append(point)
 
 
 class IndexClock:
@@ -453,9 +477,9 @@ class Intake:
                     self._pairing.add_frame(stamp, dated.arrival_s, values)
             case JointsBatch():
                 if batch.angles.shape[1] >= self._joints:
-                    good = np.asarray(np.isfinite(batch.angles).all(axis=1))
-                    for stamp, angles in compress(zip(stamps.tolist(), batch.angles, strict=True), good):
-                        self._pairing.add_joints(stamp, angles)
+                    for stamp, angles in zip(stamps.tolist(), batch.angles, strict=True):
+                        if all(map(math.isfinite, angles.tolist())):
+                            self._pairing.add_joints(stamp, angles)
             case _:
                 assert_never(batch)
 
@@ -467,6 +491,10 @@ class Intake:
     def recent_wrench(self) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds, as the device says them."""
         return self._pairing.ring.since(self._pairing.ring.newest_s - RECENT_S)
+
+    def beside(self) -> dict[str, Mapping[str, SideReading]]:
+        """Return what each link's device measured beside its readings."""
+        return {name: link.beside() for name, link in self._links.items()}
 
     def health(self, now_ns: int) -> tuple[LinkHealth, ...]:
         """Say how each link does; the rate counts the two seconds before `now_ns` of the host's monotonic clock."""
@@ -484,7 +512,7 @@ class Dated(NamedTuple):
     stamps: FloatArray
     """(n,) host's clock at each reading, seconds."""
     arrival_s: float
-    change: Change | None = None
+    change: Differing | None = None
     """How they differ, where they were decoded before their turn."""
 
 
@@ -505,7 +533,7 @@ class LinkIntake:
         """Chunks that are decoded and dated already."""
         self._before: Counter[Loss] = Counter()
         """What the decoders lost that the link had before it was opened anew."""
-        self._beside_before: dict[str, SideReading] = {}
+        self._beside_before: Mapping[str, SideReading] = {}
         self.state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
@@ -557,7 +585,7 @@ class LinkIntake:
         elif event.state is LinkState.OPEN and self._last_ns:
             # A new decoder: half a record from before the break must not run into the first one after it.
             self._before += self._decoder.counts
-            self._beside_before = self._beside()
+            self._beside_before = self.beside()
             self._decoder = self._new_decoder()
             self.stamper.reopened()
         self._before[Loss.DROPPED] += event.dropped
@@ -601,13 +629,14 @@ class LinkIntake:
             rate,
             self._last_ns,
             losses,
-            self._beside(),
+            self.beside(),
             units,
             verdict,
             spec.address,
         )
 
-    def _beside(self) -> dict[str, SideReading]:
+    def beside(self) -> Mapping[str, SideReading]:
+        """Return what the device measured beside its readings."""
         return joined(self._beside_before, self._decoder.beside)
 
     def _rate_until(self, now_ns: int) -> float:
@@ -620,8 +649,7 @@ class LinkIntake:
         return sum(count for _, count in counted) / ((now_step_ns - counted[0][0]) * 1e-9)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
+class _Frame(NamedTuple):
     host_s: float
     arrival_s: float
     period_s: float

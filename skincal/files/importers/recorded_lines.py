@@ -25,7 +25,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -306,26 +306,41 @@ def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: 
     agree(timelines)
     origin = min(timeline.first for timeline in timelines)
     placed = [
-        _chunks(timeline, _placed(timeline, lines(), origin), together=timeline.name not in alone)
-        for timeline, lines in zip(timelines, sources, strict=True)
+        _pieces(file, _placed(timeline, lines(), origin), together=timeline.name not in alone)
+        for file, (timeline, lines) in enumerate(zip(timelines, sources, strict=True))
     ]
-    return _joined(heapq.merge(*placed, key=lambda piece: piece[0].host_ns))
+    # In the order of their times, and of the files where these are the same.
+    return _joined(heapq.merge(*placed), [timeline.name for timeline in timelines])
 
 
-def _joined(pieces: Iterable[tuple[Chunk, bool]]) -> Iterator[Chunk]:
-    """Yield chunks, those that may be joined with their neighbours of the same file as one, at the time of the last."""
-    held: list[Chunk] = []
-    for chunk, joins in pieces:
-        fits = joins and held and chunk.link == held[0].link and chunk.host_ns - held[0].host_ns <= TOGETHER_NS
-        if held and not (fits and len(held) < TOGETHER_LINES):
-            yield Chunk(held[0].link, held[-1].host_ns, b"".join([one.data for one in held]))
+class _Piece(NamedTuple):
+    """What becomes a chunk, or a part of one."""
+
+    host_ns: int
+    file: int
+    data: bytes
+    # Whether it may be joined with its neighbours of the same file.
+    joins: bool
+
+
+def _joined(pieces: Iterable[_Piece], names: Sequence[str]) -> Iterator[Chunk]:
+    """Yield pieces as chunks of the named files; neighbours that may be joined are one, at the time of the last."""
+    held: list[bytes] = []
+    first_ns = last_ns = 0
+    last_file = -1
+    for host_ns, file, data, joins in pieces:
+        fits = joins and file == last_file and host_ns - first_ns <= TOGETHER_NS and len(held) < TOGETHER_LINES
+        if held and not fits:
+            yield Chunk(names[last_file], last_ns, b"".join(held))
             held = []
         if joins:
-            held.append(chunk)
+            first_ns = first_ns if held else host_ns
+            held.append(data)
+            last_ns, last_file = host_ns, file
         else:
-            yield chunk
+            yield Chunk(names[file], host_ns, data)
     if held:
-        yield Chunk(held[0].link, held[-1].host_ns, b"".join([one.data for one in held]))
+        yield Chunk(names[last_file], last_ns, b"".join(held))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -379,10 +394,10 @@ def _placed(timeline: RecordedTimes, blocks: Iterator[RecordedLines], origin: fl
         latest, before, index = int(times[-1]), float(stamps[-1]), end
 
 
-def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: bool) -> Iterator[tuple[Chunk, bool]]:
-    """Yield neighbouring lines as one chunk at the time of the last; a line that starts a clock anew is a chunk alone.
+def _pieces(file: int, blocks: Iterator[_Placed], *, together: bool) -> Iterator[_Piece]:
+    """Yield neighbouring lines as one piece at the time of the last; a line that starts a clock anew is a piece alone.
 
-    Where lines do not go `together` each is a chunk; beside a chunk stands whether it may be joined with others.
+    Where lines do not go `together` each is a piece, which may be joined with others.
 
     The clock of a decoder takes a chunk's time for the arrival of each of its lines, and the least delay for the true one: the
     last line's is right, the others only look late. A clock's first line has no other to be measured by.
@@ -393,10 +408,10 @@ def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: boo
         times, steady, at = block.host_ns, block.steady, 0
         while at < len(times):
             if held and (not steady[at] or times[at] - first_ns > TOGETHER_NS or len(held) >= TOGETHER_LINES):
-                yield Chunk(timeline.name, last_ns, b"".join(held)), False
+                yield _Piece(last_ns, file, b"".join(held), joins=False)
                 held = []
             if not (steady[at] and together):
-                yield Chunk(timeline.name, times[at], block.data[at]), steady[at] and not together
+                yield _Piece(times[at], file, block.data[at], steady[at] and not together)
                 at += 1
                 continue
             first_ns = first_ns if held else times[at]
@@ -406,4 +421,4 @@ def _chunks(timeline: RecordedTimes, blocks: Iterator[_Placed], *, together: boo
             held += block.data[at:end]
             last_ns, at = times[end - 1], end
     if held:
-        yield Chunk(timeline.name, last_ns, b"".join(held)), False
+        yield _Piece(last_ns, file, b"".join(held), joins=False)

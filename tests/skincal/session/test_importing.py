@@ -1,13 +1,18 @@
+from collections import Counter
 from dataclasses import replace
 
 import pytest
+from mcap.reader import make_reader
 
 from skincal.cli import main
 from skincal.files.importers.overview import find_files
 from skincal.journal import writer
 from skincal.model.errors import InputError
+from skincal.model.scene import load_scene
 from skincal.session.importing import Imported, ImportRequest, StoppedError, import_recording, missing_folders, take_away
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from skincal.streams.decoders import yarp_log
 from tests.skincal.import_support import write_csv, write_yarp
 from tests.skincal.poke_script import outcome_key, some_pokes, write_scene
 
@@ -39,6 +44,74 @@ def test_every_poke_of_a_recording_is_in_the_session(request_of, write):
     assert len(keys(load(request.folder))) == POKES
     assert shares == sorted(shares)
     assert 0.0 <= shares[0] < 0.1
+
+
+def spoilt(place):
+    """Spoil some lines of a log: a header, words, a cut one, one without a number, and lines that are missing."""
+    lines = (place / "data.log").read_text().splitlines(keepends=True)
+    lines[100] = "Type: Bottle;\n"
+    lines[101:103] = ["nothing\n", lines[102][: len(lines[102]) // 2] + "\n"]
+    words = lines[120].split()
+    lines[120] = " ".join([*words[:2], "nan", *words[3:]]) + "\n"
+    del lines[130]
+    (place / "data.log").write_text("".join(lines))
+
+
+@pytest.mark.parametrize("spoil", [False, True])
+def test_what_is_decoded_many_at_a_time_is_what_is_decoded_one_by_one(request_of, spoil):
+    request = request_of()
+    if spoil:
+        spoilt(request.files.wrench)
+        spoilt(request.files.skin)
+    scene, recording = load_scene(request.scene), request.files.open()
+    many, alone = (Pipeline(scene, recording.links, None) for _ in range(2))
+    for chunk in many.ahead(recording.chunks()):
+        many.feed(chunk)
+    for chunk in recording.chunks():
+        alone.feed(chunk)
+    for pipeline in (many, alone):
+        pipeline.close()
+    assert keys(many) == keys(alone)
+    assert keys(many)
+    assert many.totals() == alone.totals()
+    assert many.live(10**12).links == alone.live(10**12).links
+    assert (sum(link.losses.total() for link in many.live(10**12).links) > 0) == spoil
+
+
+def test_an_import_works_on_many_readings_at_a_time(request_of, monkeypatch):
+    """What made an import slow was done for each reading: text parsed chunk by chunk, and a message a wrench."""
+    request, parsed = request_of(), []
+    read = yarp_log.read_table
+    monkeypatch.setattr(yarp_log, "read_table", lambda text: parsed.append(text.count(b"\n")) or read(text))
+    import_recording(request)
+    readings = sum((place / "data.log").read_text().count("\n") for place in (request.files.wrench, request.files.skin))
+    # No line is parsed twice, but for those from which the usual step of the numbers is learnt.
+    assert readings <= sum(parsed) < 1.5 * readings
+    counts = Counter()
+    for path in request.folder.glob("*.mcap"):
+        with path.open("rb") as file:
+            counts.update(channel.topic for _, channel, _ in make_reader(file).iter_messages())
+    assert len(parsed) < counts["/raw/wrench"] + counts["/raw/skin"]
+    # Half seconds of four wrenches a frame, fifty frames a second.
+    assert counts["/wrenches"] < counts["/taxels"] / 20
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_an_import_that_is_cut_off_is_the_beginning_of_a_session(request_of, share):
+    """Only the beginning of both files came onto the disk, each flushed as it is in an import."""
+    request = request_of()
+    import_recording(request)
+    whole = keys(load(request.folder))
+    for name in ("segment-0001.mcap", "segment-0001.jsonl"):
+        data = (request.folder / name).read_bytes()
+        (request.folder / name).write_bytes(data[: int(len(data) * share)])
+    loaded, played = load(request.folder), replay(request.folder)
+    for begun in (keys(loaded), keys(played)):
+        # The last one may lack what the quiet after it says.
+        assert begun[:-1] == whole[: len(begun)][:-1]
+        assert len(begun) <= POKES
+    assert loaded.findings
+    assert played.findings
 
 
 def test_the_command_makes_the_same_session(request_of, tmp_path):

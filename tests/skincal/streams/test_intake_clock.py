@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from skincal.model.readings import Stream
-from skincal.streams.intake import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, supporting_line
+from skincal.streams.intake import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, lower_hull, supporting_line
 
 SETTLED_S = 10.0
 
@@ -155,11 +155,21 @@ def test_supporting_line_is_the_optimum_of_the_linear_program(points):
     """Minimise sum(y - a - b x) with a + b x <= y and the slope held: solved by another route."""
     xy = sorted((x, x + d) for x, d in points)
     x, y = np.array(xy).T
-    offset, slope = supporting_line(xy, 0.02)
+    offset, slope = supporting_line(xy, lower_hull(xy), 0.02)
     assert (offset + slope * x <= y + 1e-9).all()
     best = linprog([-len(x), -x.sum()], np.column_stack([np.ones_like(x), x]), y, bounds=[(None, None), (0.98, 1.02)])
     if best.success:
         assert offset + slope * x.mean() >= -best.fun / len(x) - 1e-6
+
+
+@given(st.lists(st.integers(0, 3), min_size=1, max_size=80), st.lists(st.integers(0, 3), min_size=80, max_size=80))
+def test_a_hull_that_goes_on_is_that_of_all_points(delays, drops):
+    """Among few delays, so that many points lie on one line: the same corners, rounding and all."""
+    points, known = [], []
+    for at, (delay, drop) in enumerate(zip(delays, drops, strict=False)):
+        points = [*points[1 if drop else 0 :], (at * 0.25, at * 0.25 + delay * 2.4e-7)]
+        known = lower_hull(points, known)
+        assert known == lower_hull(points)
 
 
 def test_memory_and_work_stay_flat():

@@ -6,9 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
-from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch, cut
 from skincal.streams.decoders.detect import make_decoder
-from skincal.streams.decoders.yarp_log import BottleError, YarpDecoder, YarpTxRxDecoder, parse_bottle
+from skincal.streams.decoders.yarp_log import (
+    BottleError,
+    YarpDecoder,
+    YarpTxRxDecoder,
+    even_width,
+    parse_bottle,
+    read_table,
+    split_line,
+    split_stamps,
+)
 
 WRENCH = (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)
 WORDS = " ".join(map(str, WRENCH))
@@ -234,3 +243,94 @@ def test_the_first_line_counts_too():
     decoder = YarpDecoder(24, (Stream.SKIN,))
     decoder.feed(b"0 1.0 1 2 3\n1 1.1 1 2 3\nwords\n")
     assert decoder.counts == {Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 1}
+
+
+USUAL = st.builds(lambda at: f"{at} {START + at * 1e-3:.6f} 1.5 -2e-3 30 .125 -0.5 6.25\n", st.integers(0, 10**6))
+ODD = st.sampled_from(
+    [
+        "\n",
+        "Stamp: rx;\n",
+        "7 1400000000.25 1 2 3\n",
+        "7 1400000000.25 1 2 3 4 5 nan\n",
+        "7 1400000000.25 1 2 3 4 5 1_0\n",
+        "7 1400000000.25 1,2,3,4,5,6\n",
+        "7 1400000000.25 (1 2 3 4 5 6)\n",
+        "7.0 1400000000.25 1 2 3 4 5 6\n",
+        "7 1400000000.25 1 2 3 4 5 6\r\n",
+        "7\t1400000000.25  1 2 3 4 5 6 \n",
+        "7 1400000000.25 1 2 3 4 5\x1f6\n",
+        "7 1400000000.25 1 2 3 4 5 6\r8 1400000000.5 1 2 3 4 5 6\n\n",
+        "7 9e9 1 2 3 4 5 6\n",
+        "7 1400000000.25 1 2",
+        "-1 1400000000.25 1 2 3 4 5 6\n",
+    ]
+)
+
+
+def shown(batches):
+    return [[array.tobytes() for array in (batch.seq, batch.device_s, batch.wrench)] for batch in batches]
+
+
+@given(st.lists(st.lists(st.one_of(USUAL, USUAL, USUAL, ODD), min_size=1, max_size=4).map("".join), min_size=1, max_size=6))
+def test_many_pieces_are_read_as_one_after_the_other(texts):
+    """Whatever stands among them: what many at a time cannot take is left, whole, to be taken one by one."""
+    pieces = [text.encode() for text in texts]
+    alone, together = YarpDecoder(None, (Stream.WRENCH,)), YarpDecoder(None, (Stream.WRENCH,))
+    for decoder in (alone, together):
+        decoder.feed(b"1 1400000000 1 2 3 4 5 6\n2 1400000001 1 2 3 4 5 6\n3 1400000002 1 2 3 4 5 6\n")
+    expected = [alone.feed(piece) for piece in pieces]
+    found = together.feed_many(pieces)
+    if found is None:
+        assert [shown(together.feed(piece)) for piece in pieces] == [shown(batches) for batches in expected]
+    else:
+        assert shown(cut(*found)) == [row for batches in expected for row in shown(batches)]
+    assert (together.counts, together.good) == (alone.counts, alone.good)
+    end = b"9 1400000009 1 2 3 4 5 6\n"
+    assert shown(together.feed(end)) == shown(alone.feed(end)), "and what comes after finds the same decoder"
+
+
+def test_usual_pieces_are_read_many_at_a_time():
+    pieces = [f"{at} {START + at:.6f} {WORDS}\n{at + 1} {START + at + 1:.6f} {WORDS}\n".encode() for at in range(0, 20, 2)]
+    batch, ends = YarpDecoder(None, (Stream.WRENCH,)).feed_many(pieces)
+    assert batch.wrench.tolist() == [list(WRENCH)] * 20
+    assert ends == list(range(2, 22, 2))
+
+
+@pytest.mark.parametrize("stamps", [1, 2])
+@given(data=st.data())
+def test_stamps_of_many_lines_are_those_of_each(stamps, data):
+    digits = data.draw(st.sampled_from(["{:.6f}", "{:.0f}", "{:.3f}", "{:.9f}", "{:g}", "{!r}"]))
+    times = data.draw(st.lists(st.floats(0, 6e9), min_size=1, max_size=5))
+    lines = [f"{k + 8} {' '.join([digits.format(time)] * stamps)} 1 2\n".encode() for k, time in enumerate(times)]
+    expected = [split_line(line, stamps) for line in lines]
+    found = split_stamps(lines, stamps)
+    if None in expected:
+        assert found is None
+    else:
+        assert found.tolist() == [list(line.stamps) for line in expected]
+
+
+@pytest.mark.parametrize(
+    ("text", "width"),
+    [
+        ("1 2 3\n4 5 6\n", 3),
+        ("1\n2\n", 1),
+        ("1 2 3\n4 5\n", 0),
+        ("1  2\n4 5 6\n", 0),
+        (" 1 2\n", 0),
+        ("1 2 \n", 0),
+        ("1 2\n3 4", 0),
+        ("1 2\n\n", 0),
+        ("1\t2\n3\t4\n", 0),
+        ("1 2\r\n", 0),
+    ],
+)
+def test_the_width_of_even_lines(text, width):
+    assert even_width(text.encode()) == width
+
+
+@pytest.mark.parametrize("word", ["1e400", "-0", "inf", "NaN", "1e-400", ".5", "5.", "+3", "0.1", "1.7976931348623157e308"])
+def test_a_tables_words_are_those_of_python_to_the_last_bit(word):
+    table = read_table(f"1 {word}\n".encode())
+    assert table["values"].tobytes() == np.array([[float(word)]]).tobytes()
+    assert table["number"].tolist() == [1]
