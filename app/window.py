@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
@@ -169,6 +170,8 @@ class Window(QMainWindow):
         self.session_view: SessionView | None = None
         self._told: FirstMinute | None = None
         self._question: QMessageBox | None = None
+        self._targets = ""
+        """Where a robot is asked for pokes in every session that has devices, once it was said."""
         """What becomes of pokes that would go."""
         self._leaves = False
         self._import: ImportDialog | None = None
@@ -546,8 +549,10 @@ class Window(QMainWindow):
 
     def _open(self, request: OpenRequest) -> None:
         given = request.addresses
+        self._targets = request.targets or self._targets
         if given:
             self._remember({given.wrench, given.skin, given.joints} - {""})
+            request = replace(request, targets=self._targets)
         self._drop_session()
         self.where.setText("")
         self.controller.open(request)

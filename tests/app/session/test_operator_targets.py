@@ -197,6 +197,12 @@ def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resti
         assert peer.line() == GREETING
         again = targets(on_the_side(bench, peer.line))
         assert (again.number, again.channel) == (second.number + 1, second.channel)
+    # As from the set-up page, which asks for no port.
+    bench.open(OpenRequest(scene=FLAT, addresses=resting))
+    port = bench.controller._targets.port
+    with closing(Peer(port)) as peer:
+        assert peer.line() == GREETING
+        assert targets(on_the_side(bench, peer.line)).number == 1
     bench.window.close()
     with pytest.raises(OSError, match="refused"):
         Peer(port)
