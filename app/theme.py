@@ -37,6 +37,8 @@ class Colours:
     panel: str
     raised: str
     line: str
+    edge: str
+    """Borders of what is typed into or chosen from: at least 3:1 on `window` and `panel` (WCAG 1.4.11)."""
     text: str
     muted: str
     accent: str
@@ -57,6 +59,7 @@ DARK = Colours(
     panel="#1B1F26",
     raised="#272C36",
     line="#39404C",
+    edge="#757E8E",
     text="#E8EBF0",
     muted="#A0A9B8",
     accent="#5CA8FF",
@@ -72,6 +75,7 @@ LIGHT = Colours(
     panel="#FFFFFF",
     raised="#E2E6EB",
     line="#C3CAD4",
+    edge="#768091",
     text="#171B21",
     muted="#525C6B",
     accent="#0B5CBF",

@@ -103,7 +103,7 @@ def simulate(
     from skincal.session.part import load_scene_surface
     from skincal.simulate.device import DeviceSettings, DeviceTimeline
     from skincal.simulate.faults import RigErrors
-    from skincal.simulate.operator import Guided, Habits, Told
+    from skincal.simulate.operator import Habits
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
     from skincal.simulate.virtual_session import simulate_session
@@ -123,7 +123,7 @@ def simulate(
             wrong,
             poses=names,
             habits=habits,
-            progress=_show_progress if sys.stderr.isatty() else None,
+            progress=PokeLine(pokes or SESSION_POKES) if sys.stderr.isatty() else None,
         )
         finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
         return
@@ -136,7 +136,7 @@ def simulate(
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})
         with _asked(hand, targets):
-            _run(server, hand if isinstance(hand, Told | Guided) else None)
+            _run(server, hand, operator, pokes)
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:
@@ -194,8 +194,39 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
     return assign(tuple(name.strip() for name in named.split(",")), streams)
 
 
-def _show_progress(pokes: int) -> None:
-    typer.echo(f"\rpoke {pokes} ", err=True, nl=False)  # noqa: TID251 - stays on its line
+class PokeLine:
+    """Says on a terminal which poke it is, always on the same line.
+
+    Parameters
+    ----------
+    count : of all pokes; None where there is no end
+    """
+
+    def __init__(self, count: int | None) -> None:
+        self._count, self._said = count, 0
+
+    def __call__(self, pokes: int) -> None:
+        """Say how many pokes have begun, where that is new; the last one ends the line."""
+        if pokes == self._said:
+            return
+        self._said = pokes
+        of = "" if self._count is None else f" of {self._count}"
+        typer.echo(f"\rpoke {pokes}{of} ", err=True, nl=pokes == self._count)  # noqa: TID251 - stays on its line
+
+    def close(self) -> None:
+        """End the line where it is open."""
+        if self._said not in (0, self._count):
+            say("", err=True)
+
+
+TAKES = {
+    OperatorKind.AUTO: "Standard input is read for its end alone",
+    OperatorKind.TOLD: "Standard input takes orders, one a line: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME",
+    OperatorKind.GUIDED: "Pokes what --targets asks for; standard input takes pace TIMES",
+}
+"""What is told on a terminal of what may be typed there."""
+ENDS = "The devices are served until it ends ({key}) or Ctrl-C."
+ENDED = "Standard input ended, and so did the devices."
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -209,15 +240,25 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def _run(server: Server, listener: Told | Guided | None) -> None:
-    """Serve until stdin closes, Ctrl-C or a termination signal."""
+def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int | None) -> None:
+    """Serve until stdin closes, Ctrl-C or a termination signal; on a terminal say what stdin is for, and which poke it is."""
+    from skincal.simulate.operator import Guided, Told
+
+    listener = hand if isinstance(hand, Told | Guided) else None
+    terminal, progress = sys.stderr.isatty(), PokeLine(pokes)
+    if terminal:
+        say(f"{TAKES[operator]}. {ENDS.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
+    ended = threading.Event()
     with stopping() as stop:
         # A daemon: it waits in a read that nothing can interrupt.
-        threading.Thread(target=_listen, args=(listener, stop), name="orders", daemon=True).start()
-        server.run(stop)
+        threading.Thread(target=_listen, args=(listener, ended, stop), name="orders", daemon=True).start()
+        server.run(stop, (lambda: progress(hand.begun)) if terminal else lambda: None)
+    progress.close()
+    if terminal and ended.is_set():
+        say(ENDED, err=True)
 
 
-def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
+def _listen(listener: Told | Guided | None, ended: threading.Event, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.operator import read_order
 
@@ -228,4 +269,5 @@ def _listen(listener: Told | Guided | None, stop: threading.Event) -> None:
                 listener.accept(order)
         except InputError as error:
             say(f"skincal: {error}", err=True)
+    ended.set()
     stop.set()

@@ -409,6 +409,8 @@ class Told:
     def __init__(self, rig: Rig, habits: Habits, rng: np.random.Generator) -> None:
         self._rig, self._habits, self._rng = rig, habits, rng
         self._orders: queue.SimpleQueue[PokeOrder | PoseOrder] = queue.SimpleQueue()
+        self.begun = 0
+        """Pokes begun so far."""
 
     def accept(self, order: Order) -> None:
         """Queue an order, from any thread.
@@ -434,6 +436,7 @@ class Told:
             return None
         if isinstance(order, PoseOrder):
             return Move(now, now + self._habits.move_s, self._rig.stance(order.name))
+        self.begun += 1
         return press(self._rig, self._aimed(order), now, self._habits, self._rng)
 
     def _aimed(self, order: PokeOrder) -> PressedPlaces:

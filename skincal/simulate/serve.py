@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceTimeline
@@ -58,8 +58,8 @@ class Server:
         """What a host opens."""
         return tuple(LinkSpec(name, self._outlets[name].address, (stream,)) for name, stream in self._line.links.items())
 
-    def run(self, stop: threading.Event) -> None:
-        """Play until `stop` is set."""
+    def run(self, stop: threading.Event, each: Callable[[], object] = lambda: None) -> None:
+        """Play until `stop` is set; `each` is called after each block of readings."""
         start = time.monotonic() - self._line.now
         while not stop.is_set():
             late = time.monotonic() - start - self._line.now
@@ -72,6 +72,7 @@ class Server:
             for _, link, data in self._line.step():
                 if link not in self._paused:
                     self._outlets[link].write(data)
+            each()
 
     def _listen(self) -> None:
         for name, outlet in self._outlets.items():

@@ -7,7 +7,7 @@ import pytest
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRectF, Qt, QTimer
 from PySide6.QtGui import QColor, QImage, QMouseEvent, QWheelEvent
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtWidgets import QApplication, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
 
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog, shipped_scenes
@@ -89,20 +89,36 @@ def test_a_widget_survives_twenty_thousand_updates(qtbot):
     assert widget.isVisible()
 
 
-def luminance(colour: str) -> float:
+def luminance(colour: str | QColor) -> float:
     parts = np.array(QColor(colour).getRgbF()[:3])
     linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def contrast(ink: str | QColor, ground: str) -> float:
+    high, low = sorted([luminance(ink), luminance(ground)], reverse=True)
+    return (high + 0.05) / (low + 0.05)
 
 
 @pytest.mark.parametrize("colours", [DARK, LIGHT], ids=["dark", "light"])
 def test_text_can_be_read_on_everything_it_stands_on(colours: Colours):
     for ink in (colours.text, colours.muted, colours.accent, colours.bad, colours.warn, *colours.axes):
         for ground in (colours.window, colours.panel):
-            high, low = sorted([luminance(ink), luminance(ground)], reverse=True)
-            assert (high + 0.05) / (low + 0.05) >= 4.5, (ink, ground)
-    high, low = sorted([luminance(colours.accent), luminance(colours.on_accent)], reverse=True)
-    assert (high + 0.05) / (low + 0.05) >= 4.5
+            assert contrast(ink, ground) >= 4.5, (ink, ground)
+    assert contrast(colours.accent, colours.on_accent) >= 4.5
+
+
+@pytest.mark.parametrize(("choice", "colours"), [(Choice.DARK, DARK), (Choice.LIGHT, LIGHT)], ids=["dark", "light"])
+@pytest.mark.parametrize("kind", [QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox])
+def test_the_border_of_a_field_is_seen(qtbot, choice, colours, kind):
+    Theme(choice)
+    widget = kind()
+    if isinstance(widget, QComboBox):
+        widget.setEditable(True)
+    image = shown(qtbot, widget, (160, 30)).grab().toImage()
+    border = [image.pixelColor(at, image.height() // 2) for at in range(3)]
+    for ground in (colours.window, colours.panel):
+        assert max(contrast(pixel, ground) for pixel in border) >= 3.0
 
 
 def test_the_theme_is_the_operators_or_the_desktops(qapp, qtbot):

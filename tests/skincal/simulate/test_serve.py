@@ -5,11 +5,13 @@ import sys
 import threading
 import time
 from contextlib import closing, contextmanager
+from io import StringIO
 
 import numpy as np
 import pytest
 import serial
 
+from skincal.cli import main
 from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
@@ -17,10 +19,12 @@ from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.simulate.serve import Server
 from skincal.streams.decoders.detect import make_decoder
+from tests.approved import approved
 from tests.skincal.sim_support import make_rig
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="this platform has no pseudo-terminals")
 WAIT_S = 10.0
+KEY = "Ctrl-Z" if sys.platform == "win32" else "Ctrl-D"
 
 
 @contextmanager
@@ -166,3 +170,51 @@ def test_bytes_without_a_listener_are_gone():
     os.close(slave)
     outlet.close()
     outlet.close()
+
+
+class Typed:
+    """Standard input: lines, and its end once something is so."""
+
+    def __init__(self, *lines, until):
+        self._lines, self._until = lines, until
+
+    def __iter__(self):
+        yield from self._lines
+        end = time.monotonic() + WAIT_S
+        while not self._until() and time.monotonic() < end:
+            time.sleep(0.05)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """Run `simulate` on a terminal, and return what that shows on stderr."""
+
+    def run(*words, typed=()):
+        monkeypatch.setattr(sys, "stderr", StringIO())
+        monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+        monkeypatch.setattr(sys, "stdin", Typed(*typed, until=lambda: "poke 1" in sys.stderr.getvalue()))
+        assert main(["simulate", "--scene", "flat-patch", *words]) == 0
+        return sys.stderr.getvalue()
+
+    return run
+
+
+def test_on_a_terminal_a_session_that_is_made_says_which_poke_of_how_many(terminal, tmp_path):
+    said = terminal("--pokes", "3", "--out", str(tmp_path / "s"))
+    assert said == "\rpoke 1 of 3 \rpoke 2 of 3 \rpoke 3 of 3 \n"
+
+
+def test_on_a_terminal_served_devices_say_what_standard_input_is_for_and_which_poke_it_is(terminal):
+    first, rest = terminal("--serve", "--tcp").split("\n", 1)
+    assert first == approved("commands.auto_end", key=KEY)
+    assert rest.startswith("\rpoke 1 ")
+    assert rest.endswith(f"\n{approved('commands.input_ended')}\n")
+    first, rest = terminal("--serve", "--tcp", "--operator", "told", typed=["poke 0\n"]).split("\n", 1)
+    assert first == approved("commands.told_orders", key=KEY)
+    assert rest == f"\rpoke 1 \n{approved('commands.input_ended')}\n"
+
+
+def test_to_a_program_served_devices_say_nothing_but_their_links(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdin", Typed(until=lambda: True))
+    assert main(["simulate", "--scene", "flat-patch", "--serve", "--tcp"]) == 0
+    assert capsys.readouterr().err == ""
