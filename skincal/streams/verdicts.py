@@ -60,7 +60,7 @@ class Differing(NamedTuple):
     changes: int
     """Readings that differ in a bit."""
     newest: int
-    """Index of the last of these."""
+    """Index of the last of these; 0 where there is none."""
     last: NDArray[np.uint64]
     """(1, width) bits of the last reading."""
 
@@ -72,7 +72,7 @@ def _changes(before: NDArray[np.uint64], bits: NDArray[np.uint64], ends: Sequenc
     differs[1:] = (bits[1:] != bits[:-1]).any(axis=1)
     begins = np.array([0, *ends[:-1]])
     changes = np.add.reduceat(differs, begins)
-    newest = np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins
+    newest = np.maximum(np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins, 0)
     parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
     return [Differing(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Stream
+from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Stream, WrenchBatch, cut
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import LinkSpec
+from skincal.streams.verdicts import LinkEar
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -186,3 +191,25 @@ def test_how_the_bytes_are_cut_changes_no_verdict():
             cut.link.take_chunk(Chunk("link", cut.now_ns, text[byte : min(byte + 7, at + 1000)]))
     assert whole.found == cut.found
     assert whole.answer is LinkAnswer.OTHER_WIDTH
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_readings_are_compared_together_as_part_by_part(steps):
+    """Each differs from the one before it or not, and ends a part or not."""
+    values = np.cumsum([differs for differs, _ in steps])[:, None] * np.ones((1, 6))
+    ends = sorted({index for index, (_, last) in enumerate(steps, start=1) if last} | {len(steps)})
+    batch = WrenchBatch(*np.zeros((2, len(steps))), values, *np.zeros((2, len(steps)), bool))
+    together, alone = (LinkEar((Stream.WRENCH,), {}, None) for _ in range(2))
+    for ear in (together, alone):
+        ear.hear(b"", 5, [replace(batch, wrench=np.zeros((1, 6)))])
+    changes = together.compare(batch, ends)
+    parts = cut(batch, ends)
+    for index, (part, change) in enumerate(zip(parts, changes, strict=True)):
+        (expected,) = alone.compare(part, [len(part.wrench)])
+        assert change[:3] == expected[:3]
+        assert change.last.tolist() == expected.last.tolist()
+        differing = np.flatnonzero([differs for differs, _ in steps[ends[index] - len(part.wrench) : ends[index]]])
+        assert (change.changes, change.newest) == (len(differing), differing.max(initial=0))
+        alone.hear(b"", index + 6, [part])
+        together.hear(b"", index + 6, [part], change)
+        assert together.judge(index + 6) == alone.judge(index + 6)

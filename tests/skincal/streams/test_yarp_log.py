@@ -284,9 +284,28 @@ def test_many_pieces_are_read_as_one_after_the_other(texts):
         assert [shown(together.feed(piece)) for piece in pieces] == [shown(batches) for batches in expected]
     else:
         assert shown(cut(*found)) == [row for batches in expected for row in shown(batches)]
-    assert (together.counts, together.good) == (alone.counts, alone.good)
-    end = b"9 1400000009 1 2 3 4 5 6\n"
+    end = b"2000009 1400000009 1 2 3 4 5 6\n"
     assert shown(together.feed(end)) == shown(alone.feed(end)), "and what comes after finds the same decoder"
+    assert (together.counts, together.good) == (alone.counts, alone.good)
+
+
+@pytest.mark.parametrize("mark", ["\r", "\x1c", "\x1d", "\x1e", "\x1f", "_", "\xa0", "\n\n", "#", '"', ",", "\n5 "])
+def test_what_parts_words_otherwise_is_no_table(mark):
+    assert read_table(b"1 2 3\n4 2 3\n") is not None
+    assert read_table(f"1 2 3\n4 2{mark}3\n".encode("latin1")) is None
+
+
+def test_a_blank_line_is_in_no_table():
+    assert read_table(b"1 2 3\n\n4 2 3\n") is None
+
+
+def test_the_numbers_go_on_behind_many_pieces():
+    decoder = YarpDecoder(None, (Stream.WRENCH,))
+    lines = [f"{at} {START + at:.6f} {WORDS}\n".encode() for at in range(12)]
+    decoder.feed(b"".join(lines[:3]))
+    assert decoder.feed_many(lines[3:9]) is not None
+    decoder.feed(lines[11])
+    assert decoder.counts == {Loss.MISSING: 2}
 
 
 def test_usual_pieces_are_read_many_at_a_time():
