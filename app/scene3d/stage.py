@@ -49,6 +49,10 @@ BAR = 120.0
 LETTERS = ("x", "y", "z")
 
 
+LINE, RIM = 2.0, 1.5
+"""Pixels of a line of the hints, and on each side of it."""
+
+
 class HintsLayer(Layer):
     """The scale in millimetres at the lower right, the link's axes at the lower left."""
 
@@ -60,17 +64,20 @@ class HintsLayer(Layer):
         self._points = vtkPoints(data=numpy_to_vtk(self._xy))
         mapper = vtkPolyDataMapper2D()
         mapper.SetInputData(vtkPolyData(points=self._points, lines=cells(np.arange(12).reshape(-1, 2))))
-        self.lines = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=2.0))
+        self.lines = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=LINE))
+        # Below the lines: they are seen on the part, of whatever grey, as beside it.
+        self.rim = vtkActor2D(mapper=mapper, property=vtkProperty2D(line_width=LINE + 2 * RIM))
         self.texts = [written(vtkTextActor(), letter) for letter in LETTERS]
         self.length = written(vtkTextActor())
 
     def props(self) -> Sequence[vtkProp]:
-        """Return the lines, then the letters."""
-        return self.lines, *self.texts, self.length
+        """Return the lines on their rim, then the letters."""
+        return self.rim, self.lines, *self.texts, self.length
 
     def draw(self) -> None:
         """Draw the axes as they lie in the picture, and a bar of a round length."""
-        self.lines.GetProperty().SetColor(*unit(self.look.faint))
+        self.lines.GetProperty().SetColor(*unit(self.look.ink))
+        self.rim.GetProperty().SetColor(*unit(self.look.background))
         for text in (*self.texts, self.length):
             make_readable(text, self.look, self.look.ink)
         if self.sight is None:

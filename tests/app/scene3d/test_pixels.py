@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from app.scene3d.camera import approach, orbit, project, sight_of
 from app.scene3d.canvas import Canvas
-from app.scene3d.scene_state import DARK, HUES, Cloud, Comparison, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import DARK, HUES, LIGHT, Cloud, Comparison, StaticScene, Tint, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import LaidSkin
@@ -218,3 +218,28 @@ def test_no_layer_asks_for_a_polygon_offset(pictures):
 
     pictures.of(replace(moment(Method.FREE), target=asked_for(), comparison=comparison()))
     assert vtkMapper.GetResolveCoincidentTopology() == 0
+
+
+def contrast(first: np.ndarray, second: np.ndarray) -> float:
+    """Of two colours, (3,) 0 to 255 (WCAG)."""
+    parts = np.stack([first, second]) / 255.0
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    low, high = np.sort(linear @ [0.2126, 0.7152, 0.0722])
+    return float((high + 0.05) / (low + 0.05))
+
+
+@pytest.mark.parametrize("zoom", [1.0, 6.0], ids=["beside the part", "on the part"])
+@pytest.mark.parametrize("look", [DARK, LIGHT], ids=["dark", "light"])
+def test_the_lines_of_axes_and_scale_are_seen(pictures, look, zoom):
+    pictures.stage.set_colours(look)
+    camera = pictures.stage.renderer.GetActiveCamera()
+    camera.SetPosition(*(np.array(camera.GetFocalPoint()) + np.subtract(camera.GetPosition(), camera.GetFocalPoint()) / zoom))
+    shown = pictures.of(View3DState(snapshot(1, {}), None, Method.FREE, None))
+    hints = pictures.stage.layers[-1]
+    ends = hints._xy[:, :2].reshape(-1, 2, 2)
+    for start, end in ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 8]:
+        along = (end - start) / np.linalg.norm(end - start)
+        x, y = (0.5 * (start + end)).round().astype(int)
+        strip = [shown[y + int(step * along[0]), x - int(step * along[1])] for step in range(-4, 5)]
+        line = min(strip, key=lambda colour: np.abs(colour - look.ink).max())
+        assert max(contrast(line, beside) for beside in strip) >= 3.0
