@@ -51,12 +51,15 @@ UNUSED = (
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
 )  # fmt: skip
 """What packages offer to import and the program never does."""
+CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
+"""What pyvista imports for the canvas of a graphics card, by name and beside the rooms below."""
+BY_NAME_VTK = (*CARD_VTK, "FiltersPython", "RenderingMatplotlib", "InteractionWidgets")
+"""Modules of VTK that pyvista imports as they are asked for, which nobody sees."""
 VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
 """Of VTK what computes and draws, as names of its modules begin; its readers, accelerators and web parts are left out."""
 UNUSED_VTK = (
-    "FiltersParallel", "FiltersVerdict", "FiltersPython", "RenderingVR", "RenderingVtkJS", "RenderingWebXR",
-    "RenderingParallel", "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid",
-    "RenderingMatplotlib", "CommonPython",
+    "FiltersParallel", "FiltersVerdict", "RenderingVR", "RenderingVtkJS", "RenderingWebXR", "RenderingParallel",
+    "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid", "CommonPython",
 )  # fmt: skip
 """Of these rooms what the program never asks for."""
 
@@ -98,22 +101,22 @@ def _build() -> None:
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
     options += [f"--collect-submodules={name}" for name in WHOLE]
-    options += [f"--hidden-import={name}" for name in BY_NAME]
+    options += [f"--hidden-import={name}" for name in (*BY_NAME, *(f"vtkmodules.vtk{name}" for name in BY_NAME_VTK))]
     options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
-    options += [f"--exclude-module={name}" for name in UNUSED]
-    options += [f"--exclude-module={name}" for name in ("vtk", "vtkmodules.all", *_unused_vtk())]
+    options += [f"--exclude-module={name}" for name in left_out()]
     run([*options, str(checkout.CHECKOUT / "app" / "__main__.py")])
 
 
-def _unused_vtk() -> list[str]:
-    """Return VTK's modules of the environment that are left out."""
+def left_out() -> list[str]:
+    """Return the modules of the environment that are left out."""
     import vtkmodules
 
     names = {path.name.partition(".")[0] for path in Path(vtkmodules.__file__).parent.glob("vtk*")}
-    kept = tuple(f"vtk{room}" for room in VTK_ROOMS)
+    kept = tuple(f"vtk{room}" for room in (*VTK_ROOMS, *CARD_VTK))
     dropped = tuple(f"vtk{name}" for name in UNUSED_VTK)
-    return [f"vtkmodules.{name}" for name in sorted(names) if not name.startswith(kept) or name.startswith(dropped)]
+    unused = (name for name in sorted(names) if not name.startswith(kept) or name.startswith(dropped))
+    return [*UNUSED, "vtk", "vtkmodules.all", *(f"vtkmodules.{name}" for name in unused)]
 
 
 def _prove() -> None:

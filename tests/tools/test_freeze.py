@@ -1,3 +1,4 @@
+import os
 import sys
 
 import pytest
@@ -6,7 +7,8 @@ from PySide6.QtGui import QColor, QImage, QPainter
 
 from app.session.opening import server_command
 from app.theme import HUES
-from tools.freeze import shows_taxels
+from tests.app.test_window_start import python
+from tools.freeze import left_out, shows_taxels
 
 
 def picture():
@@ -43,3 +45,31 @@ def test_a_frozen_program_is_its_own_child(monkeypatch):
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     command = server_command(None)
     assert command[:3] == (sys.executable, "simulate", "--serve")
+
+
+CARD = """
+import sys
+
+# None there is a module that cannot be imported.
+sys.modules.update(dict.fromkeys({left_out}))
+from PySide6.QtWidgets import QApplication, QWidget
+application = QApplication([])
+from app.scene3d.canvas import Canvas, load, mount
+from app.scene3d.scene_state import DARK, StaticScene
+from skincal.model.scene import load_scene, resource
+static = StaticScene(load_scene(resource("scenes/flat-patch/scene.toml")), None, None, range(64))
+parent = QWidget()
+parent.show()
+canvas, stage = mount(Canvas.OPENGL, load(Canvas.OPENGL, static, DARK, (300, 200), None), static, DARK, parent)
+canvas.render()
+stage.close()
+canvas.close()
+"""
+
+
+def test_the_canvas_of_a_graphics_card_needs_nothing_that_is_left_out():
+    display = os.environ.get("DISPLAY")
+    if not display:
+        pytest.skip("there is no display here")
+    done = python(CARD.format(left_out=set(left_out())), DISPLAY=display)
+    assert done.returncode == 0, done.stderr
