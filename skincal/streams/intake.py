@@ -62,7 +62,7 @@ from skincal.streams.decoders.base import NO_SEQ, WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import Change, LinkEar, values_of
+from skincal.streams.verdicts import Differences, LinkEar, values_of
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -511,7 +511,7 @@ class Dated(NamedTuple):
     stamps: FloatArray
     """(n,) host's clock at each reading, seconds."""
     arrival_s: float
-    change: Change | None = None
+    change: Differences | None = None
     """How they differ, where they were decoded before their turn."""
 
 
@@ -793,7 +793,7 @@ class WrenchRing:
 
     def flagged(self, among: slice) -> bool:
         """Say whether the device flagged a reading of a slice."""
-        return np.count_nonzero(self._flagged[among]) > 0
+        return bool(np.count_nonzero(self._flagged[among]))
 
     def interpolate(self, host_s: float, apart_s: float) -> tuple[FloatArray, slice] | None:
         """Return the wrench on the straight line between the usable readings around `host_s`, and where these lie.
