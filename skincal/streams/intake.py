@@ -62,7 +62,7 @@ from skincal.streams.decoders.base import NO_SEQ, WRENCH_WIDTH
 from skincal.streams.decoders.detect import LinkDecoder
 from skincal.streams.device_address import format_of
 from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import Differing, LinkEar, values_of
+from skincal.streams.verdicts import Differences, LinkEar, values_of
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -512,7 +512,7 @@ class Dated(NamedTuple):
     stamps: FloatArray
     """(n,) host's clock at each reading, seconds."""
     arrival_s: float
-    change: Differing | None = None
+    change: Differences | None = None
     """How they differ, where they were decoded before their turn."""
 
 

@@ -53,19 +53,19 @@ def values_of(batch: Batch) -> tuple[Stream, FloatArray]:
     return (Stream.SKIN, batch.values) if isinstance(batch, SkinBatch) else (Stream.JOINTS, batch.angles)
 
 
-class Differing(NamedTuple):
+class Differences(NamedTuple):
     """How readings of one stream that came together differ, each from the one before it."""
 
     readings: int
     changes: int
-    """Readings that differ in a bit."""
+    """How many of them differ in a bit."""
     newest: int
     """Index of the last of these; 0 where there is none."""
     last: NDArray[np.uint64]
     """(1, width) bits of the last reading."""
 
 
-def _changes(before: NDArray[np.uint64], bits: NDArray[np.uint64], ends: Sequence[int]) -> list[Differing]:
+def _changes(before: NDArray[np.uint64], bits: NDArray[np.uint64], ends: Sequence[int]) -> list[Differences]:
     """Return the change of each part of (n, width) readings; each part ends before one of `ends`, ascending to n."""
     differs = np.empty(len(bits), np.int64)
     differs[0] = (bits[:1] != before).any()
@@ -74,7 +74,7 @@ def _changes(before: NDArray[np.uint64], bits: NDArray[np.uint64], ends: Sequenc
     changes = np.add.reduceat(differs, begins)
     newest = np.maximum(np.maximum.reduceat(differs * np.arange(len(bits)), begins) - begins, 0)
     parts = zip(pairwise([0, *ends]), changes.tolist(), newest.tolist(), strict=True)
-    return [Differing(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
+    return [Differences(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
 
 
 class _Heard:
@@ -90,7 +90,7 @@ class _Heard:
         self._counted = 0
         """Readings before these, without those of a freeze."""
 
-    def take(self, change: Differing, host_ns: int) -> None:
+    def take(self, change: Differences, host_ns: int) -> None:
         """Take readings, in their order."""
         if change.changes:
             self._counted += change.newest + (0 if self.froze else self._alike)
@@ -166,14 +166,14 @@ class LinkEar:
             self._heard.clear()
             self._begin(event.host_ns)
 
-    def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differing]:
+    def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
         """Return how the readings of a batch differ, part by part; each part ends before one of `ends`, ascending."""
         stream, values = values_of(batch)
         known, bits = self._heard.get(stream), _bits(values)
         fits = known is not None and known.last.shape == bits[:1].shape
         return _changes(known.last if known is not None and fits else bits[:1], bits, ends)
 
-    def hear(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Differing | None = None) -> None:
+    def hear(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Differences | None = None) -> None:
         """Take bytes and the readings that a decoder of the wanted streams made of them.
 
         `change` says how these differ where they are one batch, of numbers alone, that was compared already.
