@@ -616,7 +616,7 @@ def runtime_bars(ratios: Mapping[str, float], off: Mapping[str, float], lively: 
         # On the whole large part, from contacts: over a re-solve from a session's tables, and over the surface method alone.
         "contacts_over_session": (ratios["contacts_over_session"], "<=", 6.0),
         "modules_over_surface": (ratios["modules_over_surface"], "<=", 5.0),
-        "import_over_words": (ratios["import_over_words"], "<=", 12.0),
+        "import_over_words": (ratios["import_over_words"], "<=", 8.0),
         "help_s": (lively["help"]["time_ms"]["median"] / 1e3, "<=", 0.4),
         "resolve_s": (lively["resolve"]["time_ms"]["median"] / 1e3, "<=", 2.0),
         "memory_mb_per_1000": (lively["memory"]["megabytes_per_1000"], "<=", 2.0),
