@@ -68,9 +68,11 @@ def estimate_taxels(
     """
     table, channels = ContactTable(contacts), [int(channel) for channel in channels]
     alone = [method for method in methods if method in PER_TAXEL]
-    solved = estimate_from(table, channels, alone, noise, surface, dead, doubting=doubting)
+    # Solved by the modules method alone, single taxels cost nothing.
+    evidence = table.evidence([channel for channel in channels if channel not in dead] if alone else [])
+    solved = estimate_from(evidence, channels, alone, noise, surface, dead, doubting=doubting)
     for method in alone:
-        moved = carried(table, list(solved[method].values()), noise, shared)
+        moved = carried(evidence, list(solved[method].values()), noise, shared)
         solved[method] = {estimate.channel: estimate for estimate in moved}
     if Method.MODULES in methods:
         if model is None:
@@ -109,7 +111,7 @@ def leading_by(errors: Mapping[Method, Sequence[float]]) -> Method | None:
 
 
 def estimate_from(
-    table: ContactTable,
+    table: ContactTable | Evidence,
     channels: Iterable[int],
     methods: Sequence[Method],
     noise: NoiseSettings,
@@ -122,6 +124,7 @@ def estimate_from(
 
     Parameters
     ----------
+    table : or its evidence of the channels that are not dead
     last : the surface method's last answers, which make its search shorter and nothing else
     """
     if Method.SURFACE in methods and surface is None:

@@ -103,6 +103,23 @@ class Evidence:
         """Return the same evidence with another trust (n,)."""
         return replace(self, trust=trust)
 
+    def evidence(self, channels: Collection[int]) -> Evidence:
+        """Return the evidence of those of `channels` that are in this, as `ContactTable.evidence` gives it."""
+        kept = np.isin(self.channels, np.fromiter(channels, np.int64, len(channels)))
+        if kept.all():
+            return self
+        rows = kept[self.taxels]
+        return Evidence(
+            channels=self.channels[kept],
+            starts=np.concatenate([[0], self.counts[kept].cumsum()]),
+            taxels=(kept.cumsum() - 1)[self.taxels[rows]],
+            pokes=self.pokes[rows],
+            poses=self.poses[rows],
+            columns=self.columns[:, rows],
+            weights=self.weights[rows],
+            trust=self.trust[rows],
+        )
+
     def part(self, first: int, last: int) -> Evidence:
         """Return the evidence of taxels `first` to `last` (excluded) alone."""
         begin, end = self.starts[first], self.starts[last]

@@ -146,13 +146,13 @@ class Pulls:
 
 
 def carried(
-    table: ContactTable, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
+    table: ContactTable | Evidence, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
 ) -> list[Estimate]:
     """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
 
     Parameters
     ----------
-    table : that they were solved from
+    table : that they were solved from, or its evidence of their channels, which need not be gathered twice
     shared : errors of the rig, if it is corrected
     """
     known = sorted((estimate for estimate in estimates if estimate.position is not None), key=lambda estimate: estimate.channel)
@@ -160,7 +160,8 @@ def carried(
         return list(estimates)
     evidence = table.evidence([estimate.channel for estimate in known])
     trust = _trust(evidence, known)
-    order = np.lexsort((evidence.pokes, evidence.taxels))
+    # One key, by taxel and then by poke, is quicker than two.
+    order = (evidence.taxels * (evidence.pokes.max() + 1) + evidence.pokes).argsort(kind="stable")
     of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
     places = np.array([estimate.position for estimate in known])[of]
     normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])

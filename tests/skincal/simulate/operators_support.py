@@ -1,4 +1,4 @@
-"""Sessions that follow the guide by the modules method until nothing more is asked for, and what is wrong then."""
+"""Sessions that follow the guide by one method until nothing more is asked for, and what is wrong then."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -33,9 +33,9 @@ class Ended:
     """Taxels that lie beyond twice their predicted 95 %."""
 
 
-def followed(operator, seed, limit=200):
+def followed(operator, seed, limit=200, method=Method.MODULES):
     """A session of one of `OPERATORS` on a good rig."""
-    method, conditions = Method.MODULES, Conditions(habits=OPERATORS[operator])
+    conditions = Conditions(habits=OPERATORS[operator])
     rig, rng = rig_beside(part(), conditions, seed), np.random.default_rng([seed, 11])
     session = Session(part().scene, part().surface, set(Method))
     guide, contacts, pokes = Guide(part().plan, part().scene.noise, method, part().spacing), {}, 0

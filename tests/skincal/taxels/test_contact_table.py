@@ -105,3 +105,14 @@ def test_a_bad_contact_is_refused_and_nothing_is_taken():
     with pytest.raises(ValueError, match="poke 2"):
         table.add([contact(3, 3, channels=[0]), bad])
     assert table.evidence([0]).pokes.tolist() == [1]
+
+
+def test_the_evidence_of_some_taxels_is_that_of_the_table():
+    table = ContactTable([contact(number, number) for number in range(40)])
+    whole = table.evidence(range(6))
+    assert whole.evidence(range(6)) is whole
+    for some in ([0, 3, 5], [2], [], [4, 77]):
+        found, expected = whole.evidence(some), table.evidence(some)
+        assert same(found, expected)
+        assert np.array_equal(found.taxels, expected.taxels)
+        assert np.array_equal(found.pokes, expected.pokes)
