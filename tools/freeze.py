@@ -244,7 +244,7 @@ def shows_taxels(picture: QImage) -> bool:
 
 def _pack() -> None:
     """Pack the folder, and say how large it is."""
-    size = sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file())
+    size = sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file() and not path.is_symlink())
     packed = Path(shutil.make_archive(str(FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FOLDER.name))
     say(f"{FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")
 
