@@ -154,7 +154,8 @@ class Theme(QObject):
         QApplication.setStyle("Fusion")
         QApplication.setPalette(qpalette(colours))
         for kind in FIELDS:
-            QApplication.setPalette(field_palette(colours), kind)
+            # PySide6 takes a str, where its types say bytes.
+            QApplication.setPalette(field_palette(colours), kind)  # pyright: ignore[reportArgumentType]
         app = QApplication.instance()
         if isinstance(app, QApplication):
             app.setStyleSheet(style_sheet(colours))
