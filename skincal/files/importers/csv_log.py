@@ -202,8 +202,8 @@ def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
     """Raise InputError: the time names no unit, and readings would come too slowly if it were seconds."""
     if table.columns.finding and table.stream is not Stream.JOINTS and timeline.interval > SLOWEST:
         raise InputError(
-            f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as seconds; expected "
-            f"no more than {SLOWEST:g} s: name the time's column t_ms, t_us or t_ns."
+            f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
+            f"seconds; expected no more than {SLOWEST:g} s: name the time's column t_ms, t_us or t_ns."
         )
 
 
