@@ -20,15 +20,20 @@ from app.preflight import no_display, objection
 from skincal.model.errors import InputError
 
 HELP = ("-h", "--help", "--version")
+INTERRUPTED = 130
+"""Exit code of a command ended with Ctrl-C."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command or the window and return the exit code: 0 done, 2 the user's input is at fault, 1 ours."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
-        from skincal.cli import main as run_command
+        try:
+            from skincal.cli import main as run_command
 
-        code = run_command(arguments)
+            code = run_command(arguments)
+        except KeyboardInterrupt:  # while its modules were imported: a command that runs ends by itself
+            return INTERRUPTED
         if arguments[0] in HELP[:2]:
             sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
         return code
