@@ -21,6 +21,8 @@ from app.session.opening import MESHES
 from skincal.model.errors import InputError
 
 HELP = ("-h", "--help", "--version")
+INTERRUPTED = 130
+"""Exit code of a command ended with Ctrl-C."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -30,9 +32,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         # As where a file is dropped onto the program.
         arguments.insert(0, "--scene")
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
-        from skincal.cli import main as run_command
+        try:
+            from skincal.cli import main as run_command
 
-        code = run_command(arguments)
+            code = run_command(arguments)
+        except KeyboardInterrupt:  # while its modules were imported: a command that runs ends by itself
+            return INTERRUPTED
         if arguments[0] in HELP[:2]:
             sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
         return code

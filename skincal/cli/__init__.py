@@ -110,10 +110,10 @@ def _other_failure(error: Exception) -> int:
     show, words = getattr(error, "show", None), getattr(error, "format_message", str)
     if show is not None:
         message, context = words(), getattr(error, "ctx", None)
-        if not message or "\n" in message:  # no command was named: the whole help
+        if not message or ("\n" in message and getattr(error, "param", None) is None):  # no command was named: the whole help
             show()
         else:
-            say(_usage_sentence(message, getattr(context, "command_path", "skincal")), err=True)
+            say(_usage_sentence(" ".join(message.split()), getattr(context, "command_path", "skincal")), err=True)
         return 2
     # Who reads the output has seen enough, such as `head`.
     if isinstance(error, BrokenPipeError):

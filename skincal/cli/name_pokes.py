@@ -266,7 +266,8 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
     count = len(known.at_landmarks)
     use = f"; `skincal solve {folder} --correct` uses them" if count else ""
-    return [*(lines or ["nothing new, nothing was written"]), f"{plural(count, 'poke')} at landmarks{use}"]
+    nothing = ["nothing new, nothing was written"] if known.landmarks else [_landmark_line(known)]
+    return [*(lines or nothing), f"{plural(count, 'poke')} at landmarks{use}"]
 
 
 def _unsure_lines(known: Session, nearest: dict[int, NearestLandmark], named: Names) -> list[str]:

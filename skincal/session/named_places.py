@@ -58,7 +58,8 @@ def session_places(folder: Path, which: str = "") -> PlaceSet:
     sets = _sets_of(pipeline, folder)
     chosen = next((each for each in sets if not which or each.method is Method(which)), None)
     if chosen is None:
-        raise InputError(f"{folder}: has no places by the {which} method; expected {', '.join(each.name for each in sets)}.")
+        known = " or ".join(f"{folder}:{each.method.value}" for each in sets if each.method)
+        raise InputError(f"{folder}: has no places by the {which} method; expected {known}.")
     return chosen
 
 

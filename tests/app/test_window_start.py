@@ -45,6 +45,15 @@ def test_a_command_imports_no_qt(arguments):
     assert "Traceback" not in done.stderr
 
 
+def test_an_interrupt_while_a_command_is_imported_is_no_traceback():
+    done = python(
+        "import sys, builtins; from app.__main__ import main; real = __import__\n"
+        "def stop(name, *rest):\n    if name == 'skincal.cli': raise KeyboardInterrupt\n    return real(name, *rest)\n"
+        "builtins.__import__ = stop; sys.exit(main(['solve', 'x']))"
+    )
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 def test_the_window_is_on_the_screen_before_anything_heavy_is_imported():
     heavy = ("numpy", "wasmtime", "vtkmodules", "pyqtgraph", "skincal.session.session")
     done = python(f"import sys, app.run; sys.exit(', '.join(name for name in {heavy} if name in sys.modules) or 0)")

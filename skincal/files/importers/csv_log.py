@@ -42,6 +42,8 @@ LINE_MOST = 4 << 20
 BLOCK = 64
 """Rows that are read at a time."""
 TEXTS_MAX = 1 << 12
+SLOWEST = 0.2
+"""s from row to row. A tool holds still for 0.3 s in a poke: rows further apart, of a time without a unit, are not seconds."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 _TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
@@ -184,6 +186,7 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
                 f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
                 "that is not in seconds needs its unit in its name, such as t_ms or t_ns."
             )
+        _check_unit(table, timeline)
         timelines.append(timeline)
         findings += timeline.sentences()
         if table.columns.finding:
@@ -193,6 +196,15 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
     check_overlap(timelines)
     links, sources = (table.link for table in tables), (table.lines for table in tables)
     return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+
+
+def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
+    """Raise InputError: the time names no unit, and readings would come too slowly if it were seconds."""
+    if table.columns.finding and table.stream is not Stream.JOINTS and timeline.interval > SLOWEST:
+        raise InputError(
+            f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
+            f"seconds; expected no more than {SLOWEST:g} s: name the time's column t_ms, t_us or t_ns."
+        )
 
 
 def guess_csv(path: Path) -> tuple[Stream | None, int]:
@@ -276,7 +288,10 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
             factor[axis] = 1e-3 if found.group(3) in _MILLI else 1.0
     lacking = [axis for axis in WRENCH_AXES if axis not in at]
     if lacking:
-        raise InputError(f"{path}: columns {', '.join(lacking)} are missing; expected fx fy fz mx my mz, in N and N m.")
+        raise InputError(
+            f"{path}: columns {', '.join(lacking)} are missing; seen {', '.join(names[:8])}; expected fx fy fz mx my mz, in N "
+            "and N m: name them so."
+        )
     return tuple(at[axis] for axis in WRENCH_AXES), tuple(factor[axis] for axis in WRENCH_AXES)
 
 

@@ -62,3 +62,10 @@ def test_what_is_not_there_is_said_in_a_sentence(capsys, arguments, words):
     said = capsys.readouterr().err
     assert words in said
     assert "Traceback" not in said
+
+
+def test_a_method_that_a_session_lacks_is_answered_with_what_can_be_typed(capsys, tmp_path):
+    assert main(["simulate", "--scene", "flat-patch", "--pokes", "12", "--careful", "--out", str(tmp_path / "s")]) == 0
+    capsys.readouterr()
+    assert main(["compare", f"{tmp_path / 's'}:surface", str(SAMPLE)]) == 2
+    assert approved("places.no_such_method", folder=tmp_path / "s", which="surface") in capsys.readouterr().err

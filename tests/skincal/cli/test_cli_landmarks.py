@@ -251,7 +251,8 @@ def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys)
         pipeline.feed(item)
     pipeline.close()
     assert approved("landmark.none_in_scene") in run(capsys, "landmarks", folder)[1]
-    assert run(capsys, "landmarks", folder, "--find")[0] == 0
+    code, out, _ = run(capsys, "landmarks", folder, "--find")
+    assert (code, out.splitlines()[0]) == (0, approved("landmark.none_in_scene"))
     assert named(folder) == {}
     assert run(capsys, "landmarks", folder, "--add", "bolt", 0, 0, 100, "--find")[0] == 0
     assert named(folder) == {1: "bolt"}

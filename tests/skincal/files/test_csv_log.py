@@ -162,6 +162,21 @@ def test_wrong_input_is_said(read, given, said):
         read(**given)
 
 
+@pytest.mark.parametrize("header", [["time", "t0", "t1", "t2"], []])
+def test_milliseconds_that_are_not_named_are_not_taken_for_seconds(read, header):
+    with pytest.raises(InputError, match=approved_pattern("csv_log.not_seconds")):
+        read(skin=table(header, with_time(SKIN, 1e3)))
+
+
+def test_joints_may_come_slowly_and_seconds_that_are_named_are_believed(read):
+    slow = [[0.5, 94.0], [1.5, 94.0]]
+    batches, _, _ = read(
+        joints=table(["t", "j0_deg"], slow), skin=table(["t_s", "t0", "t1", "t2"], with_time(SKIN, 1e3)[:2] - 499.5)
+    )
+    assert len(np.vstack([batch.angles for batch in batches["joints"]])) == 2
+    assert len(skin_of(batches)) == 2
+
+
 def test_a_missing_file_is_said(tmp_path):
     with pytest.raises(InputError, match=approved_pattern("layout_file.no_such_file")):
         read_csv(tmp_path / "none.csv", tmp_path / "none.csv")
