@@ -75,7 +75,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
             "landmark",
             "Add landmark...",
             "K",
-            "Name a known point of the part: a screw's head, a corner; click it in the 3D view",
+            "Name a known point of the part: a screw's head; click it, or K again types its place",
         ),
         ("pedals", "Pedals...", "F3", "Learn the keys of foot pedals for Space, Backspace and N"),
     ),

@@ -282,6 +282,9 @@ class Window(QMainWindow):
         bar.setContentsMargins(GAP, 0, 0, 0)
         bar.addWidget(self.where, 1)
         self.resize(FIRST_SIZE.boundedTo(self.screen().availableSize()))
+        if self.size() != FIRST_SIZE:
+            # The desktop's frame around it would push its lower rim off the screen.
+            self.setWindowState(Qt.WindowState.WindowMaximized)
         geometry = self._settings.value("window/geometry")
         if isinstance(geometry, QByteArray):
             self.restoreGeometry(geometry)

@@ -33,7 +33,7 @@ DECIMALS = 2
 PICKED = "Where you clicked, in the frame {link}. A drawing may know it better."
 TYPED = "From a drawing, in the frame {link}."
 
-ASK = Message("Click the point on the part; Esc ends.", asks=True)
+ASK = Message("Click the point on the part, or K again to type its place; Esc ends.", asks=True)
 
 
 class LandmarkDialog(QDialog):
@@ -151,11 +151,12 @@ class LandmarkPicking(QObject):
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:
-        """Wait for a click on the part, or no more; where there is nothing to click on, ask for coordinates at once."""
+        """Wait for a click on the part; asked again, or where there is nothing to click on, ask for coordinates."""
+        self._window = window
         if self.waiting:
             self.stop()
+            self._open(None)
             return
-        self._window = window
         if not self._view.can_pick:
             self._open(None)
             return

@@ -36,8 +36,9 @@ MOST_PX = 660
 
 
 class VerdictDialog(QDialog):
-    """Says how it ends; the space bar goes on: to the file if it is enough and nothing speaks against it, else to the session.
+    """Says how it ends; the space bar goes on: to the file or to the session.
 
+    It is the file if it is enough, not every taxel was given up, and nothing speaks against it.
     `rig` says what is known of the rig's own errors; it is settled where nothing is offered that would change the estimates.
     """
 
@@ -76,7 +77,8 @@ class VerdictDialog(QDialog):
         self.export.setEnabled(can_export)
         make_copyable(self.left)
         self._arrange()
-        first = self.export if verdict.enough and not verdict.doubted and settled and can_export else self.go_on
+        good = verdict.enough and verdict.done > 0 and not verdict.doubted and settled
+        first = self.export if good and can_export else self.go_on
         first.setDefault(True)
         first.setFocus()
         self.buttons.accepted.connect(self._export)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 
@@ -242,6 +242,14 @@ def test_everything_fits_at_1280_by_720(bench, recorded):
         corner = panel.mapTo(window, panel.rect().bottomRight())
         assert corner.x() < 1280
         assert corner.y() < 720
+
+
+@pytest.mark.parametrize(("first", "maximized"), [(QSize(800, 600), False), (QSize(20_000, 10_000), True)])
+def test_a_screen_without_room_for_the_first_size_gets_the_window_maximized(qtbot, tmp_path, monkeypatch, first, maximized):
+    monkeypatch.setattr("app.window.FIRST_SIZE", first)
+    made = Bench(qtbot, tmp_path)
+    assert made.window.isMaximized() is maximized, "as large as the screen, its frame would push the lower rim off it"
+    made.window.close()
 
 
 def test_a_taxel_is_selected_in_every_view_and_marked_by_key(bench, recorded):

@@ -70,16 +70,34 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     assert stage_of(view).landmarks.marks.data.GetNumberOfLines() == shown
 
 
-def test_escape_or_the_command_again_ends_the_wait(bench, recorded):
+def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    before = len(bench.snapshot.landmarks)
+    bench.key(Key.Key_K)
+    assert "K again" in ASK.text
+    bench.key(Key.Key_K)
+    dialog = the_dialog(bench)
+    assert not bench.window.session_view.workspace.view.picking
+    assert not bench.window.messages.isVisible()
+    for box in dialog.coordinates:
+        QTest.keyClick(QApplication.focusWidget(), Key.Key_Tab)
+        assert box.hasFocus()
+        QTest.keyClicks(QApplication.focusWidget(), "12.5")
+    QTest.keyClick(dialog, Key.Key_Return)
+    bench.until(lambda: len(bench.snapshot.landmarks) == before + 1, 5000)
+    np.testing.assert_allclose(bench.snapshot.landmarks[-1].place, [0.0125] * 3, atol=1e-12)
+
+
+def test_escape_ends_the_wait(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     view, messages = bench.window.session_view.workspace.view, bench.window.messages
-    for ending in (Key.Key_Escape, Key.Key_K):
-        bench.key(Key.Key_K)
-        assert view.picking
-        bench.key(ending)
-        assert not view.picking
-        assert not messages.isVisible()
+    bench.key(Key.Key_K)
+    assert view.picking
+    bench.key(Key.Key_Escape)
+    assert not view.picking
+    assert not messages.isVisible()
     click_part(view)
     assert not dialogs()
     bench.key(Key.Key_K)

@@ -153,6 +153,14 @@ def test_only_what_landmarks_and_the_skin_speak_for_is_believed(qtbot, what, bel
     assert dialog.go_on.isDefault() is doubted
 
 
+def test_a_session_that_gave_up_every_taxel_does_not_lead_to_the_file(qtbot):
+    for done, leads in ((0, False), (1, True)):
+        dialog = VerdictDialog(replace(verdict(GIVEN_UP), done=done), NAMES)
+        qtbot.addWidget(dialog)
+        assert (dialog.export.isDefault(), dialog.go_on.isDefault()) == (leads, not leads)
+        assert dialog.export.isEnabled(), "whoever wants the file gets it"
+
+
 def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
     assert approved("verdict.needs_free_sides") in done_words(Method.FREE, 0.003)
     assert done_words(Method.MODULES, 0.002) == approved("verdict.needs_modules", target_mm=2)
