@@ -15,6 +15,7 @@ if __name__ == "__main__" and not sys.flags.safe_path:
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from app.preflight import no_display, objection
 from app.session.opening import MESHES
@@ -97,10 +98,15 @@ def _check_session(options: argparse.Namespace) -> None:
         )
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with options in one sentence, as the commands do."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"skincal: {message}; `skincal --help` shows what is possible.\n")
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        "skincal", description="Open the window: on a simulated forearm, if no option says otherwise."
-    )
+    parser = _Parser("skincal", description="Open the window: on a simulated forearm, if no option says otherwise.")
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, or a mesh")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")

@@ -324,12 +324,18 @@ def _axes_words(axes: np.ndarray) -> str:
 
 def silent_links(links: Sequence[LinkHealth]) -> str:
     """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
-    # The device's own last words say more than what can be guessed from its bytes.
-    silent = [(link.link, (link.text or _seen(link)).rstrip(".")) for link in links if not link.readings]
+    silent = [(link.link, _why_silent(link).rstrip(".")) for link in links if not link.readings]
     return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
 
 
-def _seen(link: LinkHealth) -> str:
+def _why_silent(link: LinkHealth) -> str:
+    verdict = link.verdict
+    if verdict.answer is LinkAnswer.OTHER_STREAM and verdict.found is not None:
+        return (
+            f"this is the {STREAM_NAMES[verdict.found]}: its lines have {verdict.width} values; give each address to its stream"
+        )
+    if link.text:  # the device's own last words say more than what can be guessed from its bytes
+        return link.text
     if not link.last_host_ns:
         return "nothing arrived; check the device's power, its cable and its baud rate"
     expected = " and ".join(stream.value for stream in link.carries)

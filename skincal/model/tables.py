@@ -35,7 +35,8 @@ def read_text(path: Path) -> str:
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a TOML file ({error}); correct that line.") from None
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}: not a TOML file (line {line} is not UTF-8 text); correct that line.") from None
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:

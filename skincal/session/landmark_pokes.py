@@ -123,8 +123,9 @@ class SessionLandmarks:
         """Refuse a landmark that is not there with an InputError; an empty name is none."""
         if name and all(name != landmark.name for landmark in self.landmarks):
             # In quotes: there are commas in names.
-            known = ", ".join(repr(landmark.name) for landmark in self.landmarks) or "none: the scene has no landmarks"
-            raise InputError(f"There is no landmark {name!r}; expected one of {known}.")
+            known = ", ".join(repr(landmark.name) for landmark in self.landmarks)
+            expected = f"expected one of {known}" if known else "the scene has none: add one first"
+            raise InputError(f"There is no landmark {name!r}; {expected}.")
 
     def pokes(self, outcomes: Iterable[Outcome]) -> tuple[LandmarkPoke, ...]:
         """Return those of `outcomes` that were at a landmark."""

@@ -71,6 +71,16 @@ def test_help_lists_the_options_of_the_window(arguments, capsys):
     )
 
 
+@pytest.mark.parametrize("arguments", [["--scnee", "flat-patch"], ["--session"], ["--targets"]])
+def test_a_wrong_option_of_the_window_is_one_sentence(arguments, capsys):
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("skincal: ")
+    assert arguments[0] in said
+    assert said.endswith("; `skincal --help` shows what is possible.\n")
+    assert said.count("\n") == 1
+
+
 def test_devices_without_a_display_end_in_a_sentence_and_code_2():
     done = python("import sys; from app.__main__ import main; sys.exit(main(['--wrench', 'a', '--skin', 'b']))")
     assert done.returncode == 2

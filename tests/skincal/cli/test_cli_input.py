@@ -93,6 +93,17 @@ def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
     assert json.loads(out)["links"]["skin"]["readings"] == 0
 
 
+def test_addresses_that_were_exchanged_are_said_to_be(run, tmp_path):
+    for name, width in (("wrench", 6), ("skin", CHANNELS)):
+        row = ",".join(["5"] * width)
+        (tmp_path / f"{name}.txt").write_text("".join(f"{row[:-1]}{k % 10}\n" for k in range(400)))
+    options = ["record", "--wrench", f"file:{tmp_path / 'skin.txt'}", "--skin", f"file:{tmp_path / 'wrench.txt'}", *SCENE]
+    code, _, err = run(*options, "--out", tmp_path / "s", "--seconds", "0.5")
+    assert code == 2
+    assert approved("links.other_stream_alone", link="wrench", found="skin", width=CHANNELS) in err
+    assert approved("links.other_stream_alone", link="skin", found="F/T sensor", width=6) in err
+
+
 def recording(folder: Path, wrench: str | Path, skin: str | Path, *more: str) -> list[str]:
     """The arguments of a recording into `folder`."""
     return ["record", "--wrench", str(wrench), "--skin", str(skin), *SCENE, "--out", str(folder), *more]
@@ -437,7 +448,7 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
 def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
     folder = tmp_path / "shared"
 
-    def come_too_late(*_):
+    def come_too_late(*_, **__):
         (folder / "scene").mkdir(parents=True)
         (folder / "segment-0001.mcap").write_bytes(b"of another program")
         raise InputError("it is taken")

@@ -254,6 +254,8 @@ def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys)
     code, out, _ = run(capsys, "landmarks", folder, "--find")
     assert (code, out.splitlines()[0]) == (0, approved("landmark.none_in_scene"))
     assert named(folder) == {}
+    code, _, err = run(capsys, "landmarks", folder, "--at", "1=nose")
+    assert (code, approved("landmark.none_known", name="nose") in err) == (2, True)
     assert run(capsys, "landmarks", folder, "--add", "bolt", 0, 0, 100, "--find")[0] == 0
     assert named(folder) == {1: "bolt"}
 

@@ -163,6 +163,13 @@ def test_a_fault_is_named(tmp_path, old, new, words):
         assert word in str(caught.value)
 
 
+def test_a_scene_that_is_no_utf_8_is_named_with_its_line(tmp_path):
+    path = write(tmp_path, GOOD)
+    path.write_bytes(b"# a comment\n# gr\xfcn\n" + path.read_bytes())
+    with pytest.raises(InputError, match=approved_pattern("scene.no_utf8", file=path, line=2)):
+        load_scene(path)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
