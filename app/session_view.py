@@ -163,6 +163,9 @@ class Workspace(QWidget):
         """Lay the panels out, once; apart from making them, since each takes half of what a window may stand still."""
         for title, panel in self.panels.items():
             self.tabs.addTab(panel, title)
+            # A panel that scrolls takes the focus.
+            panel.setAccessibleName(title)
+        self.tabs.setAccessibleName("tabs")
         self.tabs.setDocumentMode(True)
         self.tabs.tabBar().setExpanding(True)
         self.tabs.tabBar().setDrawBase(False)

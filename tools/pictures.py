@@ -19,7 +19,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from PySide6.QtCore import QSettings
+from PySide6.QtCore import QSettings, Qt
 from PySide6.QtWidgets import QApplication
 
 from app.headless import POKES, SEED
@@ -49,6 +49,8 @@ class Photographed:
         settings.setValue("window/sounds", False)
         self.theme = Theme(choice)
         self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
+        # Maximized, it would be as large as the screen that there is none of.
+        self.window.setWindowState(Qt.WindowState.WindowNoState)
         self.window.resize(*size)
         self.window.show()
         self.window.controller.open(request)

@@ -26,6 +26,7 @@ class KeysDialog(QDialog):
         self.list = QLabel()
         self.list.setProperty("rich", True)
         self.area = QScrollArea()
+        self.area.setAccessibleName("keys")
         self.area.setFrameShape(QScrollArea.Shape.NoFrame)
         self.area.setWidgetResizable(True)
         self.area.setWidget(self.list)

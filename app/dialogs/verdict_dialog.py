@@ -106,6 +106,7 @@ class VerdictDialog(QDialog):
         for widget in (self.heading, self.left):
             widget.setVisible(bool(self._channels))
         self.sentence.setWordWrap(True)
+        self.area.setAccessibleName("verdict and figures")
         self.area.setFrameShape(QScrollArea.Shape.NoFrame)
         self.area.setWidgetResizable(True)
         self.area.setWidget(self.words)

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import QSize, Qt, QTimer
+from PySide6.QtGui import QAccessible
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QMessageBox
+from PySide6.QtWidgets import QApplication, QDialog, QMessageBox, QWidget
 
 from app.run import Faults, collect_in_window
 from app.scene3d.canvas import best_canvas
@@ -242,6 +243,35 @@ def test_everything_fits_at_1280_by_720(bench, recorded):
         corner = panel.mapTo(window, panel.rect().bottomRight())
         assert corner.x() < 1280
         assert corner.y() < 720
+
+
+def nameless(window: QWidget) -> list[QWidget]:
+    """What the Tab key reaches and a screen reader has no name for."""
+    reached = [w for w in window.findChildren(QWidget) if w.focusPolicy() & Qt.FocusPolicy.TabFocus and w.isVisible()]
+    named = QAccessible.Text.Name
+    # The field of a box is reached as the box.
+    return [w for w in reached if w.focusProxy() is None and not QAccessible.queryAccessibleInterface(w).text(named)]
+
+
+def open_dialogs() -> list[QDialog]:
+    return [w for w in QApplication.topLevelWidgets() if isinstance(w, QDialog) and w.isVisible()]
+
+
+def test_a_screen_reader_has_a_name_for_all_that_the_keys_reach(bench, recorded, qtbot):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    tabs = bench.window.session_view.workspace.tabs
+    for index in range(tabs.count()):
+        tabs.setCurrentIndex(index)
+        qtbot.wait(50)
+        assert not nameless(bench.window), tabs.tabText(index)
+    for name in ("new", "export", "apply", "verdict", "history", "thresholds", "pedals", "keys"):
+        bench.window.commands.actions[name].trigger()
+        bench.until(lambda: len(open_dialogs()) == 1, 5000)
+        dialog = open_dialogs()[0]
+        assert not nameless(dialog), name
+        dialog.close()
+        bench.until(lambda: not open_dialogs(), 5000)
 
 
 @pytest.mark.parametrize(("first", "maximized"), [(QSize(800, 600), False), (QSize(20_000, 10_000), True)])
