@@ -437,7 +437,7 @@ def test_an_arm_without_a_pose_is_refused_before_anything_is_recorded(tmp_path, 
 def test_a_session_that_another_program_makes_meanwhile_is_not_taken_away(tmp_path, monkeypatch):
     folder = tmp_path / "shared"
 
-    def come_too_late(*_):
+    def come_too_late(*_, **__):
         (folder / "scene").mkdir(parents=True)
         (folder / "segment-0001.mcap").write_bytes(b"of another program")
         raise InputError("it is taken")
