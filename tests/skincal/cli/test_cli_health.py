@@ -40,12 +40,12 @@ def test_a_known_distance_that_pokes_contradict_is_said(tmp_path, capsys):
     assert solved(right, capsys)["distances"][0]["use"] == DistanceUse.USED.value
     assert main(["solve", str(right)]) == 0
     assert approved("distances.used", used=1, count="1 known distance") in capsys.readouterr().out
-    assert solved(resource("sessions/sample"), capsys)["distances"] == []
 
 
 def test_modules_that_lie_as_planned_are_left_alone(capsys):
     said = solved(resource("sessions/sample"), capsys)
     assert said["misfits"] == []
+    assert said["distances"] == []
     ratios = {name: method["spacing_ratio"] for name, method in said["methods"].items()}
     assert ratios["modules"] == pytest.approx(1.0, abs=0.02)
     assert 0.9 < ratios["surface"] < 1.3 < ratios["free"]
