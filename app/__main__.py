@@ -33,15 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # As where a file is dropped onto the program.
         arguments.insert(0, "--scene")
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
-        try:
-            from skincal.cli import main as run_command
-
-            code = run_command(arguments)
-        except KeyboardInterrupt:  # while its modules were imported: a command that runs ends by itself
-            return INTERRUPTED
-        if arguments[0] in HELP[:2]:
-            sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
-        return code
+        return _command(arguments)
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as end:
@@ -57,6 +49,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.write(f"skincal: {InputError(f'{error.filename}: cannot be used ({error.strerror}); check the path.')}\n")
         return 2
+
+
+def _command(arguments: list[str]) -> int:
+    """Run a command, or show its help or the version; the window's help follows that of all commands."""
+    try:
+        from skincal.cli import main as run_command
+
+        code = run_command(arguments)
+    except KeyboardInterrupt:  # while its modules were imported: a command that runs ends by itself
+        return INTERRUPTED
+    if arguments[0] in HELP[:2]:
+        sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
+    return code
 
 
 def _run(options: argparse.Namespace) -> int:
