@@ -22,10 +22,15 @@ CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's switch for what its software OpenGL may use of a processor."""
 APART = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
 """Tests of the core that take about as long as its others."""
+WINDOW_PARTS = tuple(
+    f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
+)
+"""Tests of the window that take about as long as those of whole windows."""
 CHECKS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
-    "pytest of the window": (*PYTEST, "-m", "not quiet", "tests/app"),
+    "pytest of the window": (*PYTEST, "-m", "not quiet", "tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
+    "pytest of the window's parts": (*PYTEST, "-m", "not quiet", *WINDOW_PARTS),
     "pytest of the core": (*PYTEST, "-m", "not quiet", "tests", *(f"--ignore={folder}" for folder in ("tests/app", *APART))),
     f"pytest {' '.join(APART)}": (*PYTEST, "-m", "not quiet", *APART),
     "pyright": ("-m", "pyright"),

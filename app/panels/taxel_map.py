@@ -727,6 +727,11 @@ class MapCard(QFrame):
             grid.addWidget(self.methods, 1, 1)
             grid.addWidget(self.map, 2, 0, 1, 2)
             grid.addWidget(self.legend, 3, 0, 1, 2)
+        for widget in (self.errors, self.methods, self.legend):
+            # Beside the map they take what is given to them, so that no number changes the size of the map.
+            policy = widget.sizePolicy()
+            policy.setHorizontalPolicy(QSizePolicy.Policy.Ignored if beside else QSizePolicy.Policy.Preferred)
+            widget.setSizePolicy(policy)
         for row, stretch in enumerate((0, 0, 0, 0, 1) if beside else (0, 0, 1, 0, 0)):
             grid.setRowStretch(row, stretch)
         grid.setColumnStretch(0, 1)

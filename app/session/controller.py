@@ -95,6 +95,11 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
 
 
+def _had(pipeline: Pipeline) -> tuple[tuple[Entry, ...], int]:
+    """Return what was done in a session, and how many pokes it has, rejected ones as well."""
+    return pipeline.session.history, len(pipeline.snapshot().pokes)
+
+
 class TickSchedule:
     """Knows when the last picture was shown, and since when taxels wait to be solved; host's monotonic clock."""
 
@@ -184,8 +189,8 @@ class Controller(QObject):
     """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
     """Serves the simulated rig of a recorded session again."""
-    _opened_with: tuple[Entry, ...] = ()
-    """What had been done in the session when it was opened."""
+    _opened_with: tuple[tuple[Entry, ...], int] = (), 0
+    """What had been done in the session when it was opened, and how many pokes it had."""
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -446,7 +451,7 @@ class Controller(QObject):
         from skincal.session.asking import PokeAsking
 
         self._recording, self._asking = recording, PokeAsking(recording.pipeline.scene)
-        self._links, self._opened_with = recording.links, recording.pipeline.session.history
+        self._links, self._opened_with = recording.links, _had(recording.pipeline)
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
@@ -629,7 +634,7 @@ class Controller(QObject):
     @property
     def would_lose(self) -> int:
         """How many pokes would go with the window; 0 where nothing was done since it was opened."""
-        if self._recording is None or not self.can_keep or self._recording.pipeline.session.history == self._opened_with:
+        if self._recording is None or not self.can_keep or _had(self._recording.pipeline) == self._opened_with:
             return 0
         return len(self._recording.pipeline.snapshot().pokes)
 

@@ -8,6 +8,7 @@ import pytest
 
 from app.session.opening import OpenRequest
 from app.session.recording import Recording, Storage
+from skincal.contacts.outcome import Reason
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME
 from skincal.model.actions import Exclude
@@ -15,6 +16,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from tests.app.window_support import slip
 from tests.approved import approved, approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
@@ -53,7 +55,7 @@ def test_no_number_is_skipped_after_a_recovery(recording, tmp_path):
 
 
 def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, tmp_path, monkeypatch):
-    def refuse(*_):
+    def refuse(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(writer, "JournalWriter", refuse)
@@ -175,6 +177,14 @@ def test_the_copy_of_a_session_that_ships_may_be_written_though_nobody_may_write
     assert all(path.stat().st_mode & 0o200 for path in copied)
     storage.finish()
     assert not storage.folder.exists()
+
+
+def test_pokes_that_were_all_rejected_are_not_lost_without_a_question_either(bench):
+    bench.open(OpenRequest(session=SAMPLE))
+    assert bench.controller.would_lose == 0
+    session = bench.controller._recording.pipeline.session
+    session.add(slip(session.last_poke + 1, Reason.NOT_STILL, 0.21, 0.3, "s"))
+    assert bench.controller.would_lose > 0
 
 
 def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
