@@ -137,6 +137,8 @@ def draw_headless() -> None:
     pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKES, SEED, RigErrors.noise())
     snapshot = pipeline.snapshot()
     method = leading_method(snapshot.estimates) or Method.FREE
+    # An older picture that is in the way would be kept beside it.
+    (PICTURES / "headless.png").unlink(missing_ok=True)
     picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES / "headless.png")
 
 
