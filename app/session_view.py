@@ -282,7 +282,7 @@ class SessionView(QObject):
         self.course = ErrorFollower(part, controller.compute)
         self.guide = SessionGuide(part)
         self._modules_check = ModulesCheck(part, controller.compute)
-        self._modules_enough = ModulesEnough(self.guide.plan)
+        self._modules_enough = ModulesEnough(self.guide.plan, part.scene.noise.skin)
         self._enough_said: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)

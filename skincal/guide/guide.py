@@ -238,9 +238,9 @@ class Guide:
                 now = ()
             elif estimate.state is State.UNSEEN:
                 # The same for all of them: in a large part they are thousands at first.
-                nothing = now = nothing or needs(estimate, Facts(*each), self.method, self.settings)
+                nothing = now = nothing or needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
             else:
-                now = needs(estimate, Facts(*each), self.method, self.settings)
+                now = needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
             if bool(self._needs[row]) != bool(now):
                 turned.append(row)
             self._estimates[row], self._needs[row] = estimate, now
@@ -273,7 +273,7 @@ class Guide:
             self._last = self._target(state, phase)
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
         if self.method is Method.MODULES:
-            errors = np.array([own_error(each) for each in estimates])
+            errors = np.array([own_error(each, self._noise.skin) for each in estimates])
             count = module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
         else:
             count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)

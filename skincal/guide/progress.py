@@ -38,8 +38,10 @@ class GuideSettings:
     module_wanted: float = 0.0015
     """m, by the modules method, of the error that more pokes mend: a module's taxels are wrong together, so at 3 mm one in
     twelve is farther off than that."""
-    module_patience: int = 24
-    """Pokes of its module after which a taxel is given up that is not done: twice as many as one needs at most."""
+    module_patience: int = 36
+    """Pokes of its module after which a taxel is given up that is not done: more than one needs, without a mesh, too."""
+    bare_pokes: int = 32
+    """Pokes that a module takes without a mesh, where only tilted pushes tell its depth: 30 to 35 on the flat patch."""
     module_pokes: int = 4
     """Pokes of a module's own, by the modules method: three places fix where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
@@ -124,10 +126,10 @@ class Tried:
     """rad, the most that a push may lean now."""
 
 
-def own_error(estimate: Estimate) -> float:
+def own_error(estimate: Estimate, skin: float) -> float:
     """Return the predicted rms error that more pokes on the skin make smaller, metres; infinite where nothing is known.
 
-    Without what all taxels share, and without the part along the normal of a surface, which is the mesh's.
+    Without what all taxels share, and along the normal without what is the mesh's, or the skin's thickness of sd `skin`.
     """
     if estimate.rms is None or estimate.covariance is None:
         return float("inf")
@@ -135,17 +137,18 @@ def own_error(estimate: Estimate) -> float:
     if estimate.moved is not None:
         own = own - estimate.moved @ estimate.moved.T
     rest = float(np.trace(own))
-    if estimate.triangle is not None and estimate.normal is not None:
-        rest -= float(estimate.normal @ own @ estimate.normal)
+    if estimate.normal is not None:
+        along = float(estimate.normal @ own @ estimate.normal)
+        rest -= along if estimate.triangle is not None else min(along, skin**2)
     return float(np.sqrt(max(rest, 0.0)))
 
 
-def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings) -> tuple[Need, ...]:
-    """Return what a taxel still needs by a method; nothing where it is done or dead."""
+def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings, skin: float) -> tuple[Need, ...]:
+    """Return what a taxel still needs by a method; nothing where it is done or dead. `skin` is as for `own_error`."""
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
-        few, wide = facts.own < settings.module_pokes, own_error(estimate) > settings.module_wanted
+        few, wide = facts.own < settings.module_pokes, own_error(estimate, skin) > settings.module_wanted
         return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
     missing = {
         Need.POKES: facts.own < settings.own_pokes,
@@ -229,13 +232,15 @@ def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: F
     return count
 
 
-def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings) -> int:
+def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings, *, on_mesh: bool) -> int:
     """Return about how many pokes a method takes from the first to enough, by `pokes_left` and `module_pokes_left`.
 
-    `modules` is (n,) of each taxel.
+    `modules` is (n,) of each taxel; `on_mesh` says that there is a mesh.
     """
     count = len(modules)
     every, nothing, unknown = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64), np.full(count, np.inf)
+    if method is Method.MODULES and not on_mesh:
+        return settings.bare_pokes * len(np.unique(modules))
     if method is Method.MODULES:
         return module_pokes_left(every, modules, nothing, unknown, settings)
     return pokes_left(every, nothing, unknown, np.zeros(count), unknown, settings)

@@ -44,8 +44,8 @@ AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
 RANGES_MOST = 40
 """Ranges of channels in a cell: of more, how many there are."""
 GUIDE_UNITS = {
-    "wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad", "tolerance": "rad", "unknown": "m",
-    "poke_s": "s", "hand_speed": "m/s",
+    "wanted": "m", "module_wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad",
+    "tolerance": "rad", "unknown": "m", "poke_s": "s", "hand_speed": "m/s",
 }  # fmt: skip
 """Units of the guide's settings; a plain number where none stands."""
 

@@ -68,7 +68,7 @@ class SessionGuide:
         """What is shown."""
         self.wanted = True
         """The operator wants to be guided."""
-        self.costs = costs_of(self.plan, methods_of(part.scene, part.surface))
+        self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), on_mesh=part.surface is not None)
         """About how many pokes each method takes from the first to enough; nothing where no layout places the taxels."""
 
     def follow(
@@ -445,8 +445,8 @@ def _asked_target(asked: AskPoke | None) -> Target | None:
 class ModulesEnough:
     """Notices once that the modules method needs no more pokes, while the method that is shown asks for hundreds."""
 
-    def __init__(self, plan: PlannedPlaces) -> None:
-        self._plan, self._settings = plan, GuideSettings()
+    def __init__(self, plan: PlannedPlaces, skin: float) -> None:
+        self._plan, self._skin, self._settings = plan, skin, GuideSettings()
         self._seen: int | None = None
         self._noticed = False
 
@@ -477,14 +477,14 @@ class ModulesEnough:
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
         """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
         nothing = float("nan")
-        return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings)
+        return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin)
 
 
-def costs_of(plan: PlannedPlaces, methods: Iterable[Method]) -> Mapping[Method, int]:
+def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -> Mapping[Method, int]:
     """Return about how many pokes each method takes from the first to enough, the cheapest first; see `SessionGuide.costs`."""
     if not len(plan.channels) or not np.isfinite(plan.places).all():
         return {}
-    pokes = {method: pokes_from_start(method, plan.modules, GuideSettings()) for method in methods}
+    pokes = {method: pokes_from_start(method, plan.modules, GuideSettings(), on_mesh=on_mesh) for method in methods}
     return dict(sorted(pokes.items(), key=lambda item: item[1]))
 
 

@@ -20,6 +20,7 @@ NOISE = NoiseSettings(radius=1e9)
 NORMAL = np.array([0.0, 0.6, 0.8])
 TAXEL = np.array([0.03, 0.02, 0.01])
 SETTINGS = GuideSettings()
+SKIN = 0.0015
 
 
 def contacts_and_evidence(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
@@ -239,13 +240,13 @@ FINE = Facts(own=3, diversity=np.radians(20), beside=0.0, moved=0.0)
 )
 def test_a_taxel_is_done_when_nothing_is_missing(facts, rms, need):
     one = replace(known(0, TAXEL, 0.001), rms=rms)
-    assert needs(one, facts, Method.FREE, SETTINGS) == (() if need is None else (need,))
-    on_surface = needs(one, facts, Method.SURFACE, SETTINGS)
+    assert needs(one, facts, Method.FREE, SETTINGS, SKIN) == (() if need is None else (need,))
+    on_surface = needs(one, facts, Method.SURFACE, SETTINGS, SKIN)
     assert on_surface == (() if need in (None, Need.SIDES) else (need,))
 
 
 def test_a_dead_taxel_needs_nothing_and_an_unseen_one_does():
     dead = Estimate(0, Method.FREE, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text="stuck"))
     nothing = Facts(0, 0.0, 0.0, np.inf)
-    assert needs(dead, nothing, Method.FREE, SETTINGS) == ()
-    assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(needs(unseen(0), nothing, Method.FREE, SETTINGS))
+    assert needs(dead, nothing, Method.FREE, SETTINGS, SKIN) == ()
+    assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(needs(unseen(0), nothing, Method.FREE, SETTINGS, SKIN))
