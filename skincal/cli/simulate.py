@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.record import SceneOption, find_scene, finish, stopping
+from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -61,7 +61,10 @@ def simulate(
     scene: SceneOption,
     out: Annotated[Path | None, typer.Option(help="Folder of the new session; truth.json is written there too.")] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Be the devices, in real time, until stdin closes or Ctrl-C.")] = False,
-    pokes: Annotated[int | None, typer.Option(min=1, help="How many pokes; 252 for a session, no end when served.")] = None,
+    pokes: Annotated[
+        int | None,
+        typer.Option(min=1, max=POKES_MOST, help="How many pokes; 252 for a session, no end when served."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 1,
     errors: Annotated[
         Errors, typer.Option(help="What is wrong with the rig: nothing, sensor noise, or what the paper's had.")

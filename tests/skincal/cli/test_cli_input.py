@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import find_scene
+from skincal.cli.record import POKES_MOST, find_scene
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.importing import new_session
@@ -172,6 +172,14 @@ def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, 
         (
             ["simulate", *SCENE, "--pokes", "0", "--out", "x"],
             "Invalid value for '--pokes': expected a number greater than or equal to 1; `skincal simulate --help`",
+        ),
+        *(
+            (
+                [*command, *SCENE, "--out", "x", "--pokes", number],
+                f"Invalid value for '--pokes': expected a number less than or equal to {POKES_MOST}; `skincal {command[0]}",
+            )
+            for command in (["simulate"], ["record", "--wrench", "a", "--skin", "b"])
+            for number in (str(POKES_MOST + 1), "99999999999999999999")
         ),
         (["solve", "x", "--layout-out"], "Option '--layout-out' requires an argument;"),
         (["simulate", *SCENE, "--pokes", "many", "--out", "x"], "Invalid value for '--pokes': expected a whole number;"),
