@@ -97,6 +97,8 @@ class RecordedTimes:
         """s. First stamp and highest, shifted."""
         self.gaps, self.longest_gap = 0, 0.0
         self.out_of_order = 0
+        self.earlier = 0
+        """Lines whose stamp is before that of the line before."""
         self.jumps: dict[int, float] = {}
         """The first line after each time that the clock was set, and how far the stamps from there on are shifted, s."""
         self.astray: set[int] = set()
@@ -114,7 +116,10 @@ class RecordedTimes:
         # Long ones, kept back until the usual interval is known.
         self._pauses: list[float] = []
         self._gap_limit = GAP_MIN
+        before = -math.inf
         for stamps in blocks:
+            self.earlier += int(np.count_nonzero(_steps(before, stamps) < 0))
+            before = float(stamps[-1])
             if not self._add_steady(stamps):
                 for stamp in stamps.tolist():
                     self._add(stamp)
@@ -277,11 +282,16 @@ def _nearest(back: float, known: Sequence[float]) -> float:
 
 
 def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
-    """Check that every file shares time with the first.
+    """Check that every file goes on in time and shares time with the first.
 
-    Raises InputError: a file spans years, or two have no time in common, so that nothing can be paired.
+    Raises InputError: a file runs backwards or spans years, or two have no time in common, so that nothing can be paired.
     """
     for timeline in timelines:
+        if timeline.earlier * 2 > timeline.lines:
+            raise InputError(
+                f"{timeline.name}: its times run backwards: {timeline.earlier} of {timeline.lines} lines are earlier than the "
+                "line before; expected the oldest first: sort the lines by their time, or check which column is the time."
+            )
         if timeline.last - timeline.first > SPAN_MAX:
             raise InputError(
                 f"{timeline.name}: its stamps run from {timeline.first:.3f} to {timeline.last:.3f} s, over years; expected one "

@@ -168,6 +168,16 @@ def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
     np.testing.assert_allclose(times, np.array(true) - 10.0, atol=2e-6)
 
 
+@pytest.mark.parametrize("step", [0.01, 1.0])
+def test_times_that_run_backwards_are_refused(step):
+    stamps = [100.0 - step * k for k in range(90)]
+    with pytest.raises(InputError, match=approved_pattern("recording.backwards", link="skin", earlier=89, lines=90)):
+        check_overlap([timed("wrench", sorted(stamps)), timed("skin", stamps)])
+    # A clock that was set back, and messages that overtook each other, are no such recording.
+    often = [100.0 + step * (k - 20 * (k > 50) + 1.5 * (k % 2)) for k in range(90)]
+    check_overlap([timed("wrench", sorted(stamps)), timed("skin", often)])
+
+
 def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice():
     later = [0.02 * k - 5.0 * (100 <= k < 3300) for k in range(4000)]
     assert sorted(timed("skin", later).jumps) == [100]
