@@ -54,6 +54,8 @@ TOGETHER_LINES = 64
 """Lines of one chunk, whatever their stamps say: a bound for memory."""
 FIRST_INTERVALS = 500
 """Intervals from which the usual interval is taken: 5 s at 100 Hz."""
+SAID = 3
+"""Times that a clock was set, which are said one by one."""
 START_NS = 1_000_000_000
 """ns. Where a recording begins on the host's clock; 0 means never there."""
 
@@ -146,11 +148,17 @@ class RecordedTimes:
             )
         found += [
             f"{self.name}: the clock was wrong by {off:+.3f} s for {seconds:.1f} s; the lines meanwhile are placed without it."
-            for off, seconds in self._errors
+            for off, seconds in self._errors[:SAID]
         ]
+        if more := self._errors[SAID:]:
+            seconds = sum(seconds for _, seconds in more)
+            found.append(
+                f"{self.name}: the clock was wrong {plural(len(more), 'more time')}, for {seconds:.1f} s in all; "
+                "the lines meanwhile are placed without it."
+            )
         backs = [back for line, back in self.jumps.items() if line not in self._error_lines]
         if backs:
-            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:3]), *["..."][: len(backs) > 3]])
+            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:SAID]), *["..."][: len(backs) > SAID]])
             found.append(
                 f"{self.name}: the clock was set back {plural(len(backs), 'time')} ({amounts}); "
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
@@ -213,7 +221,8 @@ class RecordedTimes:
     def _came_back(self, leap: _Leap) -> bool:
         """Return whether a leap takes back the one before it; then what lies between is shifted, and nothing after it."""
         away = self._away
-        if away is None or abs(away.off + leap.off) > SHARED_JUMP:
+        # Rows that come slowly leap by their interval alone.
+        if away is None or abs(away.off) <= SHARED_JUMP or abs(away.off + leap.off) > SHARED_JUMP:
             return False
         seconds = leap.highest - away.highest - away.off
         if seconds > AWAY_S:

@@ -178,6 +178,18 @@ def test_times_that_run_backwards_are_refused(step):
     check_overlap([timed("wrench", sorted(stamps)), timed("skin", often)])
 
 
+@pytest.mark.parametrize("off", [5.0, -5.0])
+def test_a_clock_that_is_wrong_again_and_again_is_said_in_few_sentences(off):
+    stamps = [k * 0.01 + off * (k % 400 >= 300) for k in range(4000)]
+    found = [sentence for sentence in timed("skin", stamps).sentences() if "the clock was wrong" in sentence]
+    assert found[:3] == [approved("recording.wrong_meanwhile", link="skin", off=f"{off:+.3f}", seconds="1.0")] * 3
+    assert found[3:] == [approved("recording.wrong_more", link="skin", times=len(range(300, 4000, 400)) - 4, seconds="6.0")]
+
+
+def test_rows_of_a_slow_stream_are_no_clock_that_was_wrong():
+    assert len(timed("skin", [float(k) for k in range(100)]).sentences()) == 1
+
+
 def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice():
     later = [0.02 * k - 5.0 * (100 <= k < 3300) for k in range(4000)]
     assert sorted(timed("skin", later).jumps) == [100]
