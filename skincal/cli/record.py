@@ -46,6 +46,8 @@ LinkOption = Annotated[
     str,
     typer.Option(help="Port (/dev/ttyUSB0, COM3), socket://HOST:PORT, a file, a device (docs/devices.md) or run:COMMAND."),
 ]
+POKES_MOST = 100_000
+"""Pokes that may be asked for: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 OPENING_NS = 1_500_000_000
@@ -87,7 +89,7 @@ def record(
     joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
-    pokes: Annotated[int | None, typer.Option(min=1, help="Stop after this many pokes.")] = None,
+    pokes: Annotated[int | None, typer.Option(min=1, max=POKES_MOST, help="Stop after this many pokes.")] = None,
     orders: Annotated[bool, typer.Option("--orders", help="Take orders from stdin, one a line.")] = False,
     targets: Annotated[
         str | None,

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import sys
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import closing, contextmanager
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skincal.cli.calibrate import Json
-from skincal.cli.record import SceneOption, find_scene, finish, stopping
+from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from skincal.model.scene import Scene
+    from skincal.session.pipeline import Pipeline
     from skincal.simulate.operator import Auto, Guided, Habits, Told
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
@@ -31,6 +33,9 @@ FLICKER = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: what a shell reports of a program that the signal ended."""
 
 
 class Errors(Enum):
@@ -61,7 +66,10 @@ def simulate(
     scene: SceneOption,
     out: Annotated[Path | None, typer.Option(help="Folder of the new session; truth.json is written there too.")] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Be the devices, in real time, until stdin closes or Ctrl-C.")] = False,
-    pokes: Annotated[int | None, typer.Option(min=1, help="How many pokes; 252 for a session, no end when served.")] = None,
+    pokes: Annotated[
+        int | None,
+        typer.Option(min=1, max=POKES_MOST, help="How many pokes; 252 for a session, no end when served."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 1,
     errors: Annotated[
         Errors, typer.Option(help="What is wrong with the rig: nothing, sensor noise, or what the paper's had.")
@@ -99,7 +107,7 @@ def simulate(
     Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME; with --operator guided:
     pace TIMES. Over --targets it is asked as a robot is, and answers likewise (docs/wire.md).
     """
-    from skincal.files.reference import RIG_KEY, TRUTH_NAME, read_reference
+    from skincal.files.reference import RIG_KEY
     from skincal.session.part import load_scene_surface
     from skincal.simulate.device import DeviceSettings, DeviceTimeline
     from skincal.simulate.faults import RigErrors
@@ -114,18 +122,10 @@ def simulate(
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)
     if out is not None:
-        pipeline = simulate_session(
-            loaded,
-            surface,
-            out,
-            pokes or SESSION_POKES,
-            seed,
-            wrong,
-            poses=names,
-            habits=habits,
-            progress=PokeLine(pokes or SESSION_POKES) if sys.stderr.isatty() else None,
+        count = pokes or SESSION_POKES
+        _record(
+            partial(simulate_session, loaded, surface, out, count, seed, wrong, poses=names, habits=habits), out, count, as_json
         )
-        finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
         return
     # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = _streams(seed, run)
@@ -137,6 +137,27 @@ def simulate(
         _print_links(server, known if as_json else {})
         with _asked(hand, targets):
             _run(server, hand, operator, pokes)
+
+
+def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as_json: bool) -> None:
+    """Record a session of `count` pokes in `out`; Ctrl-C ends it early, and what is there stays.
+
+    Parameters
+    ----------
+    simulate_session : that of `skincal.simulate.virtual_session`; all it takes is given but `progress` and `go_on`
+    """
+    from skincal.files.reference import TRUTH_NAME, read_reference
+
+    progress = PokeLine(count)
+    with stopping() as stop:
+        pipeline = simulate_session(progress=progress if sys.stderr.isatty() else None, go_on=lambda: not stop.is_set())
+    if stop.is_set():
+        progress.close()
+        has = f"{len(pipeline.snapshot().pokes)} of {count} pokes"
+        say(f"stopped: the session has {has}, and is kept; for all of them name another folder by --out.", err=True)
+    finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    if stop.is_set():
+        raise typer.Exit(INTERRUPTED)
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:

@@ -24,6 +24,8 @@ from skincal.streams.links import LinkSpec
 
 START_NS = 1_000_000_000
 """Host's clock at the start of a virtual session, nanoseconds; any will do."""
+SHORTEST_S = 1.0
+"""s. A session that is ended early is this long, so that each link was heard; it costs some hundredths."""
 
 
 def simulate_session(
@@ -39,6 +41,7 @@ def simulate_session(
     habits: Habits | None = None,
     settings: DeviceSettings | None = None,
     progress: Callable[[int], None] | None = None,
+    go_on: Callable[[], bool] = lambda: True,
 ) -> Pipeline:
     """Poke a simulated rig and record it, as if devices had sent it.
 
@@ -48,6 +51,7 @@ def simulate_session(
     pokes, poses, channels : as for `Auto`
     seed : the same one gives the same bytes
     progress : called with the number of pokes begun, whenever it grows
+    go_on : whether more is wanted; else the session ends with what it has
 
     Returns
     -------
@@ -81,6 +85,8 @@ def simulate_session(
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)
+        if line.now >= SHORTEST_S and not go_on():
+            break
     for link in links:
         pipeline.feed(LinkEvent(link.name, START_NS + round(line.now * 1e9), LinkState.ENDED))
     pipeline.close()

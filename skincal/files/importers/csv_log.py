@@ -2,11 +2,15 @@
 
 With a header, columns are found by name, in any order and case:
 
-    time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`; seconds where no unit is named
+    time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`; seconds where no unit is named, or
+             nanoseconds where the first value is one of our days in nanoseconds since 1970
     number   `seq`, `index`, `counter` or `frame`: optional
-    wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m, or N mm with `_nmm`)
+    wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m, or N mm with `_nmm`); also `force_x`, `torque_x`
     skin     every other column; `t0 t1 ...` in the order of their numbers
     joints   every other column, each with `_deg` or `_rad`
+
+Before a name may stand where ROS or PlotJuggler has it from (`field.wrench.force.x`, `/ft/wrench/force/x`, `%time`); what is of
+a message's header or layout, but its time and number, is left out.
 
 Without a header, the first column is the time in seconds and the others follow in this order; joints are degrees. Fields
 are separated by comma, semicolon (then a comma is a decimal point), tab or spaces.
@@ -21,7 +25,7 @@ import contextlib
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import TextIOWrapper
 from itertools import islice
@@ -39,6 +43,8 @@ from skincal.streams.links import LinkSpec
 
 LINE_MOST = 4 << 20
 """Letters of a row: 100,000 channels have a quarter."""
+SHOWN = 40
+"""Letters of a field that a sentence shows."""
 BLOCK = 64
 """Rows that are read at a time."""
 TEXTS_MAX = 1 << 12
@@ -46,10 +52,16 @@ SLOWEST = 0.2
 """s from row to row. A tool holds still for 0.3 s in a poke: rows further apart, of a time without a unit, are not seconds."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
-_TIME = re.compile(r"(?:t|time|stamp|timestamp)(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
-_NUMBER = re.compile(r"seq|index|counter|frame")
-_AXIS = re.compile(r"([fmt])([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?")
-_NUMBERED = re.compile(r"\D*(\d+)")
+UNIX_NS = (1e18, 5e18)
+"""Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
+_TIME = re.compile(r"(?:t|[%_]*time|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
+_NUMBER = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
+# What ROS sends with values.
+_ABOUT = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
+_AXIS = re.compile(
+    r"(?:.*[./])?(?:wrench_)?([fmt]|force|torque|moment)[._/ ]?([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?"
+)
+_NUMBERED = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
 _JOINT = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _MILLI = ("nmm", "n.mm")
 
@@ -105,10 +117,30 @@ class _Table:
             self.columns = _named_columns(stream, [name.lower() for name in row], path)
         else:
             self.columns = _columns_by_place(stream, len(row), path)
+        if self.columns.finding:
+            self._find_nanoseconds(row)
         known = {factor: _Texts(factor) for factor in self.columns.factors}
         self._texts = [known[factor] for factor in self.columns.factors]
         self.skipped = 0
         """Rows of the last reading that have no time and so no place."""
+
+    def _find_nanoseconds(self, names: list[str]) -> None:
+        """Where the time names no unit: take nanoseconds for what they are."""
+        time, first = self.columns.time, self.first_time
+        stamp = _to_float(first)
+        if stamp is not None and UNIX_NS[0] <= stamp <= UNIX_NS[1]:
+            column = (
+                f"the time column {names[time].lower()!r} names no unit and" if self.named else "no header: the first column"
+            )
+            finding = f"{column} was read as nanoseconds since 1970, as its values are."
+            self.columns = replace(self.columns, to_s=TIME_UNITS["ns"], finding=finding)
+
+    @property
+    def first_time(self) -> str:
+        """What stands for a time in the first row; empty where there is no row, or no such field."""
+        time = self.columns.time
+        row = next(self._rows(time + 1), None)
+        return row[time] if row is not None and time < len(row) else ""
 
     @property
     def link(self) -> LinkSpec:
@@ -182,9 +214,10 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
         name = table.stream.value
         timeline = RecordedTimes(name, table.stamps())
         if not timeline.lines:
+            seen = f"seen {table.first_time[:SHOWN]!r} as the time; " if table.first_time else ""
             raise InputError(
-                f"{table.path}: no row with a time was found; expected a row a reading, its time and its values. A time "
-                "that is not in seconds needs its unit in its name, such as t_ms or t_ns."
+                f"{table.path}: no row with a time was found; {seen}expected a row a reading, its time a number, and its "
+                "values. A time that is not in seconds needs its unit in its name, such as t_ms or t_ns."
             )
         _check_unit(table, timeline)
         timelines.append(timeline)
@@ -200,7 +233,13 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
 
 def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
     """Raise InputError: the time names no unit, and readings would come too slowly if it were seconds."""
-    if table.columns.finding and table.stream is not Stream.JOINTS and timeline.interval > SLOWEST:
+    columns = table.columns
+    if (
+        columns.finding
+        and columns.to_s == TIME_UNITS["s"]
+        and table.stream is not Stream.JOINTS
+        and timeline.interval > SLOWEST
+    ):
         raise InputError(
             f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
             f"seconds; expected no more than {SLOWEST:g} s: name the time's column t_ms, t_us or t_ns."
@@ -271,7 +310,7 @@ def _named_columns(stream: Stream, names: list[str], path: Path) -> _Columns:
     found = _TIME.fullmatch(names[time])
     unit = found.group(1) if found else None
     number = next((index for index, name in enumerate(names) if _NUMBER.fullmatch(name)), None)
-    others = [index for index, name in enumerate(names) if name and index not in (time, number)]
+    others = [k for k, name in enumerate(names) if name and k not in (time, number) and not _ABOUT.fullmatch(name)]
     values, factors = _VALUE_COLUMNS[stream](names, others, path)
     finding = "" if unit else f"the time column {names[time]!r} names no unit and was read as seconds."
     return _Columns(len(names), time, TIME_UNITS[unit or "s"], number, values, factors, finding)
@@ -283,7 +322,12 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
     for index in others:
         found = _AXIS.fullmatch(names[index])
         if found is not None:
-            axis = ("f" if found.group(1) == "f" else "m") + found.group(2)
+            axis = ("f" if found.group(1).startswith("f") else "m") + found.group(2)
+            if axis in at:
+                raise InputError(
+                    f"{path}: columns {names[at[axis]]!r} and {names[index]!r} both are {axis}; expected one sensor's: "
+                    "leave out those of the other."
+                )
             at[axis] = index
             factor[axis] = 1e-3 if found.group(3) in _MILLI else 1.0
     lacking = [axis for axis in WRENCH_AXES if axis not in at]

@@ -54,6 +54,8 @@ TOGETHER_LINES = 64
 """Lines of one chunk, whatever their stamps say: a bound for memory."""
 FIRST_INTERVALS = 500
 """Intervals from which the usual interval is taken: 5 s at 100 Hz."""
+SAID = 3
+"""Times that a clock was set, which are said one by one."""
 START_NS = 1_000_000_000
 """ns. Where a recording begins on the host's clock; 0 means never there."""
 
@@ -97,6 +99,8 @@ class RecordedTimes:
         """s. First stamp and highest, shifted."""
         self.gaps, self.longest_gap = 0, 0.0
         self.out_of_order = 0
+        self.earlier = 0
+        """Lines whose stamp is before that of the line before."""
         self.jumps: dict[int, float] = {}
         """The first line after each time that the clock was set, and how far the stamps from there on are shifted, s."""
         self.astray: set[int] = set()
@@ -114,7 +118,10 @@ class RecordedTimes:
         # Long ones, kept back until the usual interval is known.
         self._pauses: list[float] = []
         self._gap_limit = GAP_MIN
+        before = -math.inf
         for stamps in blocks:
+            self.earlier += int(np.count_nonzero(_steps(before, stamps) < 0))
+            before = float(stamps[-1])
             if not self._add_steady(stamps):
                 for stamp in stamps.tolist():
                     self._add(stamp)
@@ -141,11 +148,17 @@ class RecordedTimes:
             )
         found += [
             f"{self.name}: the clock was wrong by {off:+.3f} s for {seconds:.1f} s; the lines meanwhile are placed without it."
-            for off, seconds in self._errors
+            for off, seconds in self._errors[:SAID]
         ]
+        if more := self._errors[SAID:]:
+            seconds = sum(seconds for _, seconds in more)
+            found.append(
+                f"{self.name}: the clock was wrong {plural(len(more), 'more time')}, for {seconds:.1f} s in all; "
+                "the lines meanwhile are placed without it."
+            )
         backs = [back for line, back in self.jumps.items() if line not in self._error_lines]
         if backs:
-            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:3]), *["..."][: len(backs) > 3]])
+            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:SAID]), *["..."][: len(backs) > SAID]])
             found.append(
                 f"{self.name}: the clock was set back {plural(len(backs), 'time')} ({amounts}); "
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
@@ -208,7 +221,8 @@ class RecordedTimes:
     def _came_back(self, leap: _Leap) -> bool:
         """Return whether a leap takes back the one before it; then what lies between is shifted, and nothing after it."""
         away = self._away
-        if away is None or abs(away.off + leap.off) > SHARED_JUMP:
+        # Rows that come slowly leap by their interval alone.
+        if away is None or abs(away.off) <= SHARED_JUMP or abs(away.off + leap.off) > SHARED_JUMP:
             return False
         seconds = leap.highest - away.highest - away.off
         if seconds > AWAY_S:
@@ -277,11 +291,16 @@ def _nearest(back: float, known: Sequence[float]) -> float:
 
 
 def check_overlap(timelines: Sequence[RecordedTimes]) -> None:
-    """Check that every file shares time with the first.
+    """Check that every file goes on in time and shares time with the first.
 
-    Raises InputError: a file spans years, or two have no time in common, so that nothing can be paired.
+    Raises InputError: a file runs backwards or spans years, or two have no time in common, so that nothing can be paired.
     """
     for timeline in timelines:
+        if timeline.earlier * 2 > timeline.lines:
+            raise InputError(
+                f"{timeline.name}: its times run backwards: {timeline.earlier} of {timeline.lines} lines are earlier than the "
+                "line before; expected the oldest first: sort the lines by their time, or check which column is the time."
+            )
         if timeline.last - timeline.first > SPAN_MAX:
             raise InputError(
                 f"{timeline.name}: its stamps run from {timeline.first:.3f} to {timeline.last:.3f} s, over years; expected one "

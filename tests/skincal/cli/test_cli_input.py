@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import find_scene
+from skincal.cli.record import POKES_MOST, find_scene
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.importing import new_session
@@ -166,12 +166,54 @@ def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, 
     assert log.findings == ()
 
 
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(run, tmp_path, monkeypatch, at_once):
+    from skincal.cli import simulate
+    from skincal.journal.lock import LOCK_NAME
+    from skincal.journal.reader import SessionLog
+    from skincal.simulate import virtual_session
+    from skincal.simulate.operator import Auto
+
+    def make_interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return writer.create_session(*arguments)
+
+    begin = Auto.next
+
+    def next_interrupted(self, now):
+        if self.begun == 3:
+            signal.raise_signal(signal.SIGINT)
+        return begin(self, now)
+
+    if at_once:
+        monkeypatch.setattr(virtual_session, "create_session", make_interrupted)
+    else:
+        monkeypatch.setattr(Auto, "next", next_interrupted)
+    before = signal.getsignal(signal.SIGINT)
+    folder = tmp_path / "s"
+    code, out, err = run("simulate", *SCENE, "--out", folder, "--json")
+    pokes = 0 if at_once else 3
+    assert (code, err) == (simulate.INTERRUPTED, approved("operator.stopped", pokes=pokes, count=252) + "\n")
+    assert json.loads(out)["pokes"] == pokes
+    assert signal.getsignal(signal.SIGINT) is before
+    assert SessionLog(folder).findings == ()
+    assert not (folder / LOCK_NAME).exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
         (
             ["simulate", *SCENE, "--pokes", "0", "--out", "x"],
             "Invalid value for '--pokes': expected a number greater than or equal to 1; `skincal simulate --help`",
+        ),
+        *(
+            (
+                [*command, *SCENE, "--out", "x", "--pokes", number],
+                f"Invalid value for '--pokes': expected a number less than or equal to {POKES_MOST}; `skincal {command[0]}",
+            )
+            for command in (["simulate"], ["record", "--wrench", "a", "--skin", "b"])
+            for number in (str(POKES_MOST + 1), "99999999999999999999")
         ),
         (["solve", "x", "--layout-out"], "Option '--layout-out' requires an argument;"),
         (["simulate", *SCENE, "--pokes", "many", "--out", "x"], "Invalid value for '--pokes': expected a whole number;"),

@@ -177,6 +177,67 @@ def test_joints_may_come_slowly_and_seconds_that_are_named_are_believed(read):
     assert len(skin_of(batches)) == 2
 
 
+ROS = ["field.header.seq", "field.header.stamp", "field.header.frame_id"]
+
+
+@pytest.mark.parametrize(
+    ("time", "factor", "wrench", "skin"),
+    [
+        (
+            "%time",
+            1e9,
+            [f"field.wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            ["field.layout.data_offset", "field.data0", "field.data2", "field.data10"],
+        ),
+        (
+            "__time",
+            1,
+            [f"/ft/wrench/{kind}/{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            ["/skin1/layout/data_offset", "/skin1/data[0]", "/skin1/data[2]", "/skin1/data[10]"],
+        ),
+        (
+            "rosbagTimestamp",
+            1e9,
+            [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            ["layout.data_offset", "data_0", "data_2", "data_10"],
+        ),
+        (
+            "/ft/header/stamp",
+            1,
+            [f"wrench_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            ["layout.data_offset", "t0", "t2", "t10"],
+        ),
+    ],
+)
+def test_columns_of_ros_bags_and_plotjuggler_are_understood(read, time, factor, wrench, skin):
+    times, notes = (np.array(TIMES) + 1.7e9) * factor, [[k + 5, 1.0, 0.0] for k in range(4)]
+    forces = table([time, *ROS, *wrench], np.column_stack([times, notes, WRENCH]))
+    batches, counts, findings = read(
+        wrench=forces, skin=table([time, *skin[:1], *reversed(skin[1:])], np.column_stack([times, [0] * 4, SKIN[:, ::-1]]))
+    )
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    np.testing.assert_array_equal(skin_of(batches), SKIN)
+    assert [seq for batch in batches["wrench"] for seq in batch.seq] == [5, 6, 7, 8]
+    assert not any(counts.values())
+    stamps = np.concatenate([batch.device_s for batch in batches["wrench"]])
+    np.testing.assert_allclose(stamps, np.array(TIMES) + 1.7e9, atol=1e-6)
+    said = approved("csv_log.read_as_nanoseconds", column=time.lower())
+    assert any(said in finding for finding in findings) == (factor == 1e9)
+
+
+def test_columns_of_two_sensors_are_not_mixed(read):
+    names = [f"/{side}/{kind}/{axis}" for side in ("left", "right") for kind in ("force", "torque") for axis in "xyz"]
+    said = approved_pattern("csv_log.twice", first="/left/force/x", second="/right/force/x", axis="fx")
+    with pytest.raises(InputError, match=said):
+        read(wrench=table(["t_s", *names], with_time(np.hstack([WRENCH, WRENCH]))))
+
+
+def test_a_time_that_is_text_is_shown(read):
+    rows = WRENCH_TEXT.replace("\n0.5", "\n2026-01-31T10:00:00.5")
+    with pytest.raises(InputError, match=approved_pattern("csv_log.text_time", seen="2026-01-31T10:00:00.5")):
+        read(wrench=rows)
+
+
 def test_a_missing_file_is_said(tmp_path):
     with pytest.raises(InputError, match=approved_pattern("layout_file.no_such_file")):
         read_csv(tmp_path / "none.csv", tmp_path / "none.csv")
@@ -186,4 +247,4 @@ def test_bytes_that_are_no_text_are_said_and_not_shown(read):
     with pytest.raises(InputError, match=approved_pattern("csv_log.no_text", file="w.csv")):
         read(wrench="\x07\x1b[31m,\x00\x01\n1,2\n")
     with pytest.raises(InputError, match=approved_pattern("csv_log.no_plausible_time")):
-        read(wrench=table(["t", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH, 1e19)))
+        read(wrench=table(["t", "fx", "fy", "fz", "mx", "my", "mz"], with_time(WRENCH, 1e20)))

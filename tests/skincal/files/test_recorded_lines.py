@@ -168,6 +168,28 @@ def test_a_clock_that_is_wrong_for_a_second_shifts_nothing_after_it(off):
     np.testing.assert_allclose(times, np.array(true) - 10.0, atol=2e-6)
 
 
+@pytest.mark.parametrize("step", [0.01, 1.0])
+def test_times_that_run_backwards_are_refused(step):
+    stamps = [100.0 - step * k for k in range(90)]
+    with pytest.raises(InputError, match=approved_pattern("recording.backwards", link="skin", earlier=89, lines=90)):
+        check_overlap([timed("wrench", sorted(stamps)), timed("skin", stamps)])
+    # A clock that was set back, and messages that overtook each other, are no such recording.
+    often = [100.0 + step * (k - 20 * (k > 50) + 1.5 * (k % 2)) for k in range(90)]
+    check_overlap([timed("wrench", sorted(stamps)), timed("skin", often)])
+
+
+@pytest.mark.parametrize("off", [5.0, -5.0])
+def test_a_clock_that_is_wrong_again_and_again_is_said_in_few_sentences(off):
+    stamps = [k * 0.01 + off * (k % 400 >= 300) for k in range(4000)]
+    found = [sentence for sentence in timed("skin", stamps).sentences() if "the clock was wrong" in sentence]
+    assert found[:3] == [approved("recording.wrong_meanwhile", link="skin", off=f"{off:+.3f}", seconds="1.0")] * 3
+    assert found[3:] == [approved("recording.wrong_more", link="skin", times=len(range(300, 4000, 400)) - 4, seconds="6.0")]
+
+
+def test_rows_of_a_slow_stream_are_no_clock_that_was_wrong():
+    assert len(timed("skin", [float(k) for k in range(100)]).sentences()) == 1
+
+
 def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice():
     later = [0.02 * k - 5.0 * (100 <= k < 3300) for k in range(4000)]
     assert sorted(timed("skin", later).jumps) == [100]
