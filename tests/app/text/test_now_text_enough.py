@@ -42,7 +42,7 @@ class ShortWay(ModulesEnough):
 
 
 def test_it_is_said_once():
-    short = ShortWay(plan_of(part()))
+    short = ShortWay(plan_of(part()), 0.0015)
     assert short.news(at(ENOUGH[:7], generation=1)) == ""
     words = short.news(at(generation=2))
     assert approved("modules_check.pokes_on_every_module") in words
@@ -66,19 +66,19 @@ def test_it_is_said_once():
     ids=["rejected", "excluded", "unsure", "blind", "nothing in use", "shown already", "enough", "paused", "no guide"],
 )
 def test_it_is_not_said_where(changes):
-    short = ShortWay(plan_of(part()))
+    short = ShortWay(plan_of(part()), 0.0015)
     moment = at(**changes) if "guidance" not in changes else replace(at(), guidance=None)
     assert short.news(moment) == ""
     assert short.news(at(generation=2))
 
 
 def test_who_has_seen_that_method_be_enough_is_not_told():
-    short = ShortWay(plan_of(part()))
+    short = ShortWay(plan_of(part()), 0.0015)
     assert short.news(at(method=Method.MODULES, done=tuple(PLAN.channels.tolist()))) == ""
     assert short.news(at(generation=2)) == ""
 
 
 def test_a_dead_taxel_and_a_dead_module_are_not_waited_for():
-    assert ShortWay(plan_of(part())).news(at(dead=(7,)))
-    assert ShortWay(plan_of(part())).news(at(pokes=ENOUGH[:4], dead=tuple(range(12, 24))))
-    assert not ShortWay(plan_of(part())).news(at(pokes=ENOUGH[:4], dead=tuple(range(13, 24))))
+    assert ShortWay(plan_of(part()), 0.0015).news(at(dead=(7,)))
+    assert ShortWay(plan_of(part()), 0.0015).news(at(pokes=ENOUGH[:4], dead=tuple(range(12, 24))))
+    assert not ShortWay(plan_of(part()), 0.0015).news(at(pokes=ENOUGH[:4], dead=tuple(range(13, 24))))
