@@ -438,14 +438,26 @@ def write_calibration(
 
     Returns
     -------
-    Sentences: faults found (`skincal.files.export`), what is left out, and where an older file is kept. They do not stop the
-    writing.
+    Sentences: faults found (`skincal.files.export`), what is left out, an ending of another format, and where an older file is
+    kept. They do not stop the writing.
 
     Raises InputError: the format or method is unknown, or the file cannot be written.
     """
     content, sentences = calibration_file(calibration, format, method, part)
     kept = write_atomically(path, content)
+    sentences += _other_ending(path, ExportFormat(format))
     return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
+
+
+def _other_ending(path: Path, written: ExportFormat) -> tuple[str, ...]:
+    """Say that a file's name ends as those of another format; any other ending is the operator's."""
+    ending, right = path.suffix.lower(), FORMATS[written].ending
+    others = [format_.value for format_, words in FORMATS.items() if words.ending == ending != right]
+    return tuple(
+        f"{path.name} ends in {path.suffix} and holds the format {written.value}; expected the ending {right}: rename the "
+        f"file, or choose the format {other}."
+        for other in others
+    )
 
 
 def calibration_file(

@@ -23,6 +23,11 @@ OUTLINE_STEP = 0.002
 ANCHOR_GAP_MAX = 0.02
 """m. An anchor farther from the surface is of another frame or unit: no cover is that thick."""
 
+BEHIND = 0.0005
+"""m. A wall that faces as the anchor does is behind another one if it is farther by more: covers are no thinner."""
+AGAINST = 0.5
+"""Cosine. A wall beside an edge faces sideways; one that a normal points into faces against it, within 60 degrees."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidSkin:
@@ -58,6 +63,29 @@ def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidS
         places[module.channels], normals[module.channels] = points[:count], sides[:count]
         outlines.append(points[count:])
     return LaidSkin(places, normals, tuple(outlines))
+
+
+def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> tuple[str, ...]:
+    """Say of which modules the anchor's normal points into the part: they come onto the wall behind; all as for `lay`."""
+    owns = {module.id: own for module in layout.modules if (own := module.anchor or anchor) is not None}
+    if surface is None or not owns:
+        return ()
+    points, normals = (np.stack(rows) for rows in zip(*((own.point, own.normal) for own in owns.values()), strict=True))
+    turns = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+    near, facing = (nearest_to_rows(surface, turns, points, pushes) for pushes in (None, -normals))
+    gaps = np.sqrt(facing.values) - np.sqrt(near.values)
+    against = np.einsum("ij,ij->i", surface.normals[near.triangles], normals) < -AGAINST * np.linalg.norm(normals, axis=1)
+    wrong = against & (facing.triangles >= 0) & (gaps > BEHIND)
+    if not wrong.any():
+        return ()
+    ids = [str(id_) for id_, bad in zip(owns, wrong, strict=True) if bad]
+    named = ", ".join([*ids[:3], *["..."][: len(ids) > 3]])
+    gap = np.sqrt(facing.values[wrong].max())
+    return (
+        f"The anchor of {'module' if len(ids) == 1 else 'modules'} {named} lies where the mesh faces the other way, so that "
+        f"its layout was laid on the wall behind, {gap * 1e3:.1f} mm away; expected a normal that points out of the part: "
+        "check its normal and point_mm.",
+    )
 
 
 def subdivided(outline: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
 from skincal.sentences import silent_links
-from skincal.session.part import load_scene_surface
+from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
@@ -49,14 +49,14 @@ def new_session(
 
     Parameters
     ----------
-    tell : hears the findings on the mesh, in sentences
+    tell : hears the findings on the mesh and on the anchors that stand on it, in sentences
     copy : the session is made of a recording, and could be made again
     """
     missing = missing_folders(folder)
     journal = None
     try:
         surface, findings = load_scene_surface(scene)
-        for finding in findings:
+        for finding in (*findings, *anchor_findings(scene, surface)):
             tell(f"{scene.surface.path.name if scene.surface else ''}: {finding}")
         journal = writer.create_session(folder, scene, links, copy=copy)
         yield Pipeline(scene, links, surface, journal)

@@ -51,7 +51,7 @@ class Part:
     channels: IntArray
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
-    """What the mesh loader has to say."""
+    """What is to say of the mesh and of the anchors that stand on it."""
     plan: Reference | None = None
     """Where the layout places the taxels; None where it does not."""
     cover: Cover | None = None
@@ -117,6 +117,13 @@ def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:
     return surface, tuple(finding.sentence for finding in findings)
 
 
+def anchor_findings(scene: Scene, surface: Surface | None) -> tuple[str, ...]:
+    """Return what is to say of the anchors of a scene's layout on its mesh; see `anchor_remarks`."""
+    from skincal.mesh.lay import anchor_remarks
+
+    return () if scene.skin.layout is None else anchor_remarks(scene.skin.layout, scene.skin.anchor, surface)
+
+
 def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
     """Lay the scene's layout on its mesh, which takes a second where the mesh is large.
 
@@ -131,6 +138,7 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
     # The layout works these out when they are first asked for: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing
     laid = lay(layout, scene.skin.anchor, surface)
+    findings = (*findings, *anchor_findings(scene, surface))
     plan = None if laid is None else plan_reference(scene.name, laid.places)
     return Part(scene, surface, laid, layout.channels, findings, plan, cover=_cover(surface) if laid is None else None)
 

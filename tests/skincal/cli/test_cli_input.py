@@ -250,6 +250,17 @@ def test_results_in_every_format_say_each_finding_once(run, tmp_path, session):
     assert len(said) == 2, "one for each method"
 
 
+@pytest.mark.parametrize(
+    ("name", "remarked"), [("x.csv", True), ("x.CSV", True), ("x.json", False), ("x.JSON", False), ("x", False)]
+)
+def test_a_file_that_ends_as_another_format_is_remarked_on(run, tmp_path, session, name, remarked):
+    file = tmp_path / name
+    code, out, _ = run("export", session, "--format", "json", "--out", file, "--json")
+    assert (code, file.exists()) == (0, True)
+    said = approved("export.other_ending", name=name, ending=file.suffix, format="json", right=".json", other="csv")
+    assert json.loads(out)["findings"].count(said) == remarked
+
+
 @pytest.mark.parametrize("option", [["--seconds", "-1"], ["--pokes", "0"]])
 def test_a_recording_of_no_length_is_refused(run, tmp_path, option):
     code, _, err = run("record", "--wrench", "a", "--skin", "b", *SCENE, "--out", tmp_path / "s", *option)

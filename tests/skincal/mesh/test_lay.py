@@ -1,12 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from skincal.mesh.lay import lay, subdivided
+from skincal.mesh.lay import anchor_remarks, lay, subdivided
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Anchor, Layout, Module, ModuleKind
-from tests.approved import approved_pattern
+from tests.approved import approved, approved_pattern
+from tests.skincal.sim_support import scene_and_surface
 
 
 def grid_surface(shape, u, v) -> Surface:
@@ -171,6 +174,38 @@ def test_turns_with_a_rigid_motion_of_everything():
     turned = Anchor(anchor.at, rotation @ anchor.point + shift, rotation @ anchor.x, rotation @ anchor.normal)
     one, two = lay(layout, anchor, surface), lay(layout, turned, moved)
     np.testing.assert_allclose(one.places[layout.channels] @ rotation.T + shift, two.places[layout.channels], atol=1e-8)
+
+
+def plate(thick=0.003) -> Surface:
+    """Two walls of a plate, its rim left out: the upper at z = 0, the lower below it."""
+    top = grid_surface(lambda x, y: (x, y, 0 * x), *[np.linspace(-0.1, 0.1, 5)] * 2)
+    below = top.vertices - [0, 0, thick]
+    return make_surface(
+        np.concatenate([top.vertices, below]), np.concatenate([top.triangles, top.triangles[:, ::-1] + len(below)])
+    )
+
+
+def test_an_anchor_whose_normal_points_into_the_part_is_remarked_on():
+    layout = spread_layout()
+    into, out = (Anchor(np.zeros(2), np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, side])) for side in (-1.0, 1.0))
+    said = approved("mesh.anchor_into", modules="module 1", gap="3.0")
+    assert anchor_remarks(layout, into, plate()) == (said,)
+    assert anchor_remarks(layout, out, plate()) == ()
+    # On the inner wall of a cover, and beside the rim of it, a layout may well lie.
+    inner = replace(into, point=np.array([0.0, 0, -0.003]))
+    assert anchor_remarks(layout, inner, plate()) == ()
+    assert anchor_remarks(layout, anchor_at(), cylinder()) == ()
+    assert anchor_remarks(layout, into, None) == anchor_remarks(layout, None, plate()) == ()
+    modules = tuple(replace(layout.modules[0], id=k) for k in range(1, 7))
+    many = Layout(modules, layout.width)
+    assert anchor_remarks(many, into, plate()) == (approved("mesh.anchor_into", modules="modules 1, 2, 3, ...", gap="3.0"),)
+
+
+@pytest.mark.parametrize("name", ["flat-patch", "icub-forearm", "whole-body"])
+def test_anchors_of_the_scenes_that_ship_point_out(name):
+    scene, surface = scene_and_surface(name)
+    assert scene.skin.layout is not None
+    assert anchor_remarks(scene.skin.layout, scene.skin.anchor, surface) == ()
 
 
 def test_anchors_of_another_frame_are_refused():

@@ -1,3 +1,4 @@
+import shutil
 from collections import Counter
 from dataclasses import replace
 
@@ -8,11 +9,21 @@ from skincal.cli import main
 from skincal.files.importers.overview import find_files
 from skincal.journal import writer
 from skincal.model.errors import InputError
-from skincal.model.scene import load_scene
-from skincal.session.importing import Imported, ImportRequest, StoppedError, import_recording, missing_folders, take_away
+from skincal.model.scene import load_scene, resource
+from skincal.session.importing import (
+    Imported,
+    ImportRequest,
+    StoppedError,
+    import_recording,
+    missing_folders,
+    new_session,
+    take_away,
+)
+from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.streams.decoders import yarp_log
+from tests.approved import approved
 from tests.skincal.import_support import write_csv, write_yarp
 from tests.skincal.poke_script import outcome_key, some_pokes, write_scene
 
@@ -32,6 +43,24 @@ def request_of(tmp_path):
 
 def keys(pipeline):
     return [outcome_key(record.outcome) for record in pipeline.snapshot().pokes]
+
+
+def test_an_anchor_that_points_into_the_part_is_told(tmp_path):
+    """A plate, 3 mm thick: the layout would come onto its lower wall."""
+    source = tmp_path / "source"
+    shutil.copytree(resource("scenes/flat-patch"), source)
+    corners = [(x, y, z) for z in (0, -3) for y in (-80, 80) for x in (-80, 80)]
+    sides = ["1 2 4", "1 4 3", "5 8 6", "5 7 8", "1 6 2", "1 5 6", "3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 8 4", "2 6 8"]
+    rows = [*(f"v {x} {y} {z}" for x, y, z in corners), *(f"f {side}" for side in sides)]
+    (source / "plate.obj").write_text("\n".join(rows) + "\n")
+    text = (source / "scene.toml").read_text() + '\n[surface]\nmesh = "plate.obj"\nunit = "mm"\n'
+    said = approved("mesh.anchor_into", modules="modules 1, 2, 3, ...", gap="3.0")
+    for normal, count in ((1.0, 0), (-1.0, 1)):
+        (source / "scene.toml").write_text(text.replace("normal = [0.0, 0.0, 1.0]", f"normal = [0.0, 0.0, {normal}]"))
+        told = []
+        with new_session(tmp_path / str(normal), load_scene(source / "scene.toml"), (), told.append) as pipeline:
+            pipeline.close()
+        assert told.count(f"plate.obj: {said}") == load_part(source / "scene.toml").findings.count(said) == count, told
 
 
 @pytest.mark.parametrize("write", [write_yarp, write_csv])
