@@ -70,7 +70,7 @@ def test_a_poke_that_no_taxel_answered_may_be_at_a_landmark():
 
 def test_landmarks_are_added_by_hand_and_named_once():
     session = Session(small_scene(), None)
-    with pytest.raises(InputError, match="no landmarks"):
+    with pytest.raises(InputError, match="the scene has none"):
         session.act(AtLandmark(1, "head"))
     session.act(AddLandmark("head", 0.02, 0.05, 0.10))
     assert [landmark.name for landmark in session.snapshot().landmarks] == ["head"]
