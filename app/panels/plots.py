@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, Qt
-from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from app.panels.widgets import theme_colours
 from app.state.policies import curve_range
@@ -38,6 +39,9 @@ NUMBERS_S = 0.2
 """s between two changes of the numbers: faster ones cannot be read."""
 MEAN_READINGS = 100
 """Readings that the shown number is the mean of, a tenth of a second at 1 kHz."""
+
+PLOT_PX = 160
+"""Height of a plot at 100 %, down to which the two stand one above the other."""
 
 STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
 PLOT_SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d", Method.MODULES: "t1"}
@@ -135,6 +139,7 @@ class Curves(QWidget):
         super().__init__()
         self._title, self._unit = title, UNITS[unit]
         self._floor, self._decimals = floor, decimals
+        self._broken, self._shown = False, np.full(3, np.nan)
         self._half = floor
         self.header = QLabel()
         self.header.setTextFormat(Qt.TextFormat.RichText)
@@ -160,6 +165,12 @@ class Curves(QWidget):
             curve.setPen(pg.mkPen(colour, width=1))
         self.show_numbers(np.full(3, np.nan))
 
+    def break_header(self, broken: bool) -> None:
+        """Have the numbers in a line of their own, below the title, or beside it."""
+        if broken != self._broken:
+            self._broken = broken
+            self.show_numbers(self._shown)
+
     def draw(self, times: FloatArray, values: FloatArray) -> None:
         """Draw curves.
 
@@ -178,17 +189,19 @@ class Curves(QWidget):
 
     def show_numbers(self, newest: FloatArray) -> None:
         """Show the newest values, (3,) float, SI."""
+        self._shown = newest
         shown = [number(float(v) * self._unit.factor, self._decimals) for v in newest]
         colours = theme_colours()
         cells = "".join(
             f'<span style="color:{colour}">&nbsp;&nbsp;{axis}&nbsp;<b>{text}</b></span>'
             for axis, colour, text in zip("xyz", colours.axes, shown, strict=True)
         )
-        self.header.setText(f'<span style="color:{colours.muted}">{self._title}, {self._unit.text}</span>{cells}')
+        title = f'<span style="color:{colours.muted}">{self._title}, {self._unit.text}</span>'
+        self.header.setText(f"{title}{'<br>' if self._broken else ''}{cells}")
 
 
 class CurvesPanel(QWidget):
-    """Force above, moment below: the last ten seconds, as the sensor says them.
+    """Force and moment, one above the other where both are high enough, else side by side: the last ten seconds.
 
     The time axis ends at the newest reading, not at the clock, so a curve without new readings costs nothing.
     """
@@ -199,15 +212,23 @@ class CurvesPanel(QWidget):
         self.moment = Curves("Moment", "N m", 50.0, 0)
         self._newest_s = -np.inf
         self._numbers_s = -np.inf
-        column = QVBoxLayout(self)
-        column.setContentsMargins(0, GAP // 2, 0, 0)
-        column.setSpacing(0)
-        column.addWidget(self.force, 1)
-        column.addWidget(self.moment, 1)
+        self._both = QBoxLayout(QBoxLayout.Direction.TopToBottom, self)
+        self._both.setContentsMargins(0, GAP // 2, 0, 0)
+        self._both.setSpacing(0)
+        self._both.addWidget(self.force, 1)
+        self._both.addWidget(self.moment, 1)
         self.setWhatsThis(
             "The last ten seconds of the force/torque sensor, in its own frame and as it says them: offset and drift are "
             "not taken off here, but around each poke."
         )
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Give each plot `PLOT_PX` of height: on a small screen side by side, where its numbers take a line of their own."""
+        super().resizeEvent(event)
+        beside = self.height() < 2 * (scaled(PLOT_PX) + self.force.header.sizeHint().height())
+        self._both.setDirection(QBoxLayout.Direction.LeftToRight if beside else QBoxLayout.Direction.TopToBottom)
+        for curves in (self.force, self.moment):
+            curves.break_header(beside)
 
     def show_state(self, state: ViewState) -> None:
         """Draw the newest readings; nothing where there are no newer ones."""

@@ -470,6 +470,18 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     assert card.rate.text() == "silent"
 
 
+@pytest.mark.parametrize(("height", "beside"), [(250, True), (440, False)])
+def test_each_plot_of_the_readings_is_160_pixels_high_on_a_small_screen_too(qtbot, height, beside):
+    panel = shown(qtbot, CurvesPanel(), (428, height))
+    qtbot.wait(20)
+    assert min(curves.plot.height() for curves in (panel.force, panel.moment)) >= 160
+    assert (panel.force.geometry().top() == panel.moment.geometry().top()) is beside
+    assert ("<br>" in panel.force.header.text()) is beside
+    for curves in (panel.force, panel.moment):
+        curves.show_numbers(np.array([-18.66, -2.95, 24.14]))
+        assert curves.header.sizeHint().width() <= curves.width()
+
+
 def test_three_devices_without_losses_are_seen_whole_at_720_pixels(qtbot):
     panel = shown(qtbot, DevicesPanel(), (428, 260))
     one = link(units="Fx Fy Fz in N, Mx My Mz in N m", losses={})
