@@ -19,11 +19,9 @@ from typing import NoReturn
 
 from app.preflight import no_display, objection
 from app.session.opening import MESHES
-from skincal.model.errors import InputError
+from skincal.model.errors import INTERRUPTED, InputError
 
 HELP = ("-h", "--help", "--version")
-INTERRUPTED = 130
-"""Exit code of a command ended with Ctrl-C."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

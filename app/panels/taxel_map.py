@@ -333,7 +333,8 @@ class TaxelMap(Painted):
         self._target: int | None = None
         """Channel that is to be poked next."""
         self._selected: int | None = None
-        self._generation: tuple[object, ...] = ()
+        self.generation: tuple[object, ...] = ()
+        """Of what the marks were made: they change with it alone."""
         self._base = self._states = QPixmap()
         self._drawn_in = theme_colours()
         """The colours of these two."""
@@ -358,8 +359,8 @@ class TaxelMap(Painted):
         """Show states, answers and the selection of a tick; draws nothing where all are the same."""
         self._guidance = state.guidance
         generation = (state.revision, state.method, state.guidance is None)
-        if generation != self._generation:
-            self._generation = generation
+        if generation != self.generation:
+            self.generation = generation
             self._marks = marks(state.estimates, self._width, done_channels(state.guidance))
             self._rivals = frozenset(e.channel for e in state.estimates if e.rival is not None)
             # Empty: drawn again when it is painted next, and only then.
@@ -696,12 +697,14 @@ class MapCard(QFrame):
 
     def show_state(self, state: ViewState, *, anew: bool) -> None:
         """Show a tick; what is said of the estimates only where it may be another."""
+        before = self.map.generation
         self.map.show_state(state)
+        if self.map.generation != before:
+            self.legend.count(*self.map.counted())
         if anew:
             self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
             self.errors.setText(error_words(state.estimates))
             self.methods.setCurrentIndex(self.methods.findData(state.method))
-        self.legend.count(*self.map.counted())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Put what is said of the map where it leaves the map larger."""

@@ -17,7 +17,7 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
 from skincal.cli.terminal import say
-from skincal.model.errors import InputError
+from skincal.model.errors import INTERRUPTED, InputError
 from skincal.model.readings import Stream
 
 if TYPE_CHECKING:
@@ -33,9 +33,6 @@ FLICKER = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
-
-INTERRUPTED = 130
-"""Exit code after Ctrl-C: what a shell reports of a program that the signal ended."""
 
 
 class Errors(Enum):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C: what a shell reports of a program that the signal ended."""
 SENTENCE_MOST = 300
 """Characters of a sentence: five lines of a terminal. What is quoted in it may be a file's whole content."""
 WORD_MOST = 80

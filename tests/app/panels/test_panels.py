@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRectF, Qt, QTimer
@@ -19,7 +21,7 @@ from app.panels.plot_panels import PlotPanel, ReadingsPanel
 from app.panels.plots import CurvesPanel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
 from app.panels.rig_panel import ArmPanel
-from app.panels.taxel_map import SMALL, Stamps, TaxelMap, draw_mark, fit, plan_map, turns_of
+from app.panels.taxel_map import SMALL, MapCard, Stamps, TaxelMap, draw_mark, fit, plan_map, turns_of
 from app.panels.widgets import Painted, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
@@ -200,6 +202,20 @@ def taxels(qtbot):
     view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
     view.show_state(frame())
     return view
+
+
+def test_the_legend_counts_anew_where_marks_change_and_never_else(qtbot, monkeypatch):
+    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), BOTH))
+    made = []
+    monkeypatch.setattr(card.legend, "count", lambda *what, count=card.legend.count: (made.append(what), count(*what)))
+    at = frame()
+    card.show_state(at, anew=True)
+    assert card.legend.accessibleDescription() == f"unseen {len(PLAN.channels)}"
+    card.show_state(replace(at, selected=3), anew=False)
+    assert len(made) == 1
+    dead = replace(frame(session(2, dead={3: "stuck"})), revision=2)
+    card.show_state(dead, anew=True)
+    assert len(made) == 2
 
 
 def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
