@@ -6,6 +6,7 @@ A command that made no session of use takes its folder away again: with its inpu
 from __future__ import annotations
 
 import contextlib
+import gc
 import json
 import math
 import queue
@@ -415,6 +416,8 @@ def import_csv(
 def _import(scene: Scene, out: Path, pose: str | None, as_json: bool, recording: OpenRecording) -> None:
     from skincal.session.importing import new_session, play_recording
 
+    # What the modules brought lives as long as the command: looking through it for garbage takes a tenth of the time.
+    gc.freeze()
     with new_session(out, scene, recording.links, _warn, copy=True) as pipeline:
         play_recording(pipeline, recording, pose)
         finish(pipeline, out, as_json, recording.findings, imported=True)

@@ -13,7 +13,8 @@ what was made of them (`/session`, JSON), numbered with the events by their `n`;
 Every half second, and at every event and note, what is buffered becomes a chunk with a checksum in the MCAP file, and then is
 vouched for in the lines; at every contact both are forced onto the medium. So a kill costs half a second of bytes, and whatever
 the lines say, the bytes of it are there. A session that is made of another program's recording can be made again: of it two
-seconds at a time are written, and nothing is forced onto the medium before the end.
+seconds at a time are written, nothing is forced onto the medium before the end, and no decoded readings are added: other
+programs read the recording itself.
 """
 
 from __future__ import annotations
@@ -205,6 +206,8 @@ class JournalWriter:
         self._lock = lock
         self._holds_lock = True
         self._copy, self._flush_ns = copy, FLUSH_COPY_NS if copy else FLUSH_NS
+        self.wants_decoded = not copy
+        """Whether decoded readings are to be added."""
         self._open_segment(self._monotonic_ns, continues=False)
 
     @_guarded
@@ -348,7 +351,8 @@ class JournalWriter:
         self._mcap.add_metadata("skincal", texts)
         schemas = {name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in documents.SCHEMAS.items()}
         json_schema = self._mcap.register_schema("skincal.event", "jsonschema", b'{"type": "object"}')
-        carried = {RAW_TOPIC + link.name: "skincal_msgs/msg/Chunk" for link in self._links} | _DECODED
+        carried = {RAW_TOPIC + link.name: "skincal_msgs/msg/Chunk" for link in self._links}
+        carried |= _DECODED if self.wants_decoded else {}
         self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
         self._channels |= {topic: self._mcap.register_channel(topic, "cdr", schemas[name]) for topic, name in carried.items()}
         self._add_event({"host_ns": host_ns, "type": "segment", **about})

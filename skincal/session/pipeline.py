@@ -247,7 +247,8 @@ class Pipeline:
         self.journal = None
 
     def _take(self, sample: Sample) -> list[Outcome]:
-        self._record(lambda journal: journal.write_sample(sample))
+        if self._wants_decoded:
+            self._record(lambda journal: journal.write_sample(sample))
         if self.scene.wrench_sign < 0:
             sample = replace(sample, wrench=-sample.wrench)
         name, link_from_sensor = self._show_pose(sample.angles)
@@ -330,7 +331,7 @@ class Pipeline:
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
-        if self.journal is None or host_ns - self._decoded_ns < DECODED_NS:
+        if not self._wants_decoded or host_ns - self._decoded_ns < DECODED_NS:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.wrench_after(self._decoded_s)
@@ -340,6 +341,10 @@ class Pipeline:
         for link, beside in self._intake.beside().items():
             if (found := beside.get(TEMPERATURE)) is not None:
                 self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link, celsius=found.now))
+
+    @property
+    def _wants_decoded(self) -> bool:
+        return self.journal is not None and self.journal.wants_decoded
 
     def sync(self) -> None:
         """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""

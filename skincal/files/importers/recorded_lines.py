@@ -48,9 +48,9 @@ AWAY_S = 60.0
 """s. A clock that is right again after no more than this was wrong meanwhile: time servers look every minute or so."""
 SPAN_MAX = 1e8
 """s. Three years: a recording that is longer has a clock that leapt."""
-TOGETHER_NS = 50_000_000
-"""ns. Lines of so long travel in one chunk: a fifth of the time that a skin frame waits for its wrench."""
-TOGETHER_LINES = 64
+TOGETHER_NS = 100_000_000
+"""ns. Lines of so long travel in one chunk: two fifths of the time that a skin frame waits for its wrench."""
+TOGETHER_LINES = 128
 """Lines of one chunk, whatever their stamps say: a bound for memory."""
 FIRST_INTERVALS = 500
 """Intervals from which the usual interval is taken: 5 s at 100 Hz."""

@@ -120,10 +120,10 @@ def test_lines_that_travel_together_are_all_there_in_order_and_time_never_runs_b
 
 
 def test_neighbouring_lines_travel_at_the_time_of_the_last_and_a_clock_starts_with_one_line():
-    wrench = [k * 0.01 for k in range(10)] + [3.0, 3.01, 3.02]
+    wrench = [k * 0.01 for k in range(20)] + [3.0, 3.01, 3.02]
     chunks = together(wrench=wrench, joints=[0.0, 0.015, 0.025], alone=["joints"])
     assert [(chunk.link, round(chunk.host_ns - START_NS, -3) // 1_000_000, len(chunk.data.split())) for chunk in chunks] == [
-        ("wrench", 0, 1), ("joints", 0, 1), ("joints", 25, 2), ("wrench", 60, 6), ("wrench", 90, 3),
+        ("wrench", 0, 1), ("joints", 0, 1), ("joints", 25, 2), ("wrench", 110, 11), ("wrench", 190, 8),
         ("wrench", 3000, 1), ("wrench", 3020, 2),
     ]  # fmt: skip
 

@@ -121,8 +121,8 @@ def test_an_import_works_on_many_readings_at_a_time(request_of, monkeypatch):
         with path.open("rb") as file:
             counts.update(channel.topic for _, channel, _ in make_reader(file).iter_messages())
     assert len(parsed) < counts["/raw/wrench"] + counts["/raw/skin"]
-    # Half seconds of four wrenches a frame, fifty frames a second.
-    assert counts["/wrenches"] < counts["/taxels"] / 20
+    # Other programs read the recording itself.
+    assert counts.keys() == {"/raw/wrench", "/raw/skin", "/events", "/session"}
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
