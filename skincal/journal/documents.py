@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.contacts.detector import Doubt
 from skincal.contacts.gates import FinishedPress, StillMean
@@ -72,7 +73,11 @@ _HEADER = (
 )
 SCHEMAS: dict[str, str] = {
     "skincal_msgs/msg/Chunk": "uint64 host_ns\nuint8[] data\n",
-    "skincal_msgs/msg/Wrenches": f"std_msgs/Header header\nuint64[] unix_ns\nfloat64[] values\n{_HEADER}",
+    "geometry_msgs/msg/WrenchStamped": (
+        "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n"
+        f"{_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
+        f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
+    ),
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nuint64 device_time_us\nfloat32[] values\n{_HEADER}",
     "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
     "sensor_msgs/msg/JointState": (
@@ -475,13 +480,17 @@ def decode_chunk(message: bytes) -> tuple[int, bytes]:
     return int(host_ns), message[16:]
 
 
-def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> bytes:
-    """Return a `skincal_msgs/msg/Wrenches` of (n,) times and (n, 6) wrenches, N and N m, n > 0; its stamp is the last time."""
-    body = _stamped(int(unix_ns[-1]), frame)
-    for numbers in (unix_ns.astype("<u8"), np.ascontiguousarray(wrenches, dtype="<f8")):
-        body += bytes(-len(body) % 4) + struct.pack("<I", numbers.size)
-        body += bytes(-len(body) % 8) + numbers.tobytes()
-    return _PREFIX + body
+def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDArray[np.uint8]:
+    """Return a `geometry_msgs/msg/WrenchStamped` each, (n, bytes), of (n,) times and (n, 6) wrenches, N and N m."""
+    body = _stamped(0, frame)
+    alike = _PREFIX + body + bytes(-len(body) % 8)
+    messages = np.empty(len(wrenches), np.dtype([("alike", "u1", (len(alike),)), ("wrench", "<f8", (6,))]))
+    messages["alike"], messages["wrench"] = np.frombuffer(alike, np.uint8), wrenches
+    rows = messages.view(np.uint8).reshape(len(wrenches), -1)
+    seconds, rest = np.divmod(unix_ns, 1_000_000_000)
+    clock = np.column_stack([np.minimum(seconds, SECONDS_MAX), rest]).astype("<u4")
+    rows[:, len(_PREFIX) : len(_PREFIX) + 8] = clock.view(np.uint8)
+    return rows
 
 
 def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: FloatArray) -> bytes:
@@ -492,22 +501,17 @@ def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: Fl
     return _PREFIX + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
 
 
-def encode_joints(unix_ns: int, frame: str, names: tuple[str, ...], angles: FloatArray) -> bytes:
+def encode_joints(unix_ns: int, frame: str, names: Sequence[str], angles: FloatArray) -> bytes:
     """Return a `sensor_msgs/msg/JointState` of (joints,) angles, radians, without velocities and efforts."""
-    positions = np.ascontiguousarray(angles, dtype="<f8").tobytes()
-    return _PREFIX + _time(unix_ns) + _joint_names(frame, names, len(angles)) + positions + bytes(8)
-
-
-@lru_cache
-def _joint_names(frame: str, names: tuple[str, ...], count: int) -> bytes:
-    """Return what stands in a `JointState` between its time and its positions, which are the same in each of a session."""
-    body = bytes(8) + _text(frame)
+    body = _stamped(unix_ns, frame)
     body += bytes(-len(body) % 4) + struct.pack("<I", len(names))
     for name in names:
         body += bytes(-len(body) % 4) + _text(name)
-    body += bytes(-len(body) % 4) + struct.pack("<I", count)
+    body += bytes(-len(body) % 4) + struct.pack("<I", len(angles))
     # CDR aligns where a number is written: an empty sequence has no padding behind its length.
-    return (body + bytes(-len(body) % 8 if count else 0))[8:]
+    if len(angles):
+        body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
+    return _PREFIX + body + struct.pack("<II", 0, 0)
 
 
 def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
@@ -517,15 +521,10 @@ def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
 
 
 def _stamped(unix_ns: int, frame: str) -> bytes:
-    return _time(unix_ns) + _text(frame)
-
-
-def _time(unix_ns: int) -> bytes:
     seconds, rest = divmod(unix_ns, 1_000_000_000)
-    return struct.pack("<iI", min(seconds, SECONDS_MAX), rest)
+    return struct.pack("<iI", min(seconds, SECONDS_MAX), rest) + _text(frame)
 
 
-@lru_cache
 def _text(text: str) -> bytes:
     # CDR counts the closing zero of a string.
     raw = text.encode() + b"\x00"

@@ -6,7 +6,7 @@ and little has to be written anew after a kill.
 
 The MCAP file holds everything, for replay and for other programs: chunks of bytes as read (`/raw/LINK`) and events (`/events`,
 JSON), which are the segment's *items*, numbered from 0 in MCAP's `sequence` in the order in which they were taken; notes on
-what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrenches`, `/taxels`,
+what was made of them (`/session`, JSON), numbered with the events by their `n`; and decoded readings (`/wrench`, `/taxels`,
 `/joints`, `/temperature`), which skincal does not read back. The other file holds events and notes alone, a line each: see
 `documents`.
 
@@ -77,7 +77,7 @@ SCENE_FILES_MOST = 16
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
 _DECODED = {
-    "/wrenches": "skincal_msgs/msg/Wrenches",
+    "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
     "/temperature": "sensor_msgs/msg/Temperature",
@@ -241,15 +241,10 @@ class JournalWriter:
 
     @_guarded
     def write_wrenches(self, times_s: FloatArray, wrenches: FloatArray) -> None:
-        """Append n > 0 decoded wrenches as one message, for other programs.
-
-        Parameters
-        ----------
-        times_s : (n,) s, host's monotonic clock
-        wrenches : (n, 6) N and N m, sensor frame
-        """
+        """Append decoded wrenches, for other programs: (n,) s of the host's monotonic clock, (n, 6) N and N m, sensor frame."""
         at = np.maximum(0, np.rint(times_s * 1e9).astype(np.int64) - self._monotonic_ns + self._unix_ns)
-        self._add("/wrenches", int(at[-1]), documents.encode_wrenches(at, "ft_sensor", wrenches))
+        for unix_ns, message in zip(at.tolist(), documents.encode_wrenches(at, "ft_sensor", wrenches), strict=True):
+            self._add("/wrench", unix_ns, message.tobytes())
 
     @_guarded
     def write_temperature(self, host_ns: int, link: str, celsius: float) -> None:

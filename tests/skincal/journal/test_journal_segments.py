@@ -79,7 +79,7 @@ def test_segments_follow_each_other_in_the_middle_of_a_poke(scene, tmp_path, mon
             reader = make_reader(file, validate_crcs=True)
             topics = {channel.topic for channel in reader.get_summary().channels.values()}
             assert [metadata.name for metadata in reader.iter_metadata()] == ["skincal"]
-        assert {"/raw/wrench", "/raw/skin", "/wrenches", "/taxels", "/joints", "/events", "/session"} <= topics
+        assert {"/raw/wrench", "/raw/skin", "/wrench", "/taxels", "/joints", "/events", "/session"} <= topics
 
 
 def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):

@@ -322,7 +322,7 @@ def test_damaged_bytes_cost_no_contact(scene, tmp_path):
     live.close()
     path = tmp_path / "s" / "segment-0001.mcap"
     notes = set(chunks_with(path, "/session"))
-    at = next(offset for offset in chunks_with(path, "/wrenches") if offset not in notes)
+    at = next(offset for offset in chunks_with(path, "/wrench") if offset not in notes)
     data = bytearray(path.read_bytes())
     data[at + 200] ^= 4
     path.write_bytes(data)
