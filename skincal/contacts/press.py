@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.contacts.tare import Tare, window_length
-from skincal.geometry import FloatArray, axis_point, length_of, mean_rows
+from skincal.geometry import FloatArray, axis_point, crossed, length_of, mean_rows
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
@@ -96,21 +96,13 @@ def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> f
     along = mean_force / length_of(mean_force)
     start = axis_point(mean_force, mean_rows(moment))
     square = np.einsum("ni,ni->n", force, force)[:, None]
-    offset = _cross(force, _cross(force, start) + moment) / square
+    offset = crossed(force, crossed(force, start) + moment) / square
     sideways = along - force * (force @ along)[:, None] / square
     weight = float(np.add.reduce(sideways * sideways, axis=None))
     # Below this the axes are parallel to rounding: every lambda is as good.
     shift = float(np.add.reduce(offset * sideways, axis=None)) / weight if weight > 1e-12 * len(force) else 0.0
     offset = offset - min(max(shift, -CONTACT_REACH), CONTACT_REACH) * sideways
     return _straight_travel(offset, times_s)
-
-
-def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the cross products (n, 3) with (n, 3) or (3,): the sums of `np.cross`, which takes longer over its axes."""
-    (a, b, c), (d, e, f) = first.T, second.T
-    product = np.empty(first.shape)
-    product[:, 0], product[:, 1], product[:, 2] = b * f - c * e, c * d - a * f, a * e - b * d
-    return product
 
 
 def _straight_travel(offset: FloatArray, times_s: FloatArray) -> float:

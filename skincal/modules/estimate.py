@@ -233,7 +233,7 @@ def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray, 
     weighted = trust[:, None, None] * slopes.transpose(0, 2, 1)
     begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ rows.whiten[order]
     held = np.add.reduceat(weighted @ slopes, begins)
-    misses = trust[:, None] * np.sum(pairs * (evidence.nearest[at] - places)[:, None], axis=2)
+    misses = trust[:, None] * np.einsum("mij,mj->mi", pairs, evidence.nearest[at] - places)
     of_pokes = evidence.pokes[at], evidence.poses[at], pairs, misses, pulls
     return Pulls(begins, *of_pokes, held, rows.normals[order], corrected), places
 

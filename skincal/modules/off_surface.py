@@ -53,15 +53,15 @@ def off_surface_variances(
     errors : what `SharedRows` gives of the pokes of `held`
     """
     slopes, misses, whiten = rows.slopes[order], rows.misses[order], rows.whiten[order]
-    rise = (whiten @ held.pairs @ held.normals[:, :, None])[:, :, 0]
+    rise = np.einsum("mij,mj->mi", whiten, np.einsum("mij,mj->mi", held.pairs, held.normals))
     of = np.repeat(np.arange(len(held.starts)), np.diff(np.append(held.starts, len(held.pokes))))
-    pull = np.add.reduceat(np.sum(held.pulls @ held.pairs * held.normals[:, None], axis=2), held.starts)
+    pull = np.add.reduceat(np.einsum("mij,mj->mi", held.pulls, np.einsum("mij,mj->mi", held.pairs, held.normals)), held.starts)
     along = (held.inverse() @ pull[:, :, None])[:, :, 0]
-    alone = trust[:, None] * (rise - np.sum(slopes * along[of, None], axis=2))
-    known, most = (np.add.reduceat(np.sum(each * rise, axis=1), held.starts) for each in (alone, trust[:, None] * rise))
+    alone = trust[:, None] * (rise - np.einsum("mij,mj->mi", slopes, along[of]))
+    known, most = (np.add.reduceat(np.einsum("mi,mi->m", each, rise), held.starts) for each in (alone, trust[:, None] * rise))
     tells = known > NO_HEIGHT * most
     known = np.where(tells, known, 1.0)
-    heights = np.add.reduceat(np.sum(alone * misses, axis=1), held.starts) / known
+    heights = np.add.reduceat(np.einsum("mi,mi->m", alone, misses), held.starts) / known
     lifted = replace(held, pulls=(alone[:, None] @ whiten), held=known[:, None, None])
     heights = np.minimum(heights, np.maximum(heights - THICKEST * skin, 0.0))
     white = factors / known

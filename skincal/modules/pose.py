@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 
@@ -134,14 +134,6 @@ def rotations(vectors: FloatArray) -> FloatArray:
     s = cross_matrix(vectors)
     squared = vectors[:, :, None] * vectors[:, None] - angles**2 * np.eye(3)
     return np.eye(3) + np.sinc(angles / np.pi) * s + 0.5 * np.sinc(angles / (2.0 * np.pi)) ** 2 * squared
-
-
-def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a x b of vectors (..., 3), in a fifth of the time that `np.cross` takes for few."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return product
 
 
 def module_pads(module: Module) -> FloatArray:
