@@ -152,10 +152,11 @@ class Solving:
 
     def _solve(self, channels: Sequence[int], dead: Mapping[int, str]) -> None:
         last = self._alike.get(Method.SURFACE, {})
-        solved = estimate_from(self._table, channels, self._alone, self._noise, self._surface, dead, last)
+        evidence = self._table.evidence([channel for channel in channels if channel not in dead])
+        solved = estimate_from(evidence, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
-            moved = carried(self._table, list(estimates.values()), self._noise, self.shared)
+            moved = carried(evidence, list(estimates.values()), self._noise, self.shared)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)
