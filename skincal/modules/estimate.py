@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses
@@ -233,7 +233,7 @@ def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray, 
     weighted = trust[:, None, None] * slopes.transpose(0, 2, 1)
     begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ rows.whiten[order]
     held = np.add.reduceat(weighted @ slopes, begins)
-    misses = trust[:, None] * np.einsum("mij,mj->mi", pairs, evidence.nearest[at] - places)
+    misses = trust[:, None] * dots(pairs, (evidence.nearest[at] - places)[:, None])
     of_pokes = evidence.pokes[at], evidence.poses[at], pairs, misses, pulls
     return Pulls(begins, *of_pokes, held, rows.normals[order], corrected), places
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, dots
 from skincal.modules.pose_fit import ModuleRows
 from skincal.taxels.shared_errors import Pulls
 
@@ -53,15 +53,16 @@ def off_surface_variances(
     errors : what `SharedRows` gives of the pokes of `held`
     """
     slopes, misses, whiten = rows.slopes[order], rows.misses[order], rows.whiten[order]
-    rise = np.einsum("mij,mj->mi", whiten, np.einsum("mij,mj->mi", held.pairs, held.normals))
+    outward = dots(held.pairs, held.normals[:, None])[:, None]
+    rise = dots(whiten, outward)
     of = np.repeat(np.arange(len(held.starts)), np.diff(np.append(held.starts, len(held.pokes))))
-    pull = np.add.reduceat(np.einsum("mij,mj->mi", held.pulls, np.einsum("mij,mj->mi", held.pairs, held.normals)), held.starts)
+    pull = np.add.reduceat(dots(held.pulls, outward), held.starts)
     along = (held.inverse() @ pull[:, :, None])[:, :, 0]
-    alone = trust[:, None] * (rise - np.einsum("mij,mj->mi", slopes, along[of]))
-    known, most = (np.add.reduceat(np.einsum("mi,mi->m", each, rise), held.starts) for each in (alone, trust[:, None] * rise))
+    alone = trust[:, None] * (rise - dots(slopes, along[of][:, None]))
+    known, most = (np.add.reduceat(dots(each, rise), held.starts) for each in (alone, trust[:, None] * rise))
     tells = known > NO_HEIGHT * most
     known = np.where(tells, known, 1.0)
-    heights = np.add.reduceat(np.einsum("mi,mi->m", alone, misses), held.starts) / known
+    heights = np.add.reduceat(dots(alone, misses), held.starts) / known
     lifted = replace(held, pulls=(alone[:, None] @ whiten), held=known[:, None, None])
     heights = np.minimum(heights, np.maximum(heights - THICKEST * skin, 0.0))
     white = factors / known

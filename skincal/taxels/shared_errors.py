@@ -23,7 +23,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, crossed
+from skincal.geometry import FloatArray, IntArray, crossed, dots
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, Evidence, across
 from skincal.taxels.noise import offset_square, row_precision
@@ -136,15 +136,16 @@ class Pulls:
         error: where few pokes tell, none is seen. What a correction has taken up is not in the misses, but in the estimates:
         landmarks were poked at another time.
         """
-        way, push = np.einsum("mij,mi->mj", self.pairs, self.misses), crossed(self.pairs[:, 0], self.pairs[:, 1])
+        first, second = self.pairs[:, 0], self.pairs[:, 1]
+        way, push = first * self.misses[:, :1] + second * self.misses[:, 1:], crossed(first, second)
         sums = np.zeros((3, len(self.starts)))
         for step in (1, 2):
             near = (of[step:] == of[:-step]) & (self.poses[step:] == self.poses[:-step])
             near &= self.pokes[step:] - self.pokes[:-step] <= NEAR
             i, j = np.flatnonzero(near), np.flatnonzero(near) + step
-            product = np.einsum("mi,mi->m", way[i], way[j])
+            product = dots(way[i], way[j])
             # trace P_i P_j, with P = E'E = 1 - u u'.
-            shared = 1.0 + np.einsum("mi,mi->m", push[i], push[j]) ** 2
+            shared = 1.0 + dots(push[i], push[j]) ** 2
             for row, values in enumerate((product, product**2, shared)):
                 sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
         product, squares, shared = sums
@@ -176,7 +177,7 @@ def carried(
     free = across(normals) if known[0].method is Method.SURFACE else np.tile(np.eye(3), (len(known), 1, 1))
     pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
     held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
-    misses = trust[order, None] * np.einsum("mij,mj->mi", pairs, evidence.nearest[order] - places)
+    misses = trust[order, None] * dots(pairs, (evidence.nearest[order] - places)[:, None])
     ordered = Pulls(
         starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of], shared is not None
     )
@@ -199,8 +200,8 @@ def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: N
     """Return (t,) the `variance_factors` of taxels whose answers' are at `places` (n, 3), metres."""
     pairs, lever, offsets = evidence.pairs, places - evidence.sensors, offset_square(evidence.weights, noise)
     precision = row_precision(pairs, lever, evidence.forces, offsets, noise)
-    off = np.einsum("mij,mj->mi", pairs, evidence.nearest - places)
-    squares = np.einsum("mi,mij,mj->m", off, precision, off)
+    off = dots(pairs, (evidence.nearest - places)[:, None])
+    squares = dots(off, dots(precision, off[:, None]))
     return variance_factors(squares, trust, evidence.starts[:-1], unknowns)
 
 
@@ -209,7 +210,7 @@ def _force_biases(
 ) -> FloatArray:
     """Return (t, 3) how far the noise of forces pulls taxels, metres, whose answers' are at `places` (n, 3); as `_bends`."""
     pushes = evidence.directions
-    levers = pushes * np.einsum("mi,mi->m", pushes, places - evidence.sensors)[:, None]
+    levers = pushes * dots(pushes, places - evidence.sensors)[:, None]
     share = 2.0 * noise.force**2 * trust * evidence.weights**2 / evidence.forces**2
     pulled = np.add.reduceat(share[:, None] * levers, evidence.starts[:-1])
     return np.asarray(np.linalg.solve(held, pulled[:, :, None])[:, :, 0], dtype=np.float64)
@@ -227,10 +228,10 @@ def _bends(evidence: Evidence, trust: FloatArray, normals: FloatArray, held: Flo
     held : (t, 3, 3) float: sum of the pokes' rows
     """
     of, starts, shares = evidence.taxels, evidence.starts[:-1], trust * evidence.weights**2
-    out = np.einsum("mij,mj->mi", evidence.pairs, normals[of])
-    steep = np.einsum("mi,mi->m", out, out) / 2.0 + (noise.force / evidence.forces) ** 2
+    out = dots(evidence.pairs, normals[of][:, None])
+    steep = dots(out, out) / 2.0 + (noise.force / evidence.forces) ** 2
     lean, whole = np.add.reduceat(shares * steep, starts), np.add.reduceat(shares, starts)
-    far = shares * offset_square(evidence.weights, noise) * np.einsum("mi,mi->m", evidence.directions, normals[of])
+    far = shares * offset_square(evidence.weights, noise) * dots(evidence.directions, normals[of])
     pulled = np.add.reduceat((far[:, None, None] * evidence.pairs * out[:, :, None]).sum(axis=1), starts)
     size = whole / np.where(lean > 0, lean, np.inf) / (2.0 * noise.radius)
     return size[:, None] * np.linalg.solve(held, pulled[:, :, None])[:, :, 0]
