@@ -108,9 +108,15 @@ def closing_sentence(closing: Closing) -> str:
     moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
     across = "" if closing.seen == 3 else ", across their pushes"
     where = f"{len(closing.names)} {closing.at.value} that were poked once more{across}"
+    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
+    if closing.hangs_on_one:
+        place = closing.place if closing.at is ClosingPlaces.LANDMARKS else f"taxel {closing.place}"
+        return (
+            f"Only poke {closing.poke} at {place} says that {what} has moved since the start, by {moved} ({where}; noise alone "
+            f"makes up to {limit}). The others do not, so it may have slipped: poke {place} once more, or check again."
+        )
     if not closing.moved:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
-    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
     return (
         f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and check again."
     )
@@ -118,8 +124,14 @@ def closing_sentence(closing: Closing) -> str:
 
 def earlier_closings(closings: Sequence[Closing]) -> list[str]:
     """Return what the closing checks before the last one found, in a sentence; none where there was none."""
-    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{' (moved)' if each.moved else ''}" for each in closings[:-1]]
+    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{_judged(each)}" for each in closings[:-1]]
     return [f"Checked before: {', '.join(found)}."] if found else []
+
+
+def _judged(closing: Closing) -> str:
+    if closing.hangs_on_one:
+        return f" (only poke {closing.poke} says so)"
+    return " (moved)" if closing.moved else ""
 
 
 def rejection_words(outcome: Rejection) -> str:
