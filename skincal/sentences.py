@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Rejection
+from skincal.contacts.outcome import BeforePokes, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
+from skincal.model.scene import ContactSettings
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -332,6 +333,32 @@ def _axes_words(axes: np.ndarray) -> str:
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
     return f"its axes are reported in another order: x, y, z are {', '.join(named)}"
+
+
+def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+    """Return what a recording without a poke showed, what a poke would have been, and what may be put right."""
+    if not seen.samples:
+        return (
+            "No poke was found: no skin frame has a wrench of its time; expected both to be recorded at the same time. "
+            "Check that the recordings belong together."
+        )
+    looked = f"No poke was found in {plural(seen.samples, 'frame')} of the skin with their wrenches, over {seen.seconds:.0f} s"
+    if not seen.tared:
+        return (
+            f"{looked}: the force never rested; expected {thresholds.quiet_s:g} s without a touch before a poke. Check the "
+            "force sensor's noise and the unit of its readings."
+        )
+    if seen.answered:
+        skin, check = f"{plural(seen.answered, 'taxel')} answered", "the unit of the wrenches"
+    elif seen.fell:
+        skin = f"no taxel answered, but {seen.fell} fell below their rest"
+        check = "the skin's polarity in the scene and the unit of the wrenches"
+    else:
+        skin, check = "no taxel answered", "that the part was poked, and the unit of the wrenches"
+    return (
+        f"{looked}: the strongest force beside its rest is {seen.strongest:.2g} N, and {skin}; expected a touch of "
+        f"{thresholds.touch_force:g} N or more. Check {check}, or lower touch_force in the scene's [contacts]."
+    )
 
 
 def silent_links(links: Sequence[LinkHealth]) -> str:
