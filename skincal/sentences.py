@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Rejection
+from skincal.contacts.outcome import BeforePokes, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
+from skincal.model.scene import ContactSettings
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
@@ -108,9 +109,15 @@ def closing_sentence(closing: Closing) -> str:
     moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
     across = "" if closing.seen == 3 else ", across their pushes"
     where = f"{len(closing.names)} {closing.at.value} that were poked once more{across}"
+    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
+    if closing.hangs_on_one:
+        place = closing.place if closing.at is ClosingPlaces.LANDMARKS else f"taxel {closing.place}"
+        return (
+            f"Only poke {closing.poke} at {place} says that {what} has moved since the start, by {moved} ({where}; noise alone "
+            f"makes up to {limit}). The others do not, so it may have slipped: poke {place} once more, or check again."
+        )
     if not closing.moved:
         return f"Nothing is seen to have moved since the start: {moved} at {where}, and noise alone makes up to {limit}."
-    what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
     return (
         f"Since the start {what} has moved by {moved} ({where}; noise alone makes up to {limit}): fasten it, and check again."
     )
@@ -118,8 +125,14 @@ def closing_sentence(closing: Closing) -> str:
 
 def earlier_closings(closings: Sequence[Closing]) -> list[str]:
     """Return what the closing checks before the last one found, in a sentence; none where there was none."""
-    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{' (moved)' if each.moved else ''}" for each in closings[:-1]]
+    found = [f"{each.shift * 1e3:.1f} mm after poke {each.after}{_judged(each)}" for each in closings[:-1]]
     return [f"Checked before: {', '.join(found)}."] if found else []
+
+
+def _judged(closing: Closing) -> str:
+    if closing.hangs_on_one:
+        return f" (only poke {closing.poke} says so)"
+    return " (moved)" if closing.moved else ""
 
 
 def rejection_words(outcome: Rejection) -> str:
@@ -320,6 +333,32 @@ def _axes_words(axes: np.ndarray) -> str:
         return f"the sign of {', '.join(turned)} is turned" if turned else ""
     named = [f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True)]
     return f"its axes are reported in another order: x, y, z are {', '.join(named)}"
+
+
+def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
+    """Return what a recording without a poke showed, what a poke would have been, and what may be put right."""
+    if not seen.samples:
+        return (
+            "No poke was found: no skin frame has a wrench of its time; expected both to be recorded at the same time. "
+            "Check that the recordings belong together."
+        )
+    looked = f"No poke was found in {plural(seen.samples, 'frame')} of the skin with their wrenches, over {seen.seconds:.0f} s"
+    if not seen.tared:
+        return (
+            f"{looked}: the force never rested; expected {thresholds.quiet_s:g} s without a touch before a poke. Check the "
+            "force sensor's noise and the unit of its readings."
+        )
+    if seen.answered:
+        skin, check = f"{plural(seen.answered, 'taxel')} answered", "the unit of the wrenches"
+    elif seen.fell:
+        skin = f"no taxel answered, but {seen.fell} fell below their rest"
+        check = "the skin's polarity in the scene and the unit of the wrenches"
+    else:
+        skin, check = "no taxel answered", "that the part was poked, and the unit of the wrenches"
+    return (
+        f"{looked}: the strongest force beside its rest is {seen.strongest:.2g} N, and {skin}; expected a touch of "
+        f"{thresholds.touch_force:g} N or more. Check {check}, or lower touch_force in the scene's [contacts]."
+    )
 
 
 def silent_links(links: Sequence[LinkHealth]) -> str:

@@ -60,9 +60,10 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     """Return by which method the guide asks, what the poke is for, and how far the session is."""
     if guidance.closing is not None:
         at = guidance.closing
-        return (
-            f"closing check {at.done + 1} of {at.places}: shows whether anything moved since the start{BETWEEN}Shift+N ends it"
-        )
+        why = f"closing check {at.done + 1} of {at.places}: shows whether anything moved since the start"
+        if at.lone is not None:
+            why = f"poke {at.lone} alone says that something moved: this place once more shows whether it slipped"
+        return f"{why}{BETWEEN}Shift+N ends it"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
     reason = f"{METHOD_NAMES[guidance.method]} method: {_reason(guidance, target)}"

@@ -50,4 +50,6 @@ def curve_words(preview: RecordingPreview) -> str:
 def imported_words(imported: Imported) -> str:
     """Return what was made of a recording."""
     pokes = count(imported.pokes, "poke")
+    if imported.unpoked:
+        return f"{imported.unpoked} The recording is the session {plain_text(str(imported.folder))}."
     return f"The recording is the session {plain_text(str(imported.folder))}: {pokes}, of which {imported.accepted} count."

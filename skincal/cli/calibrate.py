@@ -104,42 +104,45 @@ def solve(
     pipeline = _opened(session, replay, layout)
     if correct:
         _correct(pipeline.session)
-    snapshot = pipeline.snapshot()
-    counts = report.poke_counts(snapshot)
-    methods = report.method_summaries(snapshot.estimates, known, pipeline.session.scene.skin.layout)
-    if per_pose:
-        methods |= _per_pose(pipeline, known)
-    rig, rig_lines, unchecked = _corrected(pipeline, known)
-    methods |= rig.pop("methods", {})
+    solved, text = _solved(pipeline, known, per_pose=per_pose)
     # Before anything is written: its file may be refused.
     modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
     files, written = ([], []) if out is None else _write_all(pipeline, out, part)
     findings = [*pipeline.findings, *written]
     totals = pipeline.totals()
     losses = report.loss_counts(totals.links, totals.unpaired)
-    leads = report.leading_name(snapshot.estimates)
-    verdict = None if leads is None else _verdict(pipeline.session, Method(leads))
-    text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
-    dead = {str(channel): why for channel, why in snapshot.dead.items()}
-    text += [*rig_lines, *_session_lines(snapshot, pipeline.session.scene), *([] if verdict is None else [f"{verdict}."])]
-    text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in dead.items())]
+    text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in solved["dead"].items())]
     text += [*report.loss_lines(losses), *findings, *(f"wrote {path}" for path in files)]
+    result = {"session": session, **solved, **losses, **modules, "files": files, "findings": findings}
+    report.print_result({**result, "text": text}, as_json)
+
+
+def _solved(pipeline: Pipeline, known: Mapping[int, FloatArray] | None, *, per_pose: bool) -> tuple[dict[str, Any], list[str]]:
+    """Return what the pokes of a session come to, as JSON and in lines."""
+    from skincal.cli import report
+
+    session, snapshot = pipeline.session, pipeline.snapshot()
+    counts = report.poke_counts(snapshot)
+    methods = report.method_summaries(snapshot.estimates, known, session.scene.skin.layout)
+    if per_pose:
+        methods |= _per_pose(pipeline, known)
+    rig, rig_lines, unchecked = _corrected(pipeline, known)
+    methods |= rig.pop("methods", {})
+    leads = report.leading_name(snapshot.estimates)
+    verdict = None if leads is None else _verdict(session, Method(leads))
+    text = [*report.poke_lines(counts), *report.method_lines(methods, leads)]
+    text += [*rig_lines, *_session_lines(snapshot, session.scene), *([] if verdict is None else [f"{verdict}."])]
     result = {
-        "session": session,
         **counts,
         "methods": methods,
         "leads": leads,
         "verdict": verdict,
-        **losses,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
         "distances": [_distance(tried) for tried in snapshot.distances],
-        **modules,
-        "dead": dead,
-        "files": files,
-        "findings": findings,
+        "dead": {str(channel): why for channel, why in snapshot.dead.items()},
     }
-    report.print_result({**result, "text": text}, as_json)
+    return result, text
 
 
 def _distance(tried: TriedDistance) -> dict[str, Any]:

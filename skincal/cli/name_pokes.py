@@ -92,15 +92,11 @@ def landmarks(
     Without options the pokes are listed with what is known of them. What is said is written into the session at once.
     """
     from skincal.cli import report
-    from skincal.journal.lock import writer_of
     from skincal.session.replay import load
 
     given = {"--at": at, "--csv": csv_file, "--order": order, "--find": find, "--add": add}
     named = [option for option, value in given.items() if value]
-    if undo and named:
-        raise InputError(f"--undo and {named[0]} exclude each other; call `skincal landmarks` once for each.")
-    if (undo or named) and (who := writer_of(session)):
-        raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
+    _check_options(session, named, undo=undo)
     pipeline = load(session)
     known, begin_s = pipeline.session, _begin_s(session)
     text: list[str] = []
@@ -119,6 +115,16 @@ def landmarks(
         "findings": list(pipeline.findings),
     }
     report.print_result({**result, "text": [*text, *pipeline.findings]}, as_json)
+
+
+def _check_options(session: Path, named: Sequence[str], *, undo: bool) -> None:
+    """Refuse options that do not go together, and a session that is being recorded, where it is to be changed."""
+    from skincal.journal.lock import writer_of
+
+    if undo and named:
+        raise InputError(f"--undo and {named[0]} exclude each other; call `skincal landmarks` once for each.")
+    if (undo or named) and (who := writer_of(session)):
+        raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
 
 
 # ---- what is said ----

@@ -352,7 +352,7 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import report
-    from skincal.sentences import silent_links
+    from skincal.sentences import no_poke_sentence, silent_links
     from skincal.session.importing import KeptError
 
     snapshot = pipeline.snapshot()
@@ -360,9 +360,10 @@ def finish(
     live = pipeline.live(0)
     losses = report.loss_counts(live.links, live.losses_unpaired)
     methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
-    found = [*findings, *report.link_notes(live.links)]
-    text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     silent = silent_links(live.links)
+    unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.thresholds)] if not (snapshot.pokes or silent) else []
+    found = [*unpoked, *findings, *report.link_notes(live.links)]
+    text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()

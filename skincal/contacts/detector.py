@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.contacts.gates import GAP_PERIODS, FinishedPress, answer_limit, finish, judge
-from skincal.contacts.outcome import Outcome, PressPhase, Progress, Reason, Rejection
+from skincal.contacts.outcome import BeforePokes, Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, Press, turned
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
 from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_wrench
@@ -287,6 +287,10 @@ class ContactDetector:
         self._pokes = known.pokes
         self._pending: list[FinishedPress] = []
         self._doubts = {doubt.poke.number: (doubt, outcome) for doubt, outcome in known.doubts}
+        # Of the time before the first poke.
+        self._times_s: tuple[float, float] | None = None
+        self._samples, self._strongest = 0, 0.0
+        self._answered, self._fell = np.zeros((2, len(self._candidates)), dtype=bool)
         # The last frame and its baseline.
         self._answer: tuple[FloatArray, FloatArray] | None = None
 
@@ -327,7 +331,16 @@ class ContactDetector:
             outcomes += self._pressing(self._press, sample, arm_pose, gap_s)
         else:
             outcomes += self._idle(sample, arm_pose, gap_s)
+        if not self._pokes:
+            self._watch(sample, tare)
         return outcomes + self._expire(sample.host_s)
+
+    @property
+    def before_pokes(self) -> BeforePokes:
+        """What the samples until the first poke showed."""
+        first_s, last_s = self._times_s or (0.0, 0.0)
+        fell, tared = self._fell & ~self._answered, self._tares.resting is not None
+        return BeforePokes(self._samples, last_s - first_s, tared, self._strongest, int(self._answered.sum()), int(fell.sum()))
 
     def reset(self, host_s: float | None = None) -> list[Outcome]:
         """Begin anew after a break at `host_s`, or at the last sample: a device vanished, or a recording is continued.
@@ -404,6 +417,20 @@ class ContactDetector:
         hard = float(np.linalg.norm(press.force)) >= press.settings.force_min
         # Two samples are always alike enough; a quarter of the window says something.
         return PressPhase.STILL if hard and press.still >= 0.25 else PressPhase.PRESSING
+
+    def _watch(self, sample: Sample, tare: Tare | None) -> None:
+        """Take a sample of the time before the first poke, with the tare at it."""
+        self._times_s = (sample.host_s if self._times_s is None else self._times_s[0]), sample.host_s
+        self._samples += 1
+        if tare is None or sample.saturated:
+            return
+        self._strongest = max(self._strongest, _force(sample, tare))
+        responses = self.responses[self._candidates]
+        limit = answer_limit(self._thresholds, self._tares.noise)[self._candidates]
+        # What comes first counts: a soft touch that rests is tared away, and its end goes the other way.
+        answered, fell = responses > limit, responses < -limit
+        self._answered |= answered & ~self._fell
+        self._fell |= fell & ~self._answered
 
     def _pose_now(self, sample: Sample, link_from_sensor: FloatArray | None, name: str) -> ArmPose:
         """Return the arm's pose; the same object while the arm stands."""

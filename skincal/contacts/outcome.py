@@ -102,6 +102,24 @@ class PressPhase(Enum):
     HELD = "held: release"
 
 
+@dataclass(frozen=True, slots=True)
+class BeforePokes:
+    """What the samples until the first poke showed: where no poke comes at all, it says why."""
+
+    samples: int
+    """Skin frames with the wrench of their time."""
+    seconds: float
+    """s, from the first to the last."""
+    tared: bool
+    """The force rested long enough for a tare."""
+    strongest: float
+    """N, the largest force beside its rest."""
+    answered: int
+    """Taxels that answered..."""
+    fell: int
+    """...and those that fell as far below their rest."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Progress:
     """The poke in progress, for the views."""

@@ -278,7 +278,7 @@ LANDMARK_KEYS = {
 CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
 CLOSING_KEYS = {
     "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
-    "seen": "directions_seen",
+    "seen": "directions_seen", "without": "chance_without_poke", "poke": "poke_left_out", "place": "place_left_out",
 }  # fmt: skip
 ESTIMATE_KEYS = {
     "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",

@@ -208,6 +208,8 @@ class ClosingStep:
     """...of so many."""
     number: int
     """Of this check, from 1."""
+    lone: int | None = None
+    """Number of the poke that alone says that something moved, where the place is asked for because of it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,20 +19,20 @@ from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
-from skincal.model.scene import Landmark
+from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
 from skincal.session.closing_pokes import (
+    ClosingSoFar,
     at_landmarks,
     at_taxels,
-    closing_pokes,
+    closing_rounds,
     closings_of,
     first_names,
     is_due,
-    is_over,
 )
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
@@ -53,7 +53,7 @@ class SessionGuide:
         self.plan = plan_of(part)
         """Where the layout puts the taxels."""
         self.landmarks = LandmarkGuide(part, self.plan)
-        self.closing = ClosingGuide()
+        self.closing = ClosingGuide(part.scene.noise)
         layout = part.scene.skin.layout
         self._module_model = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
@@ -341,10 +341,12 @@ class LandmarkGuide:
 class ClosingGuide:
     """Asks for some of the first places once more, when nothing else is asked for: three landmarks, or three taxels.
 
-    What it asks for follows from the session alone.
+    Where one poke alone says that something moved, it asks for its place once more. What it asks for follows from the session
+    alone.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, noise: NoiseSettings) -> None:
+        self._noise = noise
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
@@ -358,24 +360,30 @@ class ClosingGuide:
     def _closing(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
         if guidance.phase is not GuidePhase.ENOUGH:
             return None
-        number, asked = len(snapshot.closings), None
-        if number and not is_over(snapshot):
-            asked = self._next(snapshot.closings[-1], number, guidance, snapshot, landmarks)
-        return self.begun(guidance, snapshot, landmarks) if asked is None and is_due(snapshot) else asked
+        rounds, asked = closing_rounds(snapshot, self._noise), None
+        if rounds and not snapshot.closings[-1].ended and not rounds[-1].over:
+            asked = self._next(rounds, snapshot.closings[-1], guidance, snapshot, landmarks)
+        return self.begun(guidance, snapshot, landmarks) if asked is None and is_due(snapshot, rounds) else asked
 
     def begun(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
         """Return the guidance with the first place of a check that begins now; None before enough, or where it has none."""
         if not guidance.enough:
             return None
         last = max((record.outcome.poke for record in snapshot.pokes), default=0)
-        return self._next(ClosingRound(last), len(snapshot.closings) + 1, guidance, snapshot, landmarks)
+        rounds = [*closing_rounds(snapshot, self._noise), ClosingSoFar()]
+        return self._next(rounds, ClosingRound(last), guidance, snapshot, landmarks)
 
     def _next(
-        self, begun: ClosingRound, number: int, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide
+        self,
+        rounds: Sequence[ClosingSoFar],
+        begun: ClosingRound,
+        guidance: Guidance,
+        snapshot: Snapshot,
+        landmarks: LandmarkGuide,
     ) -> Guidance | None:
-        """Return the guidance with the next place of a check; None where it has no more."""
-        made = [closing_pokes(snapshot, each)[0] for each in range(len(snapshot.closings))]
-        before, now = frozenset[int]().union(*made[: number - 1]), frozenset[int]().union(*made[number - 1 :])
+        """Return the guidance with the next place of the last of the checks, which began so; None where it has no more."""
+        *done, now = rounds
+        before = frozenset[int]().union(*(each.made for each in done))
         stance = landmarks.stance_of(snapshot.pose, snapshot.link_from_sensor)
         for at, pokes, targets in (
             (ClosingPlaces.LANDMARKS, at_landmarks(snapshot), self._landmarks(snapshot, landmarks.normal)),
@@ -385,13 +393,15 @@ class ClosingGuide:
             names = [name for name in first_names(early, stance, landmarks.stance_of, PLACES) if name in targets]
             if len(names) < FEWEST:
                 continue
-            again = {poke.name for poke in pokes if poke.poke in now}
-            places = [ClosingPlace(at, name) for name in names if name not in again]
-            open_ = [place for place in places if place not in begun.skipped]
-            if not open_:
+            again = {poke.name for poke in pokes if poke.poke in now.made}
+            places = [] if now.whole else [ClosingPlace(at, name) for name in names if name not in again]
+            open_ = [place for place in places if place not in begun.skipped] or [now.once_more]
+            place = open_[0]
+            if place is None or place.at is not at or place.name not in targets:
                 return None
-            step = ClosingStep(open_[0], len(again & set(names)), len(names), number)
-            target = targets[open_[0].name]
+            lone = now.found.poke if place == now.once_more and now.found is not None else None
+            step = ClosingStep(place, len(again & set(names)), len(names), len(rounds), lone)
+            target = targets[place.name]
             marks = {landmark.name: landmark for landmark in snapshot.landmarks}
             mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
             return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=step)

@@ -16,7 +16,7 @@ from skincal.journal.lock import LOCK_NAME, writer_of
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
-from skincal.sentences import silent_links
+from skincal.sentences import no_poke_sentence, silent_links
 from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
@@ -136,6 +136,8 @@ class Imported:
     folder: Path
     pokes: int
     accepted: int
+    unpoked: str = ""
+    """Why there is no poke, in a sentence; empty where there is one."""
 
 
 def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = lambda _: True) -> Imported:
@@ -156,4 +158,6 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
             raise InputError(pipeline.journal_failure)
         if silent and not outcomes:
             raise InputError(f"{silent} No session was made.")
-    return Imported(request.folder, len(outcomes), sum(isinstance(outcome, Contact) for outcome in outcomes))
+        unpoked = "" if outcomes else no_poke_sentence(pipeline.before_pokes, scene.contacts)
+    accepted = sum(isinstance(outcome, Contact) for outcome in outcomes)
+    return Imported(request.folder, len(outcomes), accepted, unpoked)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from skincal.contacts.detector import ContactDetector, Doubt, Known
-from skincal.contacts.outcome import Contact, Outcome, PressPhase
+from skincal.contacts.outcome import BeforePokes, Contact, Outcome, PressPhase
 from skincal.geometry import FloatArray
 from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
@@ -174,6 +174,11 @@ class Pipeline:
             links=self._intake.health(now_ns),
             losses_unpaired=self._intake.unpaired,
         )
+
+    @property
+    def before_pokes(self) -> BeforePokes:
+        """What the samples until the first poke showed, since the devices began."""
+        return self._detector.before_pokes
 
     def measures(self, now_ns: int) -> bool:
         """Return whether a poke would be measured now: samples of open links that live, in an arm pose that is known."""

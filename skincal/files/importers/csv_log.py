@@ -3,7 +3,8 @@
 With a header, columns are found by name, in any order and case:
 
     time     `t`, `time`, `stamp` or `timestamp`, with `_s`, `_ms`, `_us` or `_ns`; seconds where no unit is named, or
-             nanoseconds where the first value is one of our days in nanoseconds since 1970
+             nanoseconds where the first value is one of our days in nanoseconds since 1970; or `datetime`. Dates with a
+             time of day (ISO 8601, `2024-05-01T12:00:00.123Z`, a space for the T) are read as what they are
     number   `seq`, `index`, `counter` or `frame`: optional
     wrench   `fx fy fz` (N) and `mx my mz` or `tx ty tz` (N m, or N mm with `_nmm`); also `force_x`, `torque_x`
     skin     every other column; `t0 t1 ...` in the order of their numbers
@@ -24,8 +25,9 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from io import TextIOWrapper
 from itertools import islice
@@ -54,8 +56,9 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 UNIX_NS = (1e18, 5e18)
 """Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
-_TIME = re.compile(r"(?:t|[%_]*time|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
+_TIME = re.compile(r"(?:t|[%_]*time|datetime|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
 _NUMBER = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,12}))?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
 # What ROS sends with values.
 _ABOUT = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
 _AXIS = re.compile(
@@ -78,6 +81,34 @@ class _Columns:
     values: tuple[int, ...]
     factors: tuple[float, ...]
     finding: str = ""
+    dates: bool = False
+    """The times are dates, all with a zone or all without."""
+
+
+class _Dates(dict[tuple[str, str, str], float | None]):
+    """Seconds since 1970 of dates with a time of day, all with a zone or all without; the newest whole seconds are kept."""
+
+    def __init__(self, *, zoned: bool) -> None:
+        self._zoned = zoned
+
+    def seconds(self, field: str) -> float | None:
+        """Return the time of a field; None where it is no such date."""
+        found = _DATE.fullmatch(field)
+        if found is None:
+            return None
+        day, clock, fraction, zone = found.groups(default="")
+        whole = self[day, clock, zone] if bool(zone) == self._zoned else None
+        return whole if whole is None or not fraction else whole + int(fraction) / 10 ** len(fraction)
+
+    def __missing__(self, key: tuple[str, str, str]) -> float | None:
+        day, clock, zone = key
+        if len(self) >= TEXTS_MAX:
+            self.clear()
+        try:
+            self[key] = datetime.fromisoformat(f"{day}T{clock}{zone.upper() or 'Z'}").astimezone(UTC).timestamp()
+        except (ValueError, OverflowError):  # the 30th of February
+            self[key] = None
+        return self[key]
 
 
 class _Texts(dict[str, str]):
@@ -111,18 +142,28 @@ class _Table:
         self.stream, self.path = stream, path
         self._separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
         row = next(_rows(path, self._separator))
-        self.named = any(_to_float(field) is None for field in row if field)
+        self.named = any(_to_float(field) is None and _DATE.fullmatch(field) is None for field in row if field)
         """It has a header."""
         if self.named:
             self.columns = _named_columns(stream, [name.lower() for name in row], path)
         else:
             self.columns = _columns_by_place(stream, len(row), path)
-        if self.columns.finding:
+        self._time_of: Callable[[str], float | None] = _to_float
+        if (date := _DATE.fullmatch(self.first_time)) is not None:
+            self._take_dates(row, zoned=date.group(4) is not None)
+        elif self.columns.finding:
             self._find_nanoseconds(row)
         known = {factor: _Texts(factor) for factor in self.columns.factors}
         self._texts = [known[factor] for factor in self.columns.factors]
         self.skipped = 0
         """Rows of the last reading that have no time and so no place."""
+
+    def _take_dates(self, names: list[str], *, zoned: bool) -> None:
+        time = self.columns.time
+        column = f"the time column {names[time].lower()!r}" if self.named else "no header: the first column"
+        finding = "" if zoned else f"{column} holds dates without a zone and was read as UTC."
+        self.columns = replace(self.columns, to_s=1.0, finding=finding, dates=True)
+        self._time_of = _Dates(zoned=zoned).seconds
 
     def _find_nanoseconds(self, names: list[str]) -> None:
         """Where the time names no unit: take nanoseconds for what they are."""
@@ -153,9 +194,22 @@ class _Table:
         rows = self._rows(self.columns.time + 1)
         while block := list(islice(rows, BLOCK)):
             stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
-            self.skipped += len(block) - len(stamps)
+            if len(stamps) < len(block):
+                self.skipped += len(block) - len(stamps)
+                self._check_kind(block)
             if stamps:
                 yield np.array(stamps)
+
+    def _check_kind(self, rows: list[list[str]]) -> None:
+        """Raise InputError: some of these rows have a time, but of another kind than the first row of the file."""
+        first = self.first_time
+        for row in rows:
+            other = row[self.columns.time] if self.columns.time < len(row) else ""
+            if _time_kind(other) not in ("", _time_kind(first)):
+                raise InputError(
+                    f"{self.path}: its times are {first[:SHOWN]!r} and {other[:SHOWN]!r}; expected one kind in the "
+                    "whole column: numbers, dates with a zone, or dates without one. Export them anew."
+                )
 
     def lines(self) -> Iterator[RecordedLines]:
         """Give the rows that have a time."""
@@ -174,7 +228,7 @@ class _Table:
 
     def _seconds(self, row: list[str]) -> float | None:
         columns = self.columns
-        stamp = _to_float(row[columns.time]) if columns.time < len(row) else None
+        stamp = self._time_of(row[columns.time]) if columns.time < len(row) else None
         return None if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX else stamp * columns.to_s
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
@@ -216,10 +270,11 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
         if not timeline.lines:
             seen = f"seen {table.first_time[:SHOWN]!r} as the time; " if table.first_time else ""
             raise InputError(
-                f"{table.path}: no row with a time was found; {seen}expected a row a reading, its time a number, and its "
-                "values. A time that is not in seconds needs its unit in its name, such as t_ms or t_ns."
+                f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
+                "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
             )
         _check_unit(table, timeline)
+        _check_dates(table, timeline)
         timelines.append(timeline)
         findings += timeline.sentences()
         if table.columns.finding:
@@ -231,11 +286,21 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
     return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
 
 
+def _check_dates(table: _Table, timeline: RecordedTimes) -> None:
+    """Raise InputError: the times are dates without fractions of a second."""
+    if table.columns.dates and timeline.lines > 1 and not timeline.interval:
+        raise InputError(
+            f"{table.path}: most of its rows have the time of the row before, such as {table.first_time[:SHOWN]!r}; expected "
+            "fractions of a second: export the times with them."
+        )
+
+
 def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
     """Raise InputError: the time names no unit, and readings would come too slowly if it were seconds."""
     columns = table.columns
     if (
         columns.finding
+        and not columns.dates
         and columns.to_s == TIME_UNITS["s"]
         and table.stream is not Stream.JOINTS
         and timeline.interval > SLOWEST
@@ -289,6 +354,14 @@ def _to_float(field: str) -> float | None:
         return float(field.replace(",", "."))
     except ValueError:
         return None
+
+
+def _time_kind(field: str) -> str:
+    """Return what kind of time a field is; empty where it is none."""
+    date = _DATE.fullmatch(field)
+    if date is None:
+        return "" if _to_float(field) is None else "number"
+    return "date with a zone" if date.group(4) else "date without one"
 
 
 def _columns_by_place(stream: Stream, width: int, path: Path) -> _Columns:

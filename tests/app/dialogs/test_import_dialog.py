@@ -299,3 +299,6 @@ def test_what_is_said_of_a_stream():
     empty = StreamPreview(Stream.JOINTS, "f", 1, 0.0, 0.0, 0, ())
     assert stream_row(empty)[2:] == ("\N{EN DASH}", "0.0", "\N{EN DASH}", "\N{EN DASH}")
     assert imported_words(Imported(Path("s"), 3, 2)) == approved("import.done", folder="s", pokes="3 pokes", accepted=2)
+    assert imported_words(Imported(Path("s"), 0, 0, "Nothing pressed.")) == approved(
+        "import.no_poke_done", why="Nothing pressed.", folder="s"
+    )

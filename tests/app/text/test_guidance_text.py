@@ -14,8 +14,9 @@ from app.state.press_coach import Lean, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
 from app.text.now_text import SETTLE_S, NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import PressPhase
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase
 from skincal.guide.progress import Need
+from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.session.guiding import SessionGuide, plan_of
 from skincal.session.part import Part
 from skincal.session.session import Session
@@ -68,6 +69,13 @@ def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
     assert why_words(unseen, asked, ()) == approved("guide.depth_unknown", done=0, count=24)
     balance = guidance(asked, needs={3: (Need.BALANCE,)})
     assert why_words(balance, asked, ()) == approved("guide.other_half", done=0, count=24)
+
+
+def test_a_place_that_is_asked_for_because_of_one_poke_says_so():
+    asked = replace(target(3), landmark="wrist, top")
+    step = ClosingStep(ClosingPlace(ClosingPlaces.LANDMARKS, "wrist, top"), 3, 3, 1, lone=41)
+    says = replace(guidance(asked), phase=GuidePhase.CLOSING, closing=step)
+    assert why_words(says, asked, ()) == approved("closing.once_more", poke=41)
 
 
 def test_enough_names_how_many_meet_what():

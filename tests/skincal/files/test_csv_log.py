@@ -233,9 +233,88 @@ def test_columns_of_two_sensors_are_not_mixed(read):
 
 
 def test_a_time_that_is_text_is_shown(read):
-    rows = WRENCH_TEXT.replace("\n0.5", "\n2026-01-31T10:00:00.5")
-    with pytest.raises(InputError, match=approved_pattern("csv_log.text_time", seen="2026-01-31T10:00:00.5")):
-        read(wrench=rows)
+    for seen in ("31.01.2026 10:00:00.5", "2026-01-31", "2026-01-31T10:00", "2026-02-30T10:00:00.5Z", "10:00:00.5"):
+        with pytest.raises(InputError, match=approved_pattern("csv_log.text_time", seen=seen)):
+            read(**dated([seen] * 4))
+
+
+def dated(stamps, header="t"):
+    """Texts of the two tables at these times, the first four of their rows."""
+    both = ((["fx", "fy", "fz", "mx", "my", "mz"], WRENCH), (["t0", "t1", "t2"], SKIN))
+    return {
+        stream: "\n".join(
+            [",".join([header, *names])] * bool(header)
+            + [",".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, values.tolist(), strict=True)]
+        )
+        for stream, (names, values) in zip(("wrench", "skin"), both, strict=True)
+    }
+
+
+NOON = 1_714_564_800.0
+"""2024-05-01, 12:00 UTC, seconds since 1970."""
+
+
+@pytest.mark.parametrize(
+    ("stamps", "seconds"),
+    [
+        ([f"2024-05-01T12:00:00.{k}23Z" for k in range(4)], [0.1 * k + 0.023 for k in range(4)]),
+        ([f"2024-05-01 14:00:00.00{k}+02:00" for k in range(4)], [0.001 * k for k in range(4)]),
+        ([f"2024-05-01t07:30:00.{k}-0430" for k in range(4)], [0.1 * k for k in range(4)]),
+        # As pandas writes dates as text: a whole second has no fraction.
+        (["2024-05-01 12:00:00", *(f"2024-05-01 12:00:00.0{k}0000" for k in (1, 2, 3))], [0.0, 0.01, 0.02, 0.03]),
+        ([f"2024-05-01T12:00:00.00000{k}789z" for k in range(4)], [1e-6 * k + 0.789e-6 for k in range(4)]),
+        ([f"2024-05-01T12:00:0{k}.999999999+00" for k in range(4)], [k + 0.999999999 for k in range(4)]),
+    ],
+)
+@pytest.mark.parametrize("header", ["t", "datetime", ""])
+def test_dates_are_times(read, stamps, seconds, header):
+    batches, counts, findings = read(**dated(stamps, header))
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    np.testing.assert_array_equal(skin_of(batches), SKIN)
+    assert not any(counts.values())
+    stamped = np.concatenate([batch.device_s for batch in batches["wrench"]])
+    # Seconds since 1970 have a quarter of a microsecond in a double.
+    np.testing.assert_allclose(stamped - NOON, seconds, rtol=0, atol=3e-7)
+    without_zone = stamps[0].endswith("00:00")
+    assert (approved("csv_log.dates_without_zone") in findings) == (without_zone and header == "t")
+    assert (approved("csv_log.dates_first") in findings) == (without_zone and not header)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("2024-02-28T23:59:59", "2024-02-29T00:00:00"), ("2023-02-28T23:59:59", "2023-03-01T00:00:00"),
+     ("2023-12-31T23:59:59", "2024-01-01T00:00:00")],
+)  # fmt: skip
+def test_a_recording_over_midnight_goes_on(read, before, after):
+    batches, _, findings = read(**dated([f"{before}.98Z", f"{before}.99Z", f"{after}.00Z", f"{after}.01Z"]))
+    stamps = np.concatenate([batch.device_s for batch in batches["wrench"]])
+    np.testing.assert_allclose(np.diff(stamps), 0.01, atol=1e-6)
+    assert not any("gap" in finding or "stamp" in finding for finding in findings)
+
+
+def test_a_date_that_is_none_among_others_is_left_out_and_counted(read):
+    stamps = ["2024-05-01T12:00:00.00Z", "2024-05-01T12:00:60.01Z", "NaT", "2024-05-01T12:00:00.03Z"]
+    batches, _, findings = read(**dated(stamps))
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH[[0, 3]])
+    assert sum("2 rows without a time" in finding for finding in findings) == 2
+
+
+@pytest.mark.parametrize(
+    ("first", "other"),
+    [
+        ("2024-05-01T12:00:00.5Z", "0.51"),
+        ("0.51", "2024-05-01T12:00:00.5Z"),
+        ("2024-05-01T12:00:00.5Z", "2024-05-01T12:00:00.6"),
+    ],
+)
+def test_times_of_two_kinds_are_refused(read, first, other):
+    with pytest.raises(InputError, match=approved_pattern("csv_log.dates_mixed", first=first, other=other)):
+        read(**dated([first, first, other, first]))
+
+
+def test_dates_of_whole_seconds_are_refused(read):
+    with pytest.raises(InputError, match=approved_pattern("csv_log.dates_coarse")):
+        read(**dated(["2024-05-01T12:00:00Z"] * 4))
 
 
 def test_a_missing_file_is_said(tmp_path):

@@ -17,8 +17,8 @@ from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Red
 from skincal.model.errors import InputError
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.sentences import closing_sentence
-from skincal.session.closing_pokes import AGAIN, at_taxels, closings_of
+from skincal.sentences import closing_sentence, earlier_closings
+from skincal.session.closing_pokes import AGAIN, ONCE_MORE, TRIES, at_taxels, closing_rounds, closings_of
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.pipeline import Pipeline
@@ -33,6 +33,18 @@ from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 from tests.skincal.sim_support import make_rig
 
 NOWHERE = np.empty(0, dtype=np.int64)
+NOISE = make_rig(RigErrors.noise(), 1).scene.noise
+
+
+def off_by(poke, offset):
+    """The poke as it is where the tip was `offset` beside the place, link frame, metres."""
+    return replace(poke, moment=poke.moment + np.cross(poke.link_from_sensor[:3, :3].T @ offset, poke.force))
+
+
+def across(poke, size, rng):
+    """The poke as it is where the tip was so many metres beside the place, across the push."""
+    way = np.cross(poke.link_from_sensor[:3, :3] @ poke.force, rng.normal(size=3) if size else np.ones(3))
+    return off_by(poke, size * way / np.linalg.norm(way))
 
 
 class Sessions:
@@ -44,7 +56,7 @@ class Sessions:
         scene = self.rig.scene if landmarks else replace(self.rig.scene, landmarks=())
         self.session = Session(scene, self.rig.surface)
         self.guide = SessionGuide(lay_part(scene, self.rig.surface, ()))
-        self.slip, self.number = np.zeros(3), 0
+        self.slip, self.beside, self.number = np.zeros(3), 0.0, 0
         stance = self.rig.stance()
         self.session.set_current_pose(stance.name, stance.reported)
         for name in [landmark.name for landmark in scene.landmarks]:
@@ -53,9 +65,8 @@ class Sessions:
             self.session.add(contact)
 
     def slipped(self, poke):
-        """The poke as it is after the part moved by `slip`, link frame, metres."""
-        turn = poke.link_from_sensor[:3, :3]
-        return replace(poke, moment=poke.moment + np.cross(turn.T @ self.slip, poke.force))
+        """The poke as it is after the part moved by `slip`, link frame, and the tip slipped by `beside`, metres."""
+        return across(off_by(poke, self.slip), self.beside, self.rng)
 
     def poke_landmark(self, name: str) -> None:
         self.number = self.session.last_poke + 1
@@ -85,7 +96,7 @@ class Sessions:
         while (guidance := self.look()).phase is GuidePhase.CLOSING:
             if len(self.session.closings) < guidance.closing.number:
                 self.session.act(BeginClosing())
-            assert (guidance.closing.done, guidance.closing.places) == (len(asked), 3)
+            assert (guidance.closing.done, guidance.closing.places) == (min(len(asked), 3), 3)
             if guidance.landmark is not None:
                 asked.append(guidance.landmark.landmark.name)
                 self.poke_landmark(asked[-1])
@@ -129,6 +140,106 @@ def test_what_slipped_meanwhile_is_told_with_its_number():
     assert closing_sentence(closing).startswith(
         approved("closing.moved_begin", what="the sensor or the arm", shift=f"{closing.shift * 1e3:.1f}")
     )
+
+
+def with_one_far_off() -> tuple[Sessions, str]:
+    """A session whose closing check has its three pokes, and the landmark at which the first of them slipped."""
+    it = Sessions(RigErrors.noise())
+    it.session.act(BeginClosing())
+    first = it.look().landmark.landmark.name
+    it.beside = 0.025
+    for _ in range(3):
+        guidance = it.look()
+        assert guidance.closing.lone is None
+        it.poke_landmark(guidance.landmark.landmark.name)
+        it.beside = 0.0
+    return it, first
+
+
+def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
+    it, first = with_one_far_off()
+    slipped = it.number - 2
+    (closing,) = it.verdict().closings
+    assert (closing.poke, closing.place, closing.moved, closing.hangs_on_one) == (slipped, first, False, True)
+    assert closing_sentence(closing) == approved(
+        "closing.lone", poke=slipped, place=first, shift=f"{closing.shift * 1e3:.1f}", limit=f"{closing.limit * 1e3:.1f}"
+    )
+    assert earlier_closings([closing, closing])[0].endswith(f"(only poke {slipped} says so).")
+    written = json.loads(json_text(it.session.calibration()))["closing_check"]
+    assert (written["moved"], written["poke_left_out"], written["place_left_out"]) == (False, slipped, first)
+    assert written["chance_without_poke"] == closing.without
+    guidance = it.look()
+    assert (guidance.phase, guidance.closing.lone, guidance.landmark.landmark.name) == (GuidePhase.CLOSING, slipped, first)
+    asked = 0
+    while it.look().phase is GuidePhase.CLOSING:
+        it.poke_landmark(it.look().landmark.landmark.name)
+        asked += 1
+    assert 1 <= asked <= ONCE_MORE
+    assert not it.verdict().doubted
+    # Where the operator says that it was not there, nothing hangs on it.
+    it.session.act(AtLandmark(slipped, ""))
+    assert not it.verdict().closings[-1].hangs_on_one
+
+
+def test_the_place_of_one_poke_is_asked_for_no_more_where_it_is_skipped():
+    it, first = with_one_far_off()
+    it.look()
+    assert it.guide.skip() == SkipClosing("landmarks", first)
+    it.session.act(it.guide.skip())
+    assert it.look().phase is GuidePhase.ENOUGH
+
+
+def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_instead():
+    it, first = with_one_far_off()
+    other = next(reversed(it.session.landmark_pokes)).name
+    assert other != first
+    made = it.number
+    for _ in range(TRIES):
+        assert it.look().phase is GuidePhase.CLOSING
+        it.poke_landmark(other)
+    assert it.look().phase is GuidePhase.ENOUGH
+    (round_,) = closing_rounds(it.session.snapshot(), it.rig.scene.noise)
+    assert max(round_.made) == made, "those are not of the check"
+
+
+def landmark_check(pokes):
+    return closing_check(pokes[:6], pokes[6:], ClosingPlaces.LANDMARKS, NOISE)
+
+
+def nine_pokes(seed, *, moved=0.0):
+    """Six landmarks poked once, and three of them once more, after the part moved by so many metres."""
+    rig, rng = make_rig(RigErrors.paper(), seed), np.random.default_rng(seed)
+    pokes, way = poke_landmarks(rig, rig.scene.landmarks, 9, rng, 1)[:9], rng.normal(size=3)
+    return [*pokes[:6], *(off_by(poke, moved * way / np.linalg.norm(way)) for poke in pokes[6:])]
+
+
+def test_one_poke_far_off_moves_nothing_wherever_it_is():
+    before, now = [], []
+    for seed in range(15):
+        for position in (0, 4, 7):
+            pokes, rng = nine_pokes(seed), np.random.default_rng([seed, position])
+            push = pokes[position].link_from_sensor[:3, :3] @ pokes[position].force
+            beside = np.cross(push, rng.normal(size=3))
+            pokes[position] = off_by(pokes[position], 0.020 * beside / np.linalg.norm(beside))
+            closing = landmark_check(pokes)
+            before.append(closing.chance < 0.01)
+            now.append(closing.moved)
+            assert not closing.hangs_on_one or closing.place == pokes[position].name
+    assert (np.mean(before) > 0.4, np.mean(now) < 0.07) == (True, True)
+
+
+def test_a_movement_shows_whichever_poke_is_left_out():
+    found = [landmark_check(nine_pokes(seed, moved=0.016)) for seed in range(20)]
+    assert np.mean([each.moved for each in found]) > 0.85
+    assert all(each.without >= each.chance for each in found)
+
+
+def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
+    pokes = nine_pokes(2)
+    pokes[4] = off_by(pokes[4], np.array([0.0, 0.0, 0.2]))
+    assert landmark_check(pokes).poke == 5
+    alone = closing_check([*pokes[:4], pokes[5]], pokes[6:], ClosingPlaces.LANDMARKS, NOISE)
+    assert landmark_check(pokes).without == pytest.approx(alone.chance, rel=1e-6)
 
 
 def test_a_rig_that_is_wrong_all_along_has_not_moved():

@@ -1,15 +1,19 @@
+import json
 import shutil
 from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from skincal.cli import main
+from skincal.contacts.detector import ContactDetector
 from skincal.files.importers.overview import find_files
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
+from skincal.sentences import no_poke_sentence
 from skincal.session.importing import (
     Imported,
     ImportRequest,
@@ -25,7 +29,7 @@ from skincal.session.replay import load, replay
 from skincal.streams.decoders import yarp_log
 from tests.approved import approved
 from tests.skincal.import_support import write_csv, write_yarp
-from tests.skincal.poke_script import outcome_key, some_pokes, write_scene
+from tests.skincal.poke_script import ANSWERS, SPOTS, Script, outcome_key, some_pokes, write_scene
 
 POKES = 4
 
@@ -226,3 +230,61 @@ def test_what_a_killed_process_left_is_taken_away(request_of, tmp_path):
     (request.folder / "session.lock").write_text("1\nhost\nnow\n")
     take_away(request.folder, missing)
     assert not (tmp_path / "deep").exists()
+
+
+def weak(scene, sign=1.0):
+    """Presses of a tenth of the force that a poke needs in 300 frames, which two taxels answer."""
+    script, answers = Script(scene, force_noise=0.01, skin_noise=0.5), {k: sign * v for k, v in ANSWERS[0].items()}
+    for _ in range(3):
+        script.quiet(1.0).press(np.array([0.0, 0.0, -0.4]), SPOTS[0], answers)
+    return script.quiet((300 - len(script.samples)) * 0.02)
+
+
+def unpoked(tmp_path, samples, write=write_yarp):
+    """What is said of a recording without a poke, by the window's import and by the command's text."""
+    scene = write_scene(tmp_path / "source")
+    logs = write(tmp_path / "logs", samples(scene).samples)
+    done = import_recording(ImportRequest(find_files([logs]), scene.path, "", tmp_path / "s"))
+    assert (done.pokes, done.accepted) == (0, 0)
+    return done.unpoked
+
+
+FRAMES = 300
+"""Of `Script.quiet(6.0)`."""
+
+
+def test_weak_presses_that_the_skin_answers_are_no_poke_and_it_is_said_why(tmp_path):
+    said = unpoked(tmp_path, weak)
+    assert said == approved("import.no_poke_answered", frames=FRAMES, seconds=6, force=0.43, taxels="2 taxels")
+
+
+def test_weak_presses_on_a_skin_of_the_other_sign_name_the_sign(tmp_path):
+    said = unpoked(tmp_path, lambda scene: weak(scene, -1.0), write_csv)
+    assert said == approved("import.no_poke_fell", frames=FRAMES, seconds=6, force=0.43, fell=2)
+
+
+def test_a_recording_in_which_nothing_happens_says_so(tmp_path):
+    said = unpoked(tmp_path, lambda scene: Script(scene, force_noise=0.01).quiet(6.0))
+    assert said == approved("import.no_poke_nothing", frames=FRAMES, seconds=6, force=0.04)
+
+
+def test_a_force_that_never_rests_says_so(tmp_path):
+    said = unpoked(tmp_path, lambda scene: Script(scene, force_noise=0.5).quiet(6.0))
+    assert said == approved("import.no_poke_restless", frames=FRAMES, seconds=6)
+
+
+def test_readings_of_different_times_say_so(tmp_path):
+    scene = write_scene(tmp_path / "source")
+    assert no_poke_sentence(ContactDetector(scene).before_pokes, scene.contacts) == approved("import.no_poke_apart")
+
+
+def test_the_command_says_it_first_and_ends_well(tmp_path, capsys):
+    scene = write_scene(tmp_path / "source")
+    logs = write_yarp(tmp_path / "logs", weak(scene).samples)
+    options = ["--wrench", str(logs / "left_ft"), "--skin", str(logs / "left_forearm_skin"), "--scene", str(scene.path)]
+    said = approved("import.no_poke_answered", frames=FRAMES, seconds=6, force=0.43, taxels="2 taxels")
+    assert main(["import", "yarp", *options, "--out", str(tmp_path / "s")]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == said
+    assert main(["import", "yarp", *options, "--out", str(tmp_path / "t"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["findings"][0], result["pokes"]) == (said, 0)
