@@ -47,6 +47,8 @@ OTHERS = 0.3
 mm, all of it pulls neighbours together in the long run."""
 AIM_MAX = 0.002
 """m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
+ONLY_BALANCE = frozenset({Need.BALANCE, Need.DEPTH, Need.SETTLED})
+"""Where a taxel needs nothing but these, pokes are asked for beside it."""
 NEAR = 150
 """Taxels among which the free method's next target is looked for where there are more: two thirds of them those nearest to the
 hand, one third the neediest."""
@@ -229,7 +231,7 @@ class Guide:
         """Renew what each taxel needs whose contacts or estimate changed."""
         know, turned = self._knowledge, list[int]()
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
-        facts = zip(*map(np.ndarray.tolist, (self._own(), know.diversity, beside, know.moved)), strict=True)
+        facts = zip(*map(np.ndarray.tolist, (self._own(), know.diversity, beside, know.pulled, know.moved)), strict=True)
         nothing: tuple[Need, ...] | None = None
         for row, (estimate, each) in enumerate(zip(estimates, facts, strict=True)):
             if estimate is self._estimates[row] and estimate.channel not in dirty:
@@ -276,7 +278,8 @@ class Guide:
             errors = np.array([own_error(each, self._noise.skin) for each in estimates])
             count = module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
         else:
-            count = pokes_left(open_, know.own, rms, beside, know.moved, self.settings)
+            lopsided = np.maximum(beside, np.abs(know.pulled))
+            count = pokes_left(open_, know.own, rms, lopsided, know.moved, self.settings)
         step = pace(np.array([contact.start_s for contact in self._pokes.latest()]))
         shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(
@@ -420,10 +423,19 @@ class Guide:
             return np.zeros(len(places))
         return np.sqrt(np.sum((places - hand) ** 2, axis=1))
 
-    def _aim(self, row: int, missing: Sequence[Need]) -> FloatArray:
-        """Return (3,) where to press: on the taxel; where only balance is missing, on the side that its pokes have missed."""
-        know = self._knowledge
-        off = -know.own[row] * know.beside[row] if tuple(missing) == (Need.BALANCE,) else np.zeros(3)
+    def _aim(self, row: int, push: FloatArray, missing: Sequence[Need]) -> FloatArray:
+        """Return (3,) where to press: on the taxel; beside it where balance is what is missing.
+
+        That is on the side that its pokes have missed; for a depth that is pulled inward on the side to which the push leans,
+        else on the other: such a poke pulls it back.
+        """
+        know, own, off = self._knowledge, float(self._knowledge.own[row]), np.zeros(3)
+        if ONLY_BALANCE.issuperset(missing):
+            if Need.BALANCE in missing:
+                off -= own * know.beside[row]
+            if Need.DEPTH in missing:
+                inward = float(push @ self._normals[row])
+                off += own * know.pulled[row] * (push / inward - self._normals[row])
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
@@ -442,7 +454,7 @@ class Guide:
         cosine = -float(direction @ state.normals[row])
         return Target(
             channel=int(self.plan.channels[row]),
-            place=self._aim(row, self._needs[row]),
+            place=self._aim(row, direction, self._needs[row]),
             normal=state.normals[row],
             push=direction,
             tilt=float(np.arccos(np.clip(cosine, -1.0, 1.0))),

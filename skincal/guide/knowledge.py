@@ -50,6 +50,8 @@ class Knowledge:
         """(n,) pokes in which it answered."""
         self.beside: FloatArray = np.zeros((count, 3))
         """(n, 3) float, metres: where the middle of its contacts lies beside it, along the skin."""
+        self.pulled: FloatArray = np.zeros(count)
+        """(n,) float, metres, outward: how far the places of its contacts pull its depth (`_pulled`)."""
         self.moved: FloatArray = np.full(count, np.inf)
         """(n,) float, metres: how far the last poke of its own moved it; infinite without one, or where it is alone."""
 
@@ -81,7 +83,7 @@ class Knowledge:
         """
         emptied = np.array([self._row[channel] for channel in channels], dtype=np.int64)
         self.information[emptied], self.moved[emptied] = self._nothing, np.inf
-        for numbers in (self.diversity, self.own, self.contacts, self.beside):
+        for numbers in (self.diversity, self.own, self.contacts, self.beside, self.pulled):
             numbers[emptied] = 0
         if not len(evidence.channels):
             return
@@ -99,10 +101,31 @@ class Knowledge:
         off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - drawn[rows][of]
         whole = np.add.reduceat(shares, starts, axis=0)
         # Where the trust of every contact is 0, nothing is known of their middle.
-        off = np.add.reduceat(shares * off, starts, axis=0) / np.where(whole > 0, whole, 1.0)
-        off -= np.sum(off * normals[rows], axis=1, keepdims=True) * normals[rows]
-        self.beside[rows] = off
+        middle = np.add.reduceat(shares * off, starts, axis=0) / np.where(whole > 0, whole, 1.0)
+        middle -= np.sum(middle * normals[rows], axis=1, keepdims=True) * normals[rows]
+        self.beside[rows] = middle
+        if not self.in_plane:
+            self.pulled[rows] = _pulled(evidence, off, normals[rows])
         self.moved[rows] = _moved(evidence, normals[rows], self.in_plane)
+
+
+def _pulled(evidence: Evidence, off: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return (t,) how far contacts that lie `off` (n, 3), metres, beside their taxels pull these outward, metres.
+
+    With P = I - u u' an axis through the place a + c instead of a changes H p = sum k^2 P a by k^2 P c: the least squares of the
+    taxel move by H^-1 sum k^2 P c. Where pushes lean as the places lie, as on bent skin, that has a part along the normal.
+    """
+    pairs, shares = evidence.pairs, (evidence.weights**2 * evidence.trust)[:, None, None]
+    across_push = shares * (pairs.transpose(0, 2, 1) @ pairs)
+    whole = np.add.reduceat(across_push, evidence.starts[:-1], axis=0)
+    pull = np.add.reduceat((across_push @ off[:, :, None])[:, :, 0], evidence.starts[:-1], axis=0)
+    return np.sum(solved(whole + _trace_of(whole), pull) * normals, axis=1)
+
+
+def _trace_of(squares: FloatArray) -> FloatArray:
+    """Return (t, d, d) a trace of the traces: a single axis leaves a direction open, and it must be solved all the same."""
+    total = np.trace(squares, axis1=1, axis2=2)
+    return np.where(total > 0, 1e-9 * total, 1.0)[:, None, None] * np.eye(squares.shape[1])
 
 
 def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArray:
@@ -119,18 +142,15 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     shares = (evidence.weights**2 * evidence.trust)[:, None, None]
     squares = shares * (pairs.transpose(0, 2, 1) @ pairs)
     pulls = shares[:, :, 0] * (pairs.transpose(0, 2, 1) @ sides[:, :, None])[:, :, 0]
-    size = squares.shape[1]
     whole, pull = (np.add.reduceat(each, evidence.starts[:-1], axis=0) for each in (squares, pulls))
     last = _last_own(evidence)
     there = last >= 0
-    total = np.trace(whole, axis1=1, axis2=2)
-    # A trace of the trace: a single axis leaves a direction open, and the system must be solved all the same.
-    held = np.where(total > 0, 1e-9 * total, 1.0)[:, None, None] * np.eye(size)
+    held = _trace_of(whole)
     without = whole - np.where(there[:, None, None], squares[last], 0.0)
     rest = pull - np.where(there[:, None], pulls[last], 0.0)
     off = solved(whole + held, pull) - solved(without + held, rest)
     moved = np.sqrt(np.sum(off * off, axis=1))
-    return np.where(there & (total > 0) & (evidence.counts > 1), moved, np.inf)
+    return np.where(there & (np.trace(whole, axis1=1, axis2=2) > 0) & (evidence.counts > 1), moved, np.inf)
 
 
 def solved(matrices: FloatArray, sides: FloatArray) -> FloatArray:

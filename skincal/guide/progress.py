@@ -49,7 +49,8 @@ class GuideSettings:
     diversity: float = float(np.radians(15.0))
     """rad, free method: below it depth is four times worse than the place across (1/sin)."""
     balance: float = 0.001
-    """m: the middle of a taxel's contacts may lie this far beside it. Beyond, its estimate is pulled there."""
+    """m: the middle of a taxel's contacts may lie this far beside it, and by the free method their places may pull its depth so
+    far. Beyond, its estimate is off."""
     settled: float = 0.0005
     """m: how far the last poke of its own may have moved a taxel."""
     usable_tilt: float = float(np.radians(28.0))
@@ -82,6 +83,7 @@ class Need(Enum):
     ACCURACY = "a smaller predicted error"
     SIDES = "pokes from other sides"
     BALANCE = "pokes on its other half"
+    DEPTH = "pokes that balance its depth"
     SETTLED = "one more poke, since the last one moved it"
     DECISION = "a poke that tells two places apart"
 
@@ -106,6 +108,8 @@ class Facts:
     """Pokes of its own; by the modules method, of its module."""
     diversity: float
     beside: float
+    pulled: float
+    """In depth, outward, by where its contacts lie; free method."""
     moved: float
 
 
@@ -155,6 +159,7 @@ def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSetti
         Need.ACCURACY: estimate.rms is None or estimate.rms > settings.wanted,
         Need.SIDES: method is Method.FREE and facts.diversity < settings.diversity,
         Need.BALANCE: facts.beside > settings.balance,
+        Need.DEPTH: method is Method.FREE and abs(facts.pulled) > settings.balance,
         Need.SETTLED: facts.own >= settings.own_pokes and not facts.moved <= settings.settled,
         Need.DECISION: estimate.rival is not None,
     }
@@ -200,7 +205,7 @@ def pokes_left(
     open_ : (n,) which taxels need something and are not given up
     own : (n,) pokes of their own
     rms : (n,) float, metres, predicted; infinite while unknown
-    beside : (n,) float, metres, of the middle of their contacts
+    beside : (n,) float, metres, of the middle of their contacts, or how far their depth is pulled if that is more
     moved : (n,) float, metres, by the last poke of their own
     """
     pokes, wanted = np.minimum(own, settings.patience - 1), settings.own_pokes - own

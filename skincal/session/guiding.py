@@ -487,7 +487,7 @@ class ModulesEnough:
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
         """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
         nothing = float("nan")
-        return needs(estimate, Facts(pokes, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin)
+        return needs(estimate, Facts(pokes, nothing, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin)
 
 
 def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -> Mapping[Method, int]:

@@ -13,18 +13,20 @@ from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING as TAXELS_APART
 from skincal.guide.knowledge import PlannedPlaces, unplaced
 from skincal.guide.poke_history import PokeAxis, PokeHistory, axis_of
-from skincal.guide.progress import GuideSettings, Why
+from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.mesh.search import nearest_points
 from skincal.model.actions import Exclude, Restore
 from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import Conditions, MeantPokes, poked, rig_beside
-from skincal.taxels.result import Estimate, Method, State
+from skincal.simulate.simulated_rig import tangents
+from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
 
 STEADY = Conditions(aim=0.0, hand=0.0)
 PART = Bench()
 SETTINGS = GuideSettings()
 SOLVED = (Method.FREE, Method.SURFACE)
+STUCK = StateReason(Cause.GIVEN, text="stuck")
 
 
 class PokedBench:
@@ -100,6 +102,38 @@ def test_pokes_on_one_half_of_a_taxel_are_seen_to_be_beside_it():
     beside = bench.beside(40)
     assert beside @ aside > 0.0007
     assert abs(beside @ aside) > np.linalg.norm(beside - (beside @ aside) * aside)
+
+
+@pytest.mark.parametrize("meets", ["below", "above"])
+def test_pokes_that_lean_as_they_lie_want_one_beside_the_taxel_that_pulls_its_depth_back(meets):
+    """Axes that meet below the skin, or above it."""
+    bench = PokedBench(Method.FREE)
+    channel, sign = int(PART.plan.channels[40]), -1.0 if meets == "below" else 1.0
+    place, normal = bench.true(channel)
+    (e1,), (e2,) = tangents(normal[None])
+    for turn in np.arange(12) * np.pi / 6:
+        aside = np.cos(turn) * e1 + np.sin(turn) * e2
+        push = 0.45 * sign * aside - normal
+        bench.poke(place + 0.0015 * aside, push / np.linalg.norm(push))
+    estimates = bench.session.snapshot().estimates
+    assert (estimates[Method.FREE][40].position - place) @ normal * sign > 0.002
+    # The others need nothing: it is asked for this taxel.
+    others = [
+        estimate if estimate.channel == channel else Estimate(estimate.channel, Method.FREE, State.DEAD, 0, reason=STUCK)
+        for estimate in estimates[Method.FREE]
+    ]
+    guide = Guide(PART.plan, PART.scene.noise, Method.FREE, PART.spacing)
+    asked = guide.update(bench.contacts, {**estimates, Method.FREE: others}, bench.session.evidence)
+    assert Need.DEPTH in asked.needs[40]
+    assert asked.target.channel == channel
+    aside, lean = asked.target.place - asked.places[40], asked.target.push + np.cos(asked.target.tilt) * normal
+    assert np.linalg.norm(aside) > 0.001
+    assert aside @ lean * sign < 0.0
+    # Poked so, its depth comes back.
+    for _ in range(6):
+        bench.poke(place + aside, asked.target.push)
+    depth = (bench.session.snapshot().estimates[Method.FREE][40].position - place) @ normal
+    assert abs(depth) < 0.6 * abs((estimates[Method.FREE][40].position - place) @ normal)
 
 
 def test_a_poke_early_on_is_not_taken_to_lie_aside_when_the_whole_skin_is_found_to():

@@ -82,6 +82,24 @@ def test_how_far_the_last_own_poke_moved_a_taxel_is_what_solving_without_it_says
     assert knowledge(evidence, in_plane).moved[0] == pytest.approx(expected, rel=1e-4)
 
 
+def test_how_far_places_beside_a_taxel_pull_its_depth_is_what_solving_says():
+    """Axes shifted by where the pokes were beside it, and solved again."""
+    _, evidence = contacts_and_evidence(9)
+    off = 0.002 * np.random.default_rng(3).standard_normal((9, 3))
+    centres = dict(zip(evidence.pokes.tolist(), TAXEL + off, strict=True))
+    know = Knowledge(np.array([0]), NOISE, 1e9, False)
+    know.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
+    rows = evidence.weights[:, None, None] * evidence.pairs
+    sides = [np.sum(rows * places[:, None], axis=2).ravel() for places in (evidence.nearest, evidence.nearest + off)]
+    still, shifted = (np.linalg.lstsq(rows.reshape(-1, 3), side)[0] for side in sides)
+    assert know.pulled[0] == pytest.approx((shifted - still) @ NORMAL, rel=1e-6)
+    assert abs(know.pulled[0]) > 1e-4
+    assert knowledge(evidence).pulled[0] == pytest.approx(0.0, abs=1e-12), "all of them at its place"
+    on_surface = Knowledge(np.array([0]), NOISE, 1e9, True)
+    on_surface.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
+    assert on_surface.pulled[0] == 0.0, "a mesh holds the depth"
+
+
 def test_own_pokes_are_those_in_which_it_answers_most_and_one_poke_alone_is_not_settled():
     contacts, evidence = contacts_and_evidence(9)
     know = knowledge(evidence)
@@ -106,7 +124,7 @@ def test_what_is_taken_away_leaves_no_trace():
     know, empty = knowledge(evidence), ContactTable().evidence([0])
     know.renew([0], empty, TAXEL[None], TAXEL[None], NORMAL[None], {})
     fresh = Knowledge(np.array([0]), NOISE, 1e9, False)
-    for name in ("information", "diversity", "own", "contacts", "beside", "moved"):
+    for name in ("information", "diversity", "own", "contacts", "beside", "pulled", "moved"):
         np.testing.assert_array_equal(getattr(know, name), getattr(fresh, name))
 
 
@@ -223,7 +241,7 @@ def test_what_is_known_but_for_its_depth_wants_tilt_and_on_a_surface_it_does_not
     assert held[0] > 0.95 * held.max()
 
 
-FINE = Facts(own=3, diversity=np.radians(20), beside=0.0, moved=0.0)
+FINE = Facts(own=3, diversity=np.radians(20), beside=0.0, pulled=0.0, moved=0.0)
 
 
 @pytest.mark.parametrize(
@@ -234,6 +252,8 @@ FINE = Facts(own=3, diversity=np.radians(20), beside=0.0, moved=0.0)
         (FINE, 0.0031, Need.ACCURACY),
         (replace(FINE, diversity=np.radians(14)), 0.002, Need.SIDES),
         (replace(FINE, beside=0.0011), 0.002, Need.BALANCE),
+        (replace(FINE, pulled=0.0011), 0.002, Need.DEPTH),
+        (replace(FINE, pulled=-0.0011), 0.002, Need.DEPTH),
         (replace(FINE, moved=0.0006), 0.002, Need.SETTLED),
         (replace(FINE, moved=np.inf), 0.002, Need.SETTLED),
     ],
@@ -242,11 +262,11 @@ def test_a_taxel_is_done_when_nothing_is_missing(facts, rms, need):
     one = replace(known(0, TAXEL, 0.001), rms=rms)
     assert needs(one, facts, Method.FREE, SETTINGS, SKIN) == (() if need is None else (need,))
     on_surface = needs(one, facts, Method.SURFACE, SETTINGS, SKIN)
-    assert on_surface == (() if need in (None, Need.SIDES) else (need,))
+    assert on_surface == (() if need in (None, Need.SIDES, Need.DEPTH) else (need,))
 
 
 def test_a_dead_taxel_needs_nothing_and_an_unseen_one_does():
     dead = Estimate(0, Method.FREE, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text="stuck"))
-    nothing = Facts(0, 0.0, 0.0, np.inf)
+    nothing = Facts(0, 0.0, 0.0, 0.0, np.inf)
     assert needs(dead, nothing, Method.FREE, SETTINGS, SKIN) == ()
     assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(needs(unseen(0), nothing, Method.FREE, SETTINGS, SKIN))

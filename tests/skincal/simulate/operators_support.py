@@ -15,7 +15,9 @@ from skincal.studies.unmodelled import SQUARES, along
 from skincal.taxels.result import Method
 
 FAR = 0.003
-"""m: a taxel that is done and farther off is falsely done."""
+"""m: farther off a taxel that is done is not as it was asked for."""
+WRONG = 0.005
+"""m: farther off it is falsely done."""
 
 
 @cache
@@ -28,7 +30,10 @@ class Ended:
     pokes: int
     enough: bool
     done: int
+    far: int
+    """Taxels that are done and farther off than `FAR`."""
     falsely: int
+    """Farther off than `WRONG`."""
     beyond: int
     """Taxels that lie beyond twice their predicted 95 %."""
 
@@ -48,10 +53,11 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
             contacts[contact.poke] = contact
         guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
     estimates = session.snapshot().estimates[method]
-    done, far = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig) > FAR
+    done, errors = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig)
+    far, falsely = (int((done & (errors > bar)).sum()) for bar in (FAR, WRONG))
     beyond = 0
     for estimate in estimates:
         if estimate.position is not None:
             off, variances = along(estimate.position - rig.places[rig.row_of(estimate.channel)], estimate.covariance)
             beyond += int(np.sum(off**2 / variances) > 4.0 * SQUARES[len(off)])
-    return Ended(pokes, guidance.phase is GuidePhase.ENOUGH, int(done.sum()), int((done & far).sum()), beyond)
+    return Ended(pokes, guidance.phase is GuidePhase.ENOUGH, int(done.sum()), far, falsely, beyond)
