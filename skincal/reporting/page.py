@@ -17,7 +17,7 @@ from typing import Any
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
-from skincal.guide.verdict_words import check_words, figures, landmark_words, left_words, verdict_sentence
+from skincal.guide.verdict_words import check_words, closing_words, figures, landmark_words, left_words, verdict_sentence
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
@@ -39,15 +39,20 @@ from skincal.taxels.result import Estimate, Method
 
 DASH = "\N{EN DASH}"
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
+_NUMERIC = re.compile(rf"-?[\d.]+|{DASH}")
 AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
 """What a check says of the verdict."""
+CHECKS = ("Check", "Landmarks", "Closing")
+"""The verdict's figures that are rows of its evidence."""
 RANGES_MOST = 40
 """Ranges of channels in a cell: of more, how many there are."""
 GUIDE_UNITS = {
     "wanted": "m", "module_wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad",
-    "tolerance": "rad", "unknown": "m", "poke_s": "s", "hand_speed": "m/s",
+    "tolerance": "rad", "unknown": "m", "hand_speed": "m/s",
 }  # fmt: skip
-"""Units of the guide's settings; a plain number where none stands."""
+"""Units of the guide's settings; a plain number where none stands, seconds where the name ends in `_s`."""
+SHOWN_UNITS = {"Nm": "N m"}
+"""How a unit of the exported keys is written for a reader."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +64,12 @@ class ReportTable:
     caption: str = ""
     small: bool = False
     """Whether it is long, and so set in small type."""
+
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Of each column, whether it stands at its right: numbers and dashes, and not what the rows are named by."""
+        columns = enumerate(zip(*self.rows, strict=True))
+        return tuple(index > 0 and set(column) != {DASH} and all(map(_NUMERIC.fullmatch, column)) for index, column in columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +161,7 @@ def _sections(facts: SessionFacts) -> Iterator[ReportSection]:
 def _verdict(facts: SessionFacts) -> ReportSection:
     left = facts.verdict.left
     tables = [
-        ReportTable(("", ""), figures(facts.verdict)),
+        ReportTable(("", ""), [row for row in figures(facts.verdict) if row[0] not in CHECKS]),
         ReportTable(("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on"),
     ]
     if left:
@@ -175,6 +186,8 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     yield "Held-out pokes", check_words(facts.verdict), said if check.tells or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", landmark_words(landmarks), said
+    closings = facts.verdict.closings
+    yield "Closing check", closing_words(closings), AGAINST if facts.verdict.moved else AGREES if closings else OPEN
     yield _frame_evidence(facts)
     yield _module_evidence(facts)
     yield (
@@ -242,10 +255,10 @@ def _errors(facts: SessionFacts) -> ReportSection:
 
 
 METHOD_HEADINGS = (
-    "Method", "Taxels", "Predicted error, mean", "worst", "of the whole skin", "among taxels", "True error, mean", "sd", "95 %",
-    "worst", "Neighbours / layout", "Solved in",
+    "Method", "Taxels", "Predicted error, mean", "worst", "rms of the whole skin", "rms among taxels", "True error, mean", "sd",
+    "95\N{NO-BREAK SPACE}%", "worst", "Neighbours / layout", "Solved in, ms",
 )  # fmt: skip
-MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95 %", "Worst")
+MODULE_HEADINGS = ("Module", "Taxels known", "Mean", "95\N{NO-BREAK SPACE}%", "Worst")
 
 
 def _method_row(each: MethodFacts) -> tuple[str, ...]:
@@ -253,13 +266,13 @@ def _method_row(each: MethodFacts) -> tuple[str, ...]:
     predicted = (None,) * 4 if each.predicted is None else astuple(each.predicted)
     error = (None,) * 4 if each.error is None else (each.error.mean, each.error.sd, each.error.p95, each.error.max)
     lengths = (_bare(length) for length in (*predicted, *error))
-    return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f} ms"
+    return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f}"
 
 
 def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
     layout = facts.part.scene.skin.layout
     modules = () if layout is None else layout.modules
-    for module, spread in zip(modules, facts.module_spreads, strict=True):
+    for module, spread in sorted(zip(modules, facts.module_spreads, strict=True), key=lambda pair: pair[0].id):
         lengths = (_bare(float(spread[column])) for column in (MEAN, P95, MAX))
         known = 0 if math.isnan(spread[TAXELS]) else int(spread[TAXELS])
         yield str(module.id), f"{known} of {len(module.channels)}", *lengths
@@ -361,7 +374,8 @@ def _devices(facts: SessionFacts) -> ReportSection:
         told = ("", "0") if of is None else (of.format, str(of.readings))
         beside = "" if of is None else beside_words(of.beside)
         rows.append((link.name, link.address, carries, *told, lost or "none", beside or DASH))
-    said = f"{plural(facts.totals.unpaired, 'skin frame')} found no wrench."
+    unpaired = facts.totals.unpaired
+    said = f"{plural(unpaired, 'skin frame')} found no wrench." if unpaired else "Every skin frame found its wrench."
     headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Beside them")
     return ReportSection("Devices", (said,), tables=(ReportTable(headings, rows),))
 
@@ -391,7 +405,8 @@ def _settings(facts: SessionFacts) -> ReportSection:
 
 def _setting_rows(settings: Any, units: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
     for item in fields(settings):
-        yield item.name, f"{getattr(settings, item.name):g}", units.get(item.name, "")
+        unit = units.get(item.name) or ("s" if item.name.endswith("_s") else "")
+        yield item.name, f"{getattr(settings, item.name):g}", SHOWN_UNITS.get(unit, unit)
 
 
 def _versions(facts: SessionFacts) -> ReportSection:

@@ -14,12 +14,12 @@ import pytest
 
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
-from skincal.guide.verdict_words import figures, landmark_words, verdict_sentence
+from skincal.guide.verdict_words import check_words, figures, landmark_words, verdict_sentence
 from skincal.model.actions import AtLandmark
 from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
 from skincal.reporting.drawings import side_frames
-from skincal.reporting.page import report_page, write_report
+from skincal.reporting.page import DASH, ReportTable, report_page, write_report
 from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
 from skincal.rig.correction_fit import correct_rig
 from skincal.sentences import correction_sentence, frame_sentence, state_sentence
@@ -97,6 +97,32 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert "force_min" in page.text
     assert facts.versions["numpy"] in page.text
     assert "SIMULATED" in page.text
+
+
+def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):
+    closing = next(words for name, words in figures(facts.verdict) if name == "Closing")
+    for words in (check_words(facts.verdict), landmark_words(facts.verdict.landmarks), closing):
+        assert page.text.count(words) == 1
+    assert "Closing check" in page.text
+
+
+def test_modules_stand_in_the_order_of_their_numbers(facts):
+    rows = re.findall(r"<tr><td>(\d+)</td><td>12 of 12</td>", report_page(facts))
+    assert len(rows) == 7
+    assert rows == sorted(rows, key=int)
+
+
+def test_columns_of_numbers_stand_at_their_right():
+    table = ReportTable(
+        ("Module", "Taxels", "x, mm", "Beside"), [("17", "12 of 12", "-28.18", DASH), ("9", "3 of 12", DASH, DASH)]
+    )
+    assert table.numeric == (False, False, True, False)
+
+
+def test_what_is_wider_than_a_small_screen_moves_by_itself(facts):
+    text = report_page(facts)
+    assert text.count("<table") == text.count('<div class="wide">\n  <table')
+    assert text.count("<img") == text.count('<div class="wide"><img')
 
 
 def test_what_a_device_measures_beside_its_readings_stands_with_it(facts):
