@@ -2,7 +2,6 @@
 
 import json
 import os
-import threading
 import time
 from contextlib import closing, contextmanager
 
@@ -18,6 +17,7 @@ from skincal.simulate.outlets import PtyOutlet
 from skincal.streams import baud_search, links
 from skincal.streams.failures import FailureKind, LinkFailure
 from tests.approved import approved
+from tests.skincal.meanwhile import meanwhile
 
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
 
@@ -25,11 +25,11 @@ needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform
 @contextmanager
 def sending(maker, stream):
     """A device that sends a hundred readings a second; its address."""
-    outlet, encoder, done = MakerOutlets(64).open(maker, stream, tcp=False), MAKERS[maker].encoder(), threading.Event()
+    outlet, encoder = MakerOutlets(64).open(maker, stream, tcp=False), MAKERS[maker].encoder()
 
-    def send():
+    def send(over):
         count = 0
-        while not done.wait(0.01):
+        while not over.wait(0.01):
             outlet.poll()
             count += 1
             if stream is Stream.WRENCH:
@@ -39,28 +39,25 @@ def sending(maker, stream):
             else:
                 outlet.write(encoder.skin(count * 10_000, np.arange(4.0)))
 
-    thread = threading.Thread(target=send)
-    with closing(outlet):
-        thread.start()
-        try:
-            yield outlet.address
-        finally:
-            done.set()
-            thread.join(5.0)
+    with closing(outlet), meanwhile(send):
+        yield outlet.address
+
+
+def watched(capsys, maker, stream, *options):
+    """What `watch` prints of such a device."""
+    with sending(maker, stream) as address:
+        assert main(["watch", f"bota:{address}" if maker == "bota" else address, *options]) == 0
+    return capsys.readouterr().out
 
 
 def test_watch_shows_a_wrench_with_its_units_and_rate(capsys):
-    with sending("netft", Stream.WRENCH) as address:
-        assert main(["watch", address, "--seconds", "1.5"]) == 0
-    out = capsys.readouterr().out
+    out = watched(capsys, "netft", Stream.WRENCH, "--seconds", "1.5")
     assert "F 1.00 2.00 3.00 N, M 0.100 0.200 0.300 N m (Fx Fy Fz in N, Mx My Mz in N m)" in out
     assert "ATI RDT" in out
 
 
 def test_watch_shows_all_that_a_robot_sends_over_one_link(capsys):
-    with sending("rtde", Stream.WRENCH) as address:
-        assert main(["watch", address, "--seconds", "1"]) == 0
-    line = capsys.readouterr().out
+    line = watched(capsys, "rtde", Stream.WRENCH, "--seconds", "1")
     assert "wrench" in line
     assert "0.0 0.0 0.0 0.0 0.0 0.0 deg (base, shoulder, elbow and the three of the wrist in degrees)" in line
     assert "lost" not in line
@@ -68,9 +65,7 @@ def test_watch_shows_all_that_a_robot_sends_over_one_link(capsys):
 
 @needs_pty
 def test_watch_shows_the_temperature_of_a_sensor(capsys):
-    with sending("bota", Stream.WRENCH) as address:
-        assert main(["watch", f"bota:{address}", "--seconds", "1", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out.splitlines()[0])
+    figures = json.loads(watched(capsys, "bota", Stream.WRENCH, "--seconds", "1", "--json").splitlines()[0])
     assert figures["format"] == "Bota gen0"
     assert figures["beside"] == {"temperature, degC": {"least": 31.5, "most": 31.5, "now": 31.5}}
     assert figures["rates"]["wrench"] > 30
@@ -78,37 +73,28 @@ def test_watch_shows_the_temperature_of_a_sensor(capsys):
 
 
 def test_watch_shows_a_skin(capsys):
-    with sending("xela", Stream.SKIN) as address:
-        assert main(["watch", address, "--seconds", "1"]) == 0
-    assert "4 values, 0 to 3 (the force across the skin of each taxel, as raw words)" in capsys.readouterr().out
+    out = watched(capsys, "xela", Stream.SKIN, "--seconds", "1")
+    assert "4 values, 0 to 3 (the force across the skin of each taxel, as raw words)" in out
 
 
 def test_watch_says_that_a_skin_is_no_wrench(capsys):
-    with sending("yarp", Stream.SKIN) as address:
-        assert main(["watch", address, "--carries", "wrench", "--seconds", "2.5", "--json"]) == 0
-    verdict = json.loads(capsys.readouterr().out.splitlines()[-1])["verdict"]
-    assert verdict == approved("links.other_width", width=4, of="a wrench has", expected=6)
+    lines = watched(capsys, "yarp", Stream.SKIN, "--carries", "wrench", "--seconds", "2.5", "--json").splitlines()
+    assert json.loads(lines[-1])["verdict"] == approved("links.other_width", width=4, of="a wrench has", expected=6)
 
 
 @needs_pty
 def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
     monkeypatch.setattr(baud_search, "TRIAL_S", 0.6)
-    outlet, done = PtyOutlet(), threading.Event()
+    outlet = PtyOutlet()
 
-    def send():
-        while not done.wait(0.01):
+    def send(over):
+        while not over.wait(0.01):
             outlet.poll()
             outlet.write(bytes(range(128, 168)))
 
-    thread = threading.Thread(target=send)
-    with closing(outlet):
-        thread.start()
-        try:
-            monkeypatch.setattr(listen, "_ports", lambda: [(outlet.address, "USB serial")])
-            assert main(["devices"]) == 0
-        finally:
-            done.set()
-            thread.join(5.0)
+    with closing(outlet), meanwhile(send):
+        monkeypatch.setattr(listen, "_ports", lambda: [(outlet.address, "USB serial")])
+        assert main(["devices"]) == 0
     assert approved("links.no_reading_tried", tried="115200, 460800, 19200")[:-1] in capsys.readouterr().out
 
 

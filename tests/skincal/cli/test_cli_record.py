@@ -8,7 +8,6 @@ import re
 import shutil
 import socket
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import pytest
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Chunk, Loss
 from tests.approved import approved
+from tests.skincal.meanwhile import meanwhile
 from tests.skincal.record_support import recorder, write_devices
 
 
@@ -86,22 +86,19 @@ def flooding():
     """A server that sends garbage as fast as the loopback takes it, for a few seconds; its port, and what it sent."""
     garbage, sent = random.Random(1).randbytes(1 << 20), [0]
     server = socket.create_server(("127.0.0.1", 0))
+    # Nobody comes where the recorder does not start.
+    server.settimeout(FLOOD_S)
 
-    def flood():
+    def flood(over):
         with contextlib.suppress(OSError):
             connection, _ = server.accept()
             end_s = time.monotonic() + FLOOD_S
             with connection:
-                while time.monotonic() < end_s:
+                while time.monotonic() < end_s and not over.is_set():
                     sent[0] += connection.send(garbage)
 
-    thread = threading.Thread(target=flood)
-    thread.start()
-    try:
+    with contextlib.closing(server), meanwhile(flood):
         yield server.getsockname()[1], sent
-    finally:
-        server.close()
-        thread.join(10.0)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a process's memory is told so")

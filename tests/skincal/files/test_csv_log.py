@@ -177,6 +177,11 @@ def test_joints_may_come_slowly_and_seconds_that_are_named_are_believed(read):
     assert len(skin_of(batches)) == 2
 
 
+def axes(form):
+    """Names of the columns of a wrench, of this form."""
+    return [form.format(kind, axis) for kind in ("force", "torque") for axis in "xyz"]
+
+
 ROS = ["field.header.seq", "field.header.stamp", "field.header.frame_id"]
 
 
@@ -186,25 +191,25 @@ ROS = ["field.header.seq", "field.header.stamp", "field.header.frame_id"]
         (
             "%time",
             1e9,
-            [f"field.wrench.{kind}.{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            axes("field.wrench.{}.{}"),
             ["field.layout.data_offset", "field.data0", "field.data2", "field.data10"],
         ),
         (
             "__time",
             1,
-            [f"/ft/wrench/{kind}/{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            axes("/ft/wrench/{}/{}"),
             ["/skin1/layout/data_offset", "/skin1/data[0]", "/skin1/data[2]", "/skin1/data[10]"],
         ),
         (
             "rosbagTimestamp",
             1e9,
-            [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            axes("{}_{}"),
             ["layout.data_offset", "data_0", "data_2", "data_10"],
         ),
         (
             "/ft/header/stamp",
             1,
-            [f"wrench_{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"],
+            axes("wrench_{}_{}"),
             ["layout.data_offset", "t0", "t2", "t10"],
         ),
     ],
@@ -226,7 +231,7 @@ def test_columns_of_ros_bags_and_plotjuggler_are_understood(read, time, factor, 
 
 
 def test_columns_of_two_sensors_are_not_mixed(read):
-    names = [f"/{side}/{kind}/{axis}" for side in ("left", "right") for kind in ("force", "torque") for axis in "xyz"]
+    names = axes("/left/{}/{}") + axes("/right/{}/{}")
     said = approved_pattern("csv_log.twice", first="/left/force/x", second="/right/force/x", axis="fx")
     with pytest.raises(InputError, match=said):
         read(wrench=table(["t_s", *names], with_time(np.hstack([WRENCH, WRENCH]))))

@@ -1,32 +1,25 @@
 """A simulated skinManager in a YARP network of its own, and a robot at the port for targets, as tests drive them."""
 
 import socket
-import threading
 from contextlib import closing, contextmanager
 
 from skincal.simulate.maker_outlets import TalkOutlet
 from skincal.simulate.makers import NameTalk
+from tests.skincal.meanwhile import meanwhile
 
 
 @contextmanager
 def robot(manager):
     """Serve an outlet as the skinManager of a YARP network; its address."""
     names = TalkOutlet(lambda: NameTalk({"/skinManager/rpc": manager.port}), "yarp://127.0.0.1:{}/skinManager/rpc")
-    done = threading.Event()
 
-    def serve():
-        while not done.wait(0.001):
+    def serve(over):
+        while not over.wait(0.001):
             names.poll()
             manager.poll()
 
-    thread = threading.Thread(target=serve)
-    with closing(names), closing(manager):
-        thread.start()
-        try:
-            yield names.address
-        finally:
-            done.set()
-            thread.join()
+    with closing(names), closing(manager), meanwhile(serve):
+        yield names.address
 
 
 class Peer:

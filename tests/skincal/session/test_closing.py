@@ -50,17 +50,19 @@ def across(poke, size, rng):
 class Sessions:
     """A session on a simulated rig, and the guide that follows it."""
 
-    def __init__(self, errors: RigErrors, *, landmarks: bool = True) -> None:
+    def __init__(self, errors: RigErrors, *, landmarks: bool = True, slips: float = 0.0) -> None:
+        """At the first landmark the tip slips by so many metres."""
         self.rng = np.random.default_rng(3)
         self.rig = make_rig(errors, 1)
         scene = self.rig.scene if landmarks else replace(self.rig.scene, landmarks=())
         self.session = Session(scene, self.rig.surface)
         self.guide = SessionGuide(lay_part(scene, self.rig.surface, ()))
-        self.slip, self.beside, self.number = np.zeros(3), 0.0, 0
+        self.slip, self.beside, self.number = np.zeros(3), slips, 0
         stance = self.rig.stance()
         self.session.set_current_pose(stance.name, stance.reported)
         for name in [landmark.name for landmark in scene.landmarks]:
             self.poke_landmark(name)
+            self.beside = 0.0
         for contact in simulate_contacts(self.rig, unguided(self.rig, 2, self.rng), self.rng, first_poke=self.number + 1):
             self.session.add(contact)
 
@@ -179,6 +181,14 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
     # Where the operator says that it was not there, nothing hangs on it.
     it.session.act(AtLandmark(slipped, ""))
     assert not it.verdict().closings[-1].hangs_on_one
+
+
+def test_where_an_early_poke_was_far_off_its_place_is_asked_for_twice_at_most():
+    it = Sessions(RigErrors.noise(), slips=0.03)
+    first = next(iter(it.session.landmark_pokes)).name
+    assert it.close().count(first) == 1 + ONCE_MORE
+    (closing,) = it.verdict().closings
+    assert (closing.hangs_on_one, closing.place, closing.poke) == (True, first, 1)
 
 
 def test_the_place_of_one_poke_is_asked_for_no_more_where_it_is_skipped():

@@ -1,6 +1,5 @@
 """Whole sessions over makers' devices: each simulated device speaks its protocol over the real transport to the real reader."""
 
-import threading
 import time
 from contextlib import closing, contextmanager
 
@@ -17,6 +16,7 @@ from skincal.simulate.makers import MAKERS, assign
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.serve import Server
 from skincal.streams.intake import Intake
+from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig
 from tests.skincal.simulate.orchestra_support import PATIENCE_S, PTYS, SKINS, WRENCHES, Brought, Orchestra, reading
 
@@ -33,16 +33,8 @@ def make_line(name="flat-patch", speakers=None, pokes=None):
 
 @contextmanager
 def serving(line, *, tcp=False):
-    stop = threading.Event()
-    with closing(Server(line, tcp=tcp)) as server:
-        thread = threading.Thread(target=server.run, args=(stop,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            stop.set()
-            thread.join(PATIENCE_S)
-            assert not thread.is_alive()
+    with closing(Server(line, tcp=tcp)) as server, meanwhile(server.run):
+        yield server
 
 
 def readings_of(intake, items, want, seconds=PATIENCE_S):

@@ -2,7 +2,6 @@ import os
 import select
 import socket
 import sys
-import threading
 import time
 from contextlib import closing, contextmanager
 from io import StringIO
@@ -20,6 +19,7 @@ from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.simulate.serve import Server
 from skincal.streams.decoders.detect import make_decoder
 from tests.approved import approved
+from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="this platform has no pseudo-terminals")
@@ -32,16 +32,8 @@ def serving(*, tcp, form="skb", name="flat-patch"):
     rig = make_rig(RigErrors.noise(), 1, name)
     rng = np.random.default_rng(1)
     line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
-    stop = threading.Event()
-    with closing(Server(line, tcp=tcp)) as server:
-        thread = threading.Thread(target=server.run, args=(stop,))
-        thread.start()
-        try:
-            yield server
-        finally:
-            stop.set()
-            thread.join(WAIT_S)
-            assert not thread.is_alive()
+    with closing(Server(line, tcp=tcp)) as server, meanwhile(server.run):
+        yield server
 
 
 def connect(server, name):

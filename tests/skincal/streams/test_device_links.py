@@ -26,6 +26,7 @@ from skincal.streams.failures import FailureKind, LinkFailure
 from skincal.streams.intake import Intake
 from skincal.streams.links import ADDRESS_MOST, Inbox, LinkKind, LinkSpec, Reader, open_link, parse_address
 from tests.approved import approved
+from tests.skincal.meanwhile import meanwhile
 
 PATIENCE_S = 5.0
 WRENCH = (Stream.WRENCH,)
@@ -47,21 +48,17 @@ def spec(address, carries=WRENCH):
 @contextmanager
 def served(*outlets):
     """Outlets that a thread keeps polling."""
-    done = threading.Event()
 
-    def poll():
-        while not done.wait(0.005):
+    def poll(over):
+        while not over.wait(0.005):
             for outlet in outlets:
                 with TURN:
                     outlet.poll()
 
-    thread = threading.Thread(target=poll)
-    thread.start()
     try:
-        yield outlets
+        with meanwhile(poll):
+            yield outlets
     finally:
-        done.set()
-        thread.join(PATIENCE_S)
         for outlet in outlets:
             outlet.close()
 
@@ -455,33 +452,27 @@ YARP_LIES = {
 @contextmanager
 def liar(first, then, pause_s=0.0):
     """A TCP server that says `first` to everybody who comes, then `then` for ever, or hangs up where that is empty."""
-    server, done, came = socket.create_server(("127.0.0.1", 0)), threading.Event(), []
+    server, came = socket.create_server(("127.0.0.1", 0)), []
     server.settimeout(0.05)
 
-    def say_to(client):
+    def say_to(client, over):
         client.settimeout(0.2)
         with client, suppress(OSError):
             client.sendall(first)
-            while then and not done.is_set():
+            while then and not over.is_set():
                 with suppress(TimeoutError):
                     client.sendall(then)
-            done.wait(pause_s)
+            over.wait(pause_s)
 
-    def serve():
-        while not done.is_set():
+    def serve(over):
+        while not over.is_set():
             with suppress(TimeoutError):
                 client, _ = server.accept()
                 came.append(client)
-                say_to(client)
+                say_to(client, over)
 
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
+    with closing(server), meanwhile(serve):
         yield server.getsockname()[1], came
-    finally:
-        done.set()
-        thread.join(PATIENCE_S)
-        server.close()
 
 
 def heard_of(address, carries, seconds):
