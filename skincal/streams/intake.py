@@ -362,7 +362,6 @@ class Stamper:
         seq : (n,), the device's numbers, `NO_SEQ` where it has none
         """
         readings, arrivals = device_s.tolist(), np.broadcast_to(arrival_s, device_s.shape).tolist()
-        numbers = [NO_SEQ] * len(readings) if seq is None else seq.tolist()
         clocked = not np.isnan(device_s).any()
         made: list[float] = []
         while (at := len(made)) < len(readings):
@@ -370,7 +369,7 @@ class Stamper:
             if steady:
                 made += steady
             elif math.isnan(readings[at]):
-                made.append(self._index[stream].map(arrivals[at], numbers[at]))
+                made.append(self._index[stream].map(arrivals[at], NO_SEQ if seq is None else int(seq[at])))
             else:
                 made.append(self._device.map(readings[at], arrivals[at]))
         stamps = _ascending(np.array(made), self._last.get(stream, -math.inf))
