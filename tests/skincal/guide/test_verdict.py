@@ -197,7 +197,7 @@ def test_the_chance_is_that_of_a_binomial():
 def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known():
     def left(own, rms=0.002, beside=0.0, moved=0.0, is_open=True):
         numbers = [np.array([each]) for each in (own, rms, beside, moved)]
-        return pokes_left(np.array([is_open]), *numbers, SETTINGS)
+        return pokes_left(Method.FREE, np.array([is_open]), *numbers, SETTINGS)
 
     assert left(0, np.inf, 0.0, np.inf, is_open=False) == 0
     falling = [left(0, np.inf, 0.0, np.inf), left(2, 0.004, 0.0, 0.001), left(5, 0.002, 0.0, 0.001)]
