@@ -10,7 +10,18 @@ from scipy import stats
 
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import unplaced
-from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_from_start, pokes_left, worked
+from skincal.guide.progress import (
+    PAUSE_S,
+    GuideSettings,
+    Need,
+    Tried,
+    Why,
+    given_up,
+    pace,
+    pokes_from_start,
+    pokes_left,
+    worked,
+)
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
