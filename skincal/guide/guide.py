@@ -47,8 +47,6 @@ OTHERS = 0.3
 mm, all of it pulls neighbours together in the long run."""
 AIM_MAX = 0.002
 """m: no poke is asked for farther beside its taxel, or a neighbour would answer most."""
-ONLY_BALANCE = frozenset({Need.BALANCE, Need.DEPTH, Need.SETTLED})
-"""Where a taxel needs nothing but these, pokes are asked for beside it."""
 NEAR = 150
 """Taxels among which the free method's next target is looked for where there are more: two thirds of them those nearest to the
 hand, one third the neediest."""
@@ -279,7 +277,7 @@ class Guide:
             count = module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
         else:
             lopsided = np.maximum(beside, np.abs(know.pulled))
-            count = pokes_left(open_, know.own, rms, lopsided, know.moved, self.settings)
+            count = pokes_left(self.method, open_, know.own, rms, lopsided, know.moved, self.settings)
         step = pace(np.array([contact.start_s for contact in self._pokes.latest()]))
         shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(
@@ -424,18 +422,19 @@ class Guide:
         return np.sqrt(np.sum((places - hand) ** 2, axis=1))
 
     def _aim(self, row: int, push: FloatArray, missing: Sequence[Need]) -> FloatArray:
-        """Return (3,) where to press: on the taxel; beside it where balance is what is missing.
+        """Return (3,) where to press: on the taxel; beside it where only balance is missing.
 
         That is on the side that its pokes have missed; for a depth that is pulled inward on the side to which the push leans,
         else on the other: such a poke pulls it back.
         """
         know, own, off = self._knowledge, float(self._knowledge.own[row]), np.zeros(3)
-        if ONLY_BALANCE.issuperset(missing):
-            if Need.BALANCE in missing:
-                off -= own * know.beside[row]
-            if Need.DEPTH in missing:
-                inward = float(push @ self._normals[row])
-                off += own * know.pulled[row] * (push / inward - self._normals[row])
+        # A poke that pulls the depth back moves the taxel: it settles afterwards.
+        lopsided = {Need.BALANCE, Need.DEPTH, Need.SETTLED} if Need.DEPTH in missing else {Need.BALANCE}
+        if lopsided.issuperset(missing):
+            off -= own * know.beside[row] * (Need.BALANCE in missing)
+        if Need.DEPTH in missing and lopsided.issuperset(missing):
+            normal = self._normals[row]
+            off += own * know.pulled[row] * (push / float(push @ normal) - normal)
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 

@@ -112,8 +112,8 @@ class Knowledge:
 def _pulled(evidence: Evidence, off: FloatArray, normals: FloatArray) -> FloatArray:
     """Return (t,) how far contacts that lie `off` (n, 3), metres, beside their taxels pull these outward, metres.
 
-    With P = I - u u' an axis through the place a + c instead of a changes H p = sum k^2 P a by k^2 P c: the least squares of the
-    taxel move by H^-1 sum k^2 P c. Where pushes lean as the places lie, as on bent skin, that has a part along the normal.
+    With P = I - u u' an axis through a + c instead of a changes H p = sum k^2 P a by k^2 P c: the least squares of the taxel
+    move by H^-1 sum k^2 P c. Where pushes lean as the places lie, as on bent skin, that has a part along the normal.
     """
     pairs, shares = evidence.pairs, (evidence.weights**2 * evidence.trust)[:, None, None]
     across_push = shares * (pairs.transpose(0, 2, 1) @ pairs)

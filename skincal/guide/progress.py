@@ -182,9 +182,9 @@ def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -
     return None
 
 
-MOVES = 0.0042
+MOVES = {Method.FREE: 0.0070, Method.SURFACE: 0.0048}
 """m, sd of what a single poke says of a taxel in each direction, hand and sensor together: the n-th poke moves it by this over
-n. From guided sessions of the standard study, as `EXPECTED_HITS`."""
+n; by the free method depth above all. From guided sessions of the standard study, as `EXPECTED_HITS`."""
 EXPECTED_HITS = 0.6
 """Share of the pokes that are own pokes of the taxel asked for; the others are a neighbour's, which may be done."""
 BALANCING = 2
@@ -196,9 +196,15 @@ RECENT = 20
 
 
 def pokes_left(
-    open_: BoolArray, own: IntArray, rms: FloatArray, beside: FloatArray, moved: FloatArray, settings: GuideSettings
+    method: Method,
+    open_: BoolArray,
+    own: IntArray,
+    rms: FloatArray,
+    beside: FloatArray,
+    moved: FloatArray,
+    settings: GuideSettings,
 ) -> int:
-    """Return how many pokes it takes until nothing is open.
+    """Return how many pokes it takes until nothing is open, by the free or the surface method.
 
     Parameters
     ----------
@@ -216,7 +222,7 @@ def pokes_left(
     first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
     unsettled = (first > 0) | ~(moved <= settings.settled)
     then = np.minimum(pokes + first, settings.patience).astype(np.int64)
-    each = np.minimum(first + np.where(unsettled, _settling(settings)[then], 0.0), settings.patience - pokes)
+    each = np.minimum(first + np.where(unsettled, _settling(MOVES[method], settings)[then], 0.0), settings.patience - pokes)
     share = float(open_.mean()) if len(open_) else 0.0
     # A poke that misses its taxel lands on a neighbour's, which is open with this share.
     return int(np.ceil(float(each[open_].sum()) / (EXPECTED_HITS + (1.0 - EXPECTED_HITS) * share)))
@@ -248,14 +254,17 @@ def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings,
         return settings.bare_pokes * len(np.unique(modules))
     if method is Method.MODULES:
         return module_pokes_left(every, modules, nothing, unknown, settings)
-    return pokes_left(every, nothing, unknown, np.zeros(count), unknown, settings)
+    return pokes_left(method, every, nothing, unknown, np.zeros(count), unknown, settings)
 
 
-def _settling(settings: GuideSettings) -> FloatArray:
-    """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
+def _settling(moves: float, settings: GuideSettings) -> FloatArray:
+    """Return for each number of own pokes how many more it takes until one of them moves the taxel little enough.
+
+    `moves` is one of `MOVES`.
+    """
     after = np.zeros(settings.patience + 1)
     for pokes in range(settings.patience - 1, -1, -1):
-        moved = MOVES / (pokes + 1)
+        moved = moves / (pokes + 1)
         unsettled = float(np.exp(-0.5 * (settings.settled / moved) ** 2))
         after[pokes] = unsettled * (1.0 + after[pokes + 1])
     return after

@@ -10,7 +10,18 @@ from scipy import stats
 
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import unplaced
-from skincal.guide.progress import PAUSE_S, GuideSettings, Need, Tried, Why, given_up, pace, pokes_left, worked
+from skincal.guide.progress import (
+    PAUSE_S,
+    GuideSettings,
+    Need,
+    Tried,
+    Why,
+    given_up,
+    pace,
+    pokes_from_start,
+    pokes_left,
+    worked,
+)
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
@@ -197,7 +208,7 @@ def test_the_chance_is_that_of_a_binomial():
 def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known():
     def left(own, rms=0.002, beside=0.0, moved=0.0, is_open=True):
         numbers = [np.array([each]) for each in (own, rms, beside, moved)]
-        return pokes_left(np.array([is_open]), *numbers, SETTINGS)
+        return pokes_left(Method.FREE, np.array([is_open]), *numbers, SETTINGS)
 
     assert left(0, np.inf, 0.0, np.inf, is_open=False) == 0
     falling = [left(0, np.inf, 0.0, np.inf), left(2, 0.004, 0.0, 0.001), left(5, 0.002, 0.0, 0.001)]
@@ -206,6 +217,13 @@ def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known()
     assert left(5, 0.006) > left(5, 0.002)
     assert left(5, beside=0.002) > left(5)
     assert left(SETTINGS.patience - 1, 0.02) <= 2, "no taxel gets more than the guide has patience for"
+
+
+@pytest.mark.parametrize(("method", "took"), [(Method.FREE, 820), (Method.SURFACE, 650)])
+def test_what_a_method_costs_is_told_to_a_third(method, took):
+    """Of the standard study, seven modules of twelve taxels."""
+    told = pokes_from_start(method, np.repeat(np.arange(7), 12), SETTINGS, on_mesh=True)
+    assert told == pytest.approx(took, rel=1 / 3)
 
 
 def test_the_pace_is_that_of_the_last_pokes_without_pauses():
