@@ -144,7 +144,12 @@ def age(seconds: float) -> str:
 def count(value: int, singular: str, plural: str | None = None) -> str:
     """Return a count with its noun, thousands set apart: `"1 poke"`, `"12 pokes"`."""
     noun = singular if value == 1 else (plural or singular + "s")
-    return f"{value:,} {noun}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+    return f"{grouped(value)} {noun}"
+
+
+def grouped(value: int) -> str:
+    """Return a whole number with its thousands set apart."""
+    return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 class ChannelNames:

@@ -362,7 +362,8 @@ class Window(QMainWindow):
             self.session_view.follow_again()
 
     def _show_opening(self) -> None:
-        opening = self.controller.running is Running.OPENING
+        # The session's panels come some moments after its part.
+        opening = self.controller.running is Running.OPENING or self.session_view is not None
         nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
         self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.contacts.outcome import BeforePokes, Rejection
 from skincal.model.actions import MissedLandmark
-from skincal.model.errors import plural
+from skincal.model.errors import SENTENCE_MOST, plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 from skincal.model.scene import ContactSettings
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
@@ -361,20 +361,32 @@ def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
     )
 
 
+SENTENCE_ROOM = 30
+"""Characters for what follows on silent links: `"No session was made."`."""
+
+
 def silent_links(links: Sequence[LinkHealth]) -> str:
     """Return sentences on the links that gave no reading that could be used; empty if all gave some."""
-    silent = [(link.link, _why_silent(link).rstrip(".")) for link in links if not link.readings]
-    return " ".join(f"{name} gave no reading that can be used: {why}." for name, why in silent)
+    said = [
+        " ".join(
+            f"{link.link} gave no reading that can be used: {_why_silent(link, brief=brief).rstrip('.')}."
+            for link in links
+            if not link.readings
+        )
+        for brief in (False, True)
+    ]
+    return said[0] if len(said[0]) < SENTENCE_MOST - SENTENCE_ROOM else said[1]
 
 
-def _why_silent(link: LinkHealth) -> str:
+def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     verdict = link.verdict
     if verdict.answer is LinkAnswer.OTHER_STREAM and verdict.found is not None:
         return (
             f"this is the {STREAM_NAMES[verdict.found]}: its lines have {verdict.width} values; give each address to its stream"
         )
     if link.text:  # the device's own last words say more than what can be guessed from its bytes
-        return link.text
+        # What to do was said as it failed.
+        return link.text.partition(";")[0] if brief else link.text
     if not link.last_host_ns:
         return "nothing arrived; check the device's power, its cable and its baud rate"
     expected = " and ".join(stream.value for stream in link.carries)

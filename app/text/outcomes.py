@@ -14,7 +14,7 @@ import numpy as np
 
 from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkLook, ViewState, link_look
-from app.units import ChannelNames, age, count, millimetres, newtons, number, quantity, rate
+from app.units import ChannelNames, age, count, grouped, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
@@ -172,7 +172,7 @@ def summary_words(estimates: Sequence[Estimate]) -> str:
     """Return how far the session is by one method."""
     known = sum(e.state is State.ESTIMATED for e in estimates)
     used = sum(e.state is not State.DEAD for e in estimates)
-    return f"{known} of {count(used, 'taxel')} estimated"
+    return f"{grouped(known)} of {count(used, 'taxel')} estimated"
 
 
 def error_words(estimates: Sequence[Estimate]) -> str:

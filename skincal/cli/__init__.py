@@ -101,7 +101,8 @@ _PLAIN_WORDS = (
 def _usage_sentence(message: str, command: str) -> str:
     for theirs, plain in _PLAIN_WORDS:
         message = message.replace(theirs, plain)
-    return "skincal: " + shortened(f"{message.rstrip('.')}; `{command} --help` shows what is possible.")
+    end = "" if message.endswith("?") else ";"
+    return "skincal: " + shortened(f"{message.rstrip('.')}{end} `{command} --help` shows what is possible.")
 
 
 def _other_failure(error: Exception) -> int:

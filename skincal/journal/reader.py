@@ -97,7 +97,8 @@ class SessionLog:
     def state(self) -> Iterator[LogState]:
         """Yield what the session is without the bytes, in order: actions, and what was taken from the detector.
 
-        What was read last says in `has_notes` and `scene_changed` whether that is enough. Damage of the bytes stays unseen.
+        What was read last says in `has_notes` and `scene_changed` whether that is enough. Of the bytes' damage only
+        a file's missing end is seen.
         """
         ended = True
         for segment in self._segments():
@@ -192,6 +193,11 @@ class Segment:
         if lines is not None:
             yield from (read_document(document, self.path) for document in lines.documents)
             self.has_hole = not lines.closed
+            # The lines are closed after the other file, so that its end was whole then.
+            if lines.closed and not is_closed(self.path):
+                self.finding = (
+                    "its end is missing or damaged; no poke is lost, and --replay plays what is left of its readings."
+                )
             return
         try:
             for document in self._mcap.documents():

@@ -31,7 +31,10 @@ from skincal.taxels.differences import places_of
 from skincal.taxels.result import Estimate
 
 FEWEST = 5
-"""Taxels of a module with an estimate below which nothing is said of it."""
+"""Places of a module's taxels, `APART` from each other, below which nothing is said of it: taxels that answered to one poke
+alone are all estimated where it was."""
+APART = 1e-4
+"""m: places that differ by less are one."""
 MIRRORED = 0.6
 """The mirrored pads must fit this much better: the paper's modules fit to 2.1 mm straight and 10.4 mm mirrored."""
 TURN_MIN = float(np.radians(30.0))
@@ -168,7 +171,8 @@ def _known(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -
     """Return the estimates of a module's pads that have a position and a normal; None where these or the plan do not say."""
     own = {row: estimates[channel] for row, channel in enumerate(model.channels_of([module])) if channel in estimates}
     known = {row: estimate for row, estimate in own.items() if estimate.position is not None and estimate.normal is not None}
-    return None if len(known) < FEWEST or model.plan(module) is None else known
+    places = {tuple(np.round(estimate.position / APART)) for estimate in known.values()}
+    return None if len(places) < FEWEST or model.plan(module) is None else known
 
 
 def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:

@@ -38,6 +38,8 @@ def find_places(named: str) -> PlaceSet:
         raise InputError(f"{named}: {which!r} names no places of {head}; expected one of {', '.join(WORDS)} after the colon.")
     if path.is_dir():
         return session_places(path, which)
+    if not path.exists():
+        raise InputError(f"{named}: there is no such session or file; check the path.")
     if which in (PLAN, TRUTH):
         raise InputError(f"{named}: only the folder of a session has a {which}; name a folder, or a file without {which!r}.")
     return read_places(path, Method(which) if which else None)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.model.readings import LinkAnswer, LinkVerdict, Stream
+from skincal.model.errors import InputError
+from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Stream
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
@@ -20,6 +21,7 @@ from skincal.sentences import (
     link_verdict_words,
     misfit_sentence,
     rig_sentences,
+    silent_links,
     state_sentence,
     unchecked_sentence,
 )
@@ -27,6 +29,18 @@ from skincal.taxels.result import Cause, StateReason
 from tests.approved import approved
 
 NEITHER = np.empty(0)
+
+
+@pytest.mark.parametrize(("count", "told"), [(1, True), (3, False)])
+def test_of_three_links_that_are_silent_each_is_named_and_nothing_is_cut(count, told):
+    streams = list(Stream)[:count]
+    why = approved("links.no_port", port="/dev/pts/0")
+    links = [LinkHealth(each.value, LinkState.FAILED, why, (each,), "", 0, 0.0, 0, {}) for each in streams]
+    said = str(InputError(f"{silent_links(links)} No session was made."))
+    assert "\N{HORIZONTAL ELLIPSIS}" not in said
+    assert all(approved("links.nothing_usable_no_port", link=each.value, port="/dev/pts/0") in said for each in streams)
+    assert (why in said) is told
+
 
 STATES = (
     (None, ""),

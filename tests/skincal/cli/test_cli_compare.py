@@ -52,7 +52,7 @@ def test_a_file_of_a_session_repeats_it_and_its_plan_does_not(capsys, tmp_path: 
             approved("places.not_named", named=f"{SAMPLE}:foo", which="foo", head=SAMPLE),
         ),
         ((str(Path(__file__)), str(SAMPLE)), approved("places.forms")),
-        (("nowhere.csv", "nowhere.csv"), approved("layout_file.no_such_file")),
+        (("nowhere", str(SAMPLE)), approved("places.nowhere", named="nowhere")),
         ((f"{SAMPLE}/truth.json:plan", str(SAMPLE)), "only the folder of a session has a plan"),
         ((str(SAMPLE), f"{SAMPLE}/truth.json:free"), "has no places of the free method"),
     ],

@@ -50,6 +50,20 @@ def test_modules_that_lie_as_planned_are_left_alone(errors, seed):
     assert find_misfits(planned(rig, lambda _, module: module), {}) == ()
 
 
+@pytest.mark.parametrize(("each", "named"), [(2, 1), (3, 0)])
+def test_taxels_that_answered_to_the_same_pokes_are_one_place(each, named):
+    """A turned module whose twelve taxels are estimated at six places, and at four: the latter say nothing of a turn."""
+    rig, found = poked(1)
+    model = planned(rig, lambda index, module: replace(module, angle=module.angle - (2 * np.pi / 3 if index == 2 else 0.0)))
+    estimates = dict(found[Method.SURFACE])
+    channels = model.channels_of([2])
+    for first in range(0, len(channels), each):
+        together = channels[first : first + each]
+        middle = np.mean([estimates[channel].position for channel in together], axis=0)
+        estimates |= {channel: replace(estimates[channel], position=middle) for channel in together}
+    assert len(find_misfits(model, estimates)) == named
+
+
 def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
     """Six of a module's taxels, drawn together to half their distance and scattered by 2 mm."""
     rig, _ = poked(1)

@@ -119,6 +119,13 @@ def test_columns_of_numbers_stand_at_their_right():
     assert table.numeric == (False, False, True, False)
 
 
+def test_a_table_of_many_rows_is_looked_through_once(facts, monkeypatch):
+    """A whole body has 4,200 of them: looking through all for each cell takes hours."""
+    looked, numeric = [], ReportTable.numeric.fget
+    monkeypatch.setattr(ReportTable, "numeric", property(lambda table: looked.append(table) or numeric(table)))
+    assert report_page(facts).count("<table") == len(looked)
+
+
 def test_what_is_wider_than_a_small_screen_moves_by_itself(facts):
     text = report_page(facts)
     assert text.count("<table") == text.count('<div class="wide">\n  <table')
