@@ -385,6 +385,7 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
         "miss_before_m": float(used.before),
         "miss_after_m": float(used.after),
         "miss_over_predicted": _plain(used.ratio),
+        "noise_over_scene": _plain(used.noisier),
         "wrench_matrix": _plain(found.matrix),
         "sensor_motion_m": _plain(found.everywhere),
         "pose_motions_m": {name: _plain(motion) for name, motion in sorted(found.motions.items())},

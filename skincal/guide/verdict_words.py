@@ -37,20 +37,33 @@ def verdict_sentence(verdict: Verdict) -> str:
 
 
 def _agreement(verdict: Verdict) -> str:
-    check, landmarks = verdict.check, verdict.landmarks
+    """Return what held-out pokes say, then what landmarks say, whatever the pokes said: only they show a shift of all."""
+    if verdict.believed and not verdict.moved:
+        return ", and the held-out pokes and the landmarks agree"
+    return f"{_skin_words(verdict)}; {_landmark_clause(verdict.landmarks)}"
+
+
+def _skin_words(verdict: Verdict) -> str:
+    check = verdict.check
     if verdict.moved:
         return ", but something has moved since the start"
     if not check.believed:
         return ", but the held-out pokes speak against it"
-    if landmarks is not None and not landmarks.agrees:
-        return ", but the landmarks speak against it"
     if not check.tells:
         return "; too few pokes are held out to check it" if verdict.done else ""
-    if not check.agrees:
-        return ", but the held-out pokes hardly agree"
+    return ", and the held-out pokes agree" if check.agrees else ", but the held-out pokes hardly agree"
+
+
+def _landmark_clause(landmarks: LandmarkAgreement | None) -> str:
     if landmarks is None:
-        return ", and the held-out pokes agree; whether the whole skin is shifted, only landmarks show"
-    return ", and the held-out pokes and the landmarks agree"
+        return "landmarks did not check it, so a shift that all taxels share would not show"
+    if not landmarks.agrees:
+        return "the landmarks speak against it"
+    return f"the landmarks agree only {_noise_words(landmarks)}" if landmarks.by_noise else "the landmarks agree"
+
+
+def _noise_words(landmarks: LandmarkAgreement) -> str:
+    return f"with noise {landmarks.noisier:g} times the scene's"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -98,6 +111,7 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     if landmarks is None:
         return f"not checked: it needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
     how = "held out of the correction" if landmarks.corrected else "without a correction"
+    how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"{plural(landmarks.pokes, 'poke')}, {how}, pass them at {landmarks.ratio:.1f} times what is predicted"
     if landmarks.agrees:
         return words

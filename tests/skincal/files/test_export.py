@@ -284,7 +284,7 @@ def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tm
 
 
 def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
-    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it"
+    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it; the landmarks agree"
     calibration = replace(make_calibration(part), verdicts={Method.SURFACE: words})
     assert json.loads(json_text(calibration))["verdicts"] == {"surface": words}
     assert f"comment {words}" in ply_text(calibration, Method.SURFACE).splitlines()
