@@ -302,18 +302,22 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
 
 
 def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], float | None]:
-    """Return by how much the rig's errors may move the taxels beside what is predicted, in lines and in metres.
+    """Return by how much the rig's errors may move the taxels beside what is predicted, by the method that leads.
+
+    In lines and in metres.
 
     Parameters
     ----------
     answer : what landmark pokes say
     """
+    from skincal.methods import leading_method
     from skincal.rig.correction import RIG
     from skincal.rig.correction_fit import landmark_agreement
     from skincal.rig.expected_gain import unchecked_of
     from skincal.sentences import unchecked_sentence
 
-    used, estimates = session.corrections.get(RIG), session.snapshot().estimates[session.methods[-1]]
+    known = session.snapshot().estimates
+    used, estimates = session.corrections.get(RIG), known[leading_method(known) or session.methods[-1]]
     landmarks, noise = landmark_agreement(answer, used), session.scene.noise
     off = unchecked_of(used, landmarks, estimates, session.contacts, session.landmark_pokes, noise)
     return ([] if off is None else [unchecked_sentence(off, len(session.landmark_pokes))]), off
@@ -390,6 +394,7 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
+    from skincal.sentences import unchecked_sentence
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
@@ -399,8 +404,10 @@ def export(
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    verdict = calibration.verdicts[chosen]
-    text = [report.method_line(chosen, summary) + lead, f"{verdict}.", *findings, f"wrote {out}"]
-    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "verdict": verdict}
-    result["findings"] = findings
+    verdict, off = calibration.verdicts[chosen], calibration.unchecked[chosen]
+    unchecked = [] if off is None else [unchecked_sentence(off, len(pipeline.session.landmark_pokes))]
+    text = [report.method_line(chosen, summary) + lead, *unchecked, f"{verdict}.", *findings, f"wrote {out}"]
+    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary}
+    result |= {"leads": report.leading_name(calibration.estimates), "verdict": verdict}
+    result |= {"unchecked_rig_mm": None if off is None else off * 1e3, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

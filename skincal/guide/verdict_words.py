@@ -9,7 +9,7 @@ from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import closing_sentence, earlier_closings, predicted_words
+from skincal.sentences import closing_sentence, earlier_closings, error_words
 from skincal.taxels.result import Method
 
 
@@ -74,7 +74,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Closing", closing_words(verdict.closings)),
-        ("Predicted error", error_words(verdict)),
+        ("Predicted error", error_words(verdict.predicted, verdict.unchecked)),
         ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
     )
 
@@ -125,24 +125,10 @@ def closing_words(closings: Sequence[Closing]) -> str:
     return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
-def error_words(verdict: Verdict) -> str:
-    """Return the predicted error, and what it leaves out where nobody knows the rig's own errors."""
-    if verdict.predicted is None:
-        return "no taxel is known"
-    if verdict.unchecked is None:
-        return predicted_words(verdict.predicted)
-    words = predicted_words(verdict.predicted, apart=False)
-    return f"{words}, for a right rig; an ordinary one's own errors add about {_mm(verdict.unchecked)}"
-
-
 def left_words(left: Left) -> str:
     """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
     needs = ", ".join(need.value for need in left.needs)
     return f"{left.why.value}: needs {needs}" if needs else left.why.value
-
-
-def _mm(metres: float, decimals: int = 1) -> str:
-    return f"{metres * 1e3:.{decimals}f} mm"
 
 
 def _minutes(seconds: float) -> str:

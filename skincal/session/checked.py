@@ -37,9 +37,10 @@ def words_of(verdicts: Mapping[Method, Verdict]) -> dict[Method, str]:
 
 
 def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:
-    """Return what files are written from, with what landmark pokes say of a correction of the rig, and the verdicts."""
+    """Return what files are written from, with what landmark pokes say of a correction of the rig, and what verdicts say."""
     found = None if rig is None else landmark_check(rig)
-    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts))
+    unchecked = {method: verdict.unchecked for method, verdict in verdicts.items()}
+    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts), unchecked=unchecked)
 
 
 def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:

@@ -20,7 +20,6 @@ from skincal.guide.verdict import Check, Left, Verdict
 from skincal.guide.verdict_words import (
     check_words,
     done_words,
-    error_words,
     figures,
     landmark_words,
     left_words,
@@ -29,7 +28,7 @@ from skincal.guide.verdict_words import (
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
-from skincal.sentences import correction_sentence, rig_sentences
+from skincal.sentences import correction_sentence, error_words, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
@@ -157,9 +156,10 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
     assert landmark_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
     assert landmark_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
     assert landmark_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
-    unchecked = verdict(landmarks=None, unchecked=0.0071)
-    assert error_words(unchecked) == approved("verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1")
-    assert error_words(verdict(predicted=None, unchecked=0.0071)) == approved("verdict.predicted_none")
+    assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Predicted error"] == approved(
+        "verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1"
+    )
+    assert error_words(None, 0.0071) == approved("verdict.predicted_none")
     assert "nan" not in " ".join(value for _, value in figures(verdict(used=0, predicted=None, landmarks=None)))
 
 
