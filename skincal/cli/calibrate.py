@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
-    from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import Snapshot
@@ -97,13 +96,14 @@ def solve(
     """
     from skincal.cli import report
     from skincal.files.reference import read_reference
+    from skincal.session.checked import use_offered
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
     pipeline = _opened(session, replay, layout)
     if correct:
-        _correct(pipeline.session)
+        use_offered(pipeline.session)
     solved, text = _solved(pipeline, known, per_pose=per_pose)
     # Before anything is written: its file may be refused.
     modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
@@ -225,39 +225,6 @@ def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     return [*left, f"{out} is not written: {why}"]
 
 
-def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
-    from skincal.rig.correction_fit import correct_rig
-    from skincal.rig.frame_check import diagnose
-    from skincal.session.landmark_pokes import landmark_normals
-
-    known = {landmark.name: landmark for landmark in session.landmarks}
-    pokes = session.landmark_pokes
-    normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
-    return diagnose(pokes, normals), correct_rig(session.rig_request())
-
-
-def _correct(session: Session) -> None:
-    """Use the corrections that landmark pokes offer, the frame first, or refuse; the recording stays as it is."""
-    from skincal.rig.correction import FRAME
-    from skincal.sentences import frame_sentence, rig_sentences
-    from skincal.session.corrections import offered
-
-    if not session.landmark_pokes:
-        raise InputError("--correct needs pokes at landmarks; this session has none.")
-    frame, rig = _landmark_findings(session)
-    # A frame's correction changes what is found of the rig, so both are looked at again after each.
-    while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
-        # Each kind is used once, or what is found again and again would never end.
-        if action.of in session.corrections:
-            break
-        if action.of == FRAME and frame is not None and not frame.sure:
-            raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
-        session.act(action)
-        frame, rig = _landmark_findings(session)
-    if not session.corrections:
-        raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
-
-
 def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str], float | None]:
     """Return what landmark pokes say about the rig, as JSON and in lines, and how far it may be off unseen, metres.
 
@@ -271,8 +238,9 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
     from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
+    from skincal.session.checked import landmark_findings
 
-    frame, answer = _landmark_findings(session)
+    frame, answer = landmark_findings(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
         {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3} for used in session.corrections.values()
@@ -365,11 +333,11 @@ def calibration_of(
 ) -> tuple[Pipeline, Calibration, Method]:
     """Open a session, and return what a file is written from, and by which method where none is given."""
     from skincal.methods import leading_method
-    from skincal.session.checked import checked_calibration
+    from skincal.session.checked import checked_calibration, use_offered
 
     pipeline = _opened(session, replay, layout)
     if correct:
-        _correct(pipeline.session)
+        use_offered(pipeline.session)
     calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     chosen = method or leading_method(calibration.estimates) or pipeline.session.methods[-1]
     if chosen not in calibration.estimates:

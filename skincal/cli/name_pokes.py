@@ -87,7 +87,7 @@ def landmarks(
     undo: Annotated[bool, typer.Option("--undo", help="Take back what the last call wrote.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say which poke of a session was at which landmark, for `solve --correct` and `export --correct`.
+    """Say which poke of a session was at which landmark, for `--correct` of `solve`, `export` and `report`.
 
     Without options the pokes are listed with what is known of them. What is said is written into the session at once.
     """
