@@ -148,6 +148,7 @@ def test_what_a_scene_does_not_have_is_none(tmp_path):
         ("joints = [3, 4]", "joints = [1e308, 4]", [approved("scene.joints_far")]),
         ("[94.0, 0.0]", "[0.0, -1e308]", [approved("scene.angles_far", key="1", angle="1e+308")]),
         ("[94.0, 0.0]", "[3601.0, 0.0]", [approved("scene.angles_far", key="1", angle="3601")]),
+        ("90.0, -90.0]", "90.0, -1e308]", [approved("scene.angles_far", key="dh", angle="1e+308")]),
         ("force_min = 3", "still_s = 1e308", [approved("scene.setting_far", key="still_s", value="1e+308", most="60")]),
         ("force_min = 3", "taxels_max = 1" + "0" * 400, [approved("scene.whole_number_long", key="taxels_max", digits=401)]),
         ("force = 0.2", "force = 1e-320", [approved("scene.setting_far", key="force", value="9.99989e-321", most="1e+06")]),
