@@ -263,6 +263,21 @@ def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
     )
 
 
+def error_words(found: PredictedError | None, off: float | None) -> str:
+    """Return the predicted error of a skin and what it leaves out; no full stop, since files put it into comments.
+
+    Parameters
+    ----------
+    found : None where no taxel is known
+    off : m, by how much an ordinary rig's own errors move the taxels besides; None where they are predicted, too
+    """
+    if found is None:
+        return "no taxel is known"
+    if off is None:
+        return predicted_words(found)
+    return f"{predicted_words(found, apart=False)}, for a right rig; an ordinary one's own errors add about {off * 1e3:.1f} mm"
+
+
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
     """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square.
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
     from skincal.modules.health import LayoutMend
     from skincal.rig.correction_fit import RigAnswer
-    from skincal.rig.frame_check import FrameDiagnosis
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import Snapshot
@@ -97,13 +96,14 @@ def solve(
     """
     from skincal.cli import report
     from skincal.files.reference import read_reference
+    from skincal.session.checked import use_offered
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
     known = None if reference is None else read_reference(reference)
     pipeline = _opened(session, replay, layout)
     if correct:
-        _correct(pipeline.session)
+        use_offered(pipeline.session)
     solved, text = _solved(pipeline, known, per_pose=per_pose)
     # Before anything is written: its file may be refused.
     modules, module_lines = _layout_result(pipeline.session, layout, layout_out)
@@ -225,39 +225,6 @@ def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     return [*left, f"{out} is not written: {why}"]
 
 
-def _landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
-    from skincal.rig.correction_fit import correct_rig
-    from skincal.rig.frame_check import diagnose
-    from skincal.session.landmark_pokes import landmark_normals
-
-    known = {landmark.name: landmark for landmark in session.landmarks}
-    pokes = session.landmark_pokes
-    normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
-    return diagnose(pokes, normals), correct_rig(session.rig_request())
-
-
-def _correct(session: Session) -> None:
-    """Use the corrections that landmark pokes offer, the frame first, or refuse; the recording stays as it is."""
-    from skincal.rig.correction import FRAME
-    from skincal.sentences import frame_sentence, rig_sentences
-    from skincal.session.corrections import offered
-
-    if not session.landmark_pokes:
-        raise InputError("--correct needs pokes at landmarks; this session has none.")
-    frame, rig = _landmark_findings(session)
-    # A frame's correction changes what is found of the rig, so both are looked at again after each.
-    while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
-        # Each kind is used once, or what is found again and again would never end.
-        if action.of in session.corrections:
-            break
-        if action.of == FRAME and frame is not None and not frame.sure:
-            raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
-        session.act(action)
-        frame, rig = _landmark_findings(session)
-    if not session.corrections:
-        raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
-
-
 def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str], float | None]:
     """Return what landmark pokes say about the rig, as JSON and in lines, and how far it may be off unseen, metres.
 
@@ -271,8 +238,9 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
     from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
+    from skincal.session.checked import landmark_findings
 
-    frame, answer = _landmark_findings(session)
+    frame, answer = landmark_findings(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
         {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3} for used in session.corrections.values()
@@ -283,6 +251,7 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     if answer.correction is not None:
         rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
         rig["held_out_over_predicted"] = answer.ratio
+        rig["noise_over_scene"] = answer.noisier
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
     if answer.used and answer.correction is not None and RIG not in session.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
@@ -301,18 +270,22 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
 
 
 def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], float | None]:
-    """Return by how much the rig's errors may move the taxels beside what is predicted, in lines and in metres.
+    """Return by how much the rig's errors may move the taxels beside what is predicted, by the method that leads.
+
+    In lines and in metres.
 
     Parameters
     ----------
     answer : what landmark pokes say
     """
+    from skincal.methods import leading_method
     from skincal.rig.correction import RIG
     from skincal.rig.correction_fit import landmark_agreement
     from skincal.rig.expected_gain import unchecked_of
     from skincal.sentences import unchecked_sentence
 
-    used, estimates = session.corrections.get(RIG), session.snapshot().estimates[session.methods[-1]]
+    known = session.snapshot().estimates
+    used, estimates = session.corrections.get(RIG), known[leading_method(known) or session.methods[-1]]
     landmarks, noise = landmark_agreement(answer, used), session.scene.noise
     off = unchecked_of(used, landmarks, estimates, session.contacts, session.landmark_pokes, noise)
     return ([] if off is None else [unchecked_sentence(off, len(session.landmark_pokes))]), off
@@ -360,11 +333,11 @@ def calibration_of(
 ) -> tuple[Pipeline, Calibration, Method]:
     """Open a session, and return what a file is written from, and by which method where none is given."""
     from skincal.methods import leading_method
-    from skincal.session.checked import checked_calibration
+    from skincal.session.checked import checked_calibration, use_offered
 
     pipeline = _opened(session, replay, layout)
     if correct:
-        _correct(pipeline.session)
+        use_offered(pipeline.session)
     calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     chosen = method or leading_method(calibration.estimates) or pipeline.session.methods[-1]
     if chosen not in calibration.estimates:
@@ -389,6 +362,7 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
+    from skincal.sentences import unchecked_sentence
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
@@ -398,8 +372,10 @@ def export(
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    verdict = calibration.verdicts[chosen]
-    text = [report.method_line(chosen, summary) + lead, f"{verdict}.", *findings, f"wrote {out}"]
-    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary, "verdict": verdict}
-    result["findings"] = findings
+    verdict, off = calibration.verdicts[chosen], calibration.unchecked[chosen]
+    unchecked = [] if off is None else [unchecked_sentence(off, len(pipeline.session.landmark_pokes))]
+    text = [report.method_line(chosen, summary) + lead, *unchecked, f"{verdict}.", *findings, f"wrote {out}"]
+    result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary}
+    result |= {"leads": report.leading_name(calibration.estimates), "verdict": verdict}
+    result |= {"unchecked_rig_mm": None if off is None else off * 1e3, "findings": findings}
     report.print_result({**result, "text": text}, as_json)

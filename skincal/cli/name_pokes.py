@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 NOWHERE = "-"
 """Stands for no landmark, as an empty name does."""
 HEADERS = (["poke", "landmark"], ["start_s", "end_s", "landmark"])
+SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
+"""What may part the columns of a file, as in a recording's CSV: the first of these that is in its first line."""
 Names: TypeAlias = dict[int, str]
 """Number of a poke to the landmark that it was at; empty for none."""
 NewLandmark: TypeAlias = tuple[str, float, float, float]
@@ -60,7 +62,7 @@ def landmarks(
         typer.Option(
             "--csv",
             help="File with the columns poke,landmark, or start_s,end_s,landmark: all pokes from one time to another, in "
-            "seconds since the recording began, as they are listed.",
+            "seconds since the recording began, as they are listed. Comma, semicolon or tab between them.",
             show_default=False,
         ),
     ] = None,
@@ -87,7 +89,7 @@ def landmarks(
     undo: Annotated[bool, typer.Option("--undo", help="Take back what the last call wrote.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say which poke of a session was at which landmark, for `solve --correct` and `export --correct`.
+    """Say which poke of a session was at which landmark, for `--correct` of `solve`, `export` and `report`.
 
     Without options the pokes are listed with what is known of them. What is said is written into the session at once.
     """
@@ -154,8 +156,11 @@ def _number(text: str, where: str) -> int:
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     """Return what each row of a file says."""
     try:
-        file = StringIO(read_regular(path, TEXT_MOST).decode("utf-8-sig"), newline="")
-        lines = [(number, [field.strip() for field in row]) for number, row in enumerate(csv.reader(file), 1) if any(row)]
+        content = read_regular(path, TEXT_MOST).decode("utf-8-sig")
+        first = next(filter(str.strip, content.splitlines()), "")
+        mark = next((mark for mark in SEPARATORS if mark in first), ",")
+        rows = csv.reader(StringIO(content, newline=""), delimiter=mark)
+        lines = [(number, [field.strip() for field in row]) for number, row in enumerate(rows, 1) if any(row)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error}); expected a CSV file.") from None
     header = lines[0][1] if lines else []
@@ -167,7 +172,7 @@ def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
         where = f"{path}, line {number}"
         if len(row) != len(header):
             raise InputError(
-                f"{where}: has {plural(len(row), 'field')}; expected {len(header)}: a name with a comma in quotes."
+                f"{where}: has {plural(len(row), 'field')}; expected {len(header)}: a name with a {SEPARATORS[mark]} in quotes."
             )
         names.append({_number(row[0], where): row[1]} if len(header) == 2 else _between(known, begin_s, row, where))
     return names
@@ -178,7 +183,8 @@ def _between(known: Session, begin_s: float, row: Sequence[str], where: str) -> 
     from skincal.session.landmark_pokes import can_be_at_landmark
 
     try:
-        start_s, end_s = float(row[0]), float(row[1])
+        # A comma is the decimal point where semicolons part the columns.
+        start_s, end_s = (float(field.replace(",", ".")) for field in row[:2])
     except ValueError:
         raise InputError(f"{where}: {row[0]} to {row[1]} are no times; expected seconds since the recording began.") from None
     within = [poke for poke in _outcomes(known) if start_s <= (poke.start_s + poke.end_s) / 2 - begin_s <= end_s]
@@ -270,10 +276,20 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
         else:
             passed = f", which its axis passes at {misses[action.poke] * 1e3:.1f} mm" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
-    count = len(known.at_landmarks)
-    use = f"; `skincal solve {folder} --correct` uses them" if count else ""
     nothing = ["nothing new, nothing was written"] if known.landmarks else [_landmark_line(known)]
-    return [*(lines or nothing), f"{plural(count, 'poke')} at landmarks{use}"]
+    return [*(lines or nothing), f"{plural(len(known.landmark_pokes), 'poke')} at landmarks; {_use_words(folder, known)}"]
+
+
+def _use_words(folder: Path, known: Session) -> str:
+    """Return what uses the pokes at landmarks, or how many are still missing for a correction of the rig."""
+    from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS
+
+    points = max(FEWEST_POINTS - len({poke.name for poke in known.landmark_pokes}), 0)
+    more = max(FEWEST - len(known.landmark_pokes), points)
+    if not more:
+        return f"`skincal solve {folder} --correct` uses them"
+    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points else ""
+    return f"a correction of the rig needs {FEWEST} at {FEWEST_POINTS} landmarks: {more} more{others}"
 
 
 def _unsure_lines(known: Session, nearest: dict[int, NearestLandmark], named: Names) -> list[str]:

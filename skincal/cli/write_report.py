@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from skincal.cli.calibrate import Json, SessionArgument
+from skincal.cli.calibrate import Correct, Json, SessionArgument
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -26,6 +26,7 @@ def write(
         Method | None,
         typer.Option(help="Whose estimates are shown; else those of the method that leads.", show_default=False),
     ] = None,
+    correct: Correct = False,
     as_json: Json = False,
 ) -> None:
     """Write the report of a session: verdict and evidence, pictures, errors, rig, pokes, settings and versions in one file."""
@@ -34,5 +35,5 @@ def write(
 
     if out.suffix.lower() not in PAGES:
         raise InputError(f"{out}: a report is a page for the browser; expected --out with a name that ends in .html.")
-    verdict = write_report(session, out, method)
+    verdict = write_report(session, out, method, correct=correct)
     report.print_result({"file": out, "verdict": verdict, "text": [verdict, f"wrote {out}"]}, as_json)

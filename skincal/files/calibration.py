@@ -14,8 +14,10 @@ from skincal.model.scene import Scene
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
+from skincal.sentences import error_words
 from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method
+from skincal.taxels.shared_errors import predicted_error
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,8 @@ class Calibration:
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
     verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
     """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
+    unchecked: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
+    """m, by method as `verdicts`: how far the rig's errors may move the taxels beside what is predicted (`unchecked_of`)."""
 
     def of(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -80,6 +84,13 @@ class Calibration:
                 f"the session has no estimates of the {method.value} method; expected one of: {known or 'none at all'}."
             )
         return self.estimates[method]
+
+    def checked_words(self, method: Method) -> tuple[str, ...]:
+        """Return the verdict on a method and its predicted error, with what that leaves out, for comments; none without."""
+        if method not in self.verdicts:
+            return ()
+        error = error_words(predicted_error(self.of(method)), self.unchecked.get(method))
+        return self.verdicts[method], f"predicted error: {error}"
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:

@@ -42,6 +42,7 @@ from skincal.rig.correction import UsedCorrection
 from skincal.sentences import correction_words, state_sentence
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.shared_errors import predicted_error
 
 BOX_MARGIN = 0.020
 """m. A taxel lies on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
@@ -233,7 +234,7 @@ def ply_text(calibration: Calibration, method: Method) -> str:
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
-        *(f"comment {calibration.verdicts[each]}" for each in (method,) if each in calibration.verdicts),
+        *(f"comment {words}" for words in calibration.checked_words(method)),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",
@@ -276,6 +277,7 @@ LANDMARK_KEYS = {
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
 CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
+ERROR_KEYS = {"mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m"}
 CLOSING_KEYS = {
     "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
     "seen": "directions_seen", "without": "chance_without_poke", "poke": "poke_left_out", "place": "place_left_out",
@@ -312,6 +314,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         "dead_channels": {str(channel): reason for channel, reason in sorted(calibration.dead.items())},
         "corrections": [_correction(used) for used in calibration.corrections],
         "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
+        "predicted_errors": {method.value: _error(calibration, method) for method in calibration.verdicts},
         "landmark_check": None if check is None else _written(check, CHECK_KEYS),
         "closing_check": closings[-1] if closings else None,
         "closing_checks_before": closings[:-1],
@@ -327,6 +330,12 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         },
     }
     return _dump(document)
+
+
+def _error(calibration: Calibration, method: Method) -> dict[str, float | None] | None:
+    """Return the predicted error of a method; None where it knows no taxel."""
+    found = predicted_error(calibration.of(method))
+    return None if found is None else {**_written(found, ERROR_KEYS), "unchecked_rig_m": calibration.unchecked.get(method)}
 
 
 def _closing(closing: Closing) -> dict[str, Any]:
@@ -385,6 +394,7 @@ def _correction(used: UsedCorrection) -> dict[str, Any]:
         "miss_before_m": float(used.before),
         "miss_after_m": float(used.after),
         "miss_over_predicted": _plain(used.ratio),
+        "noise_over_scene": _plain(used.noisier),
         "wrench_matrix": _plain(found.matrix),
         "sensor_motion_m": _plain(found.everywhere),
         "pose_motions_m": {name: _plain(motion) for name, motion in sorted(found.motions.items())},

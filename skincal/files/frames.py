@@ -132,6 +132,7 @@ def _root(tag: str, attributes: dict[str, str], calibration: Calibration, method
         f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
         "z axis of a taxel: its outward normal; the link's own where that is not known",
         *(correction_words(used) for used in calibration.corrections),
+        *calibration.checked_words(method),
     )
     for line in lines:
         # Two hyphens end a comment.

@@ -139,7 +139,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
         *(correction_words(used) for used in calibration.corrections),
-        *(calibration.verdicts[each] for each in (method,) if each in calibration.verdicts),
+        *calibration.checked_words(method),
     ]
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]

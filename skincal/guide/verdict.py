@@ -97,9 +97,10 @@ class Check:
 def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
     """Return whether what was held out speaks for the predicted errors: pokes on the skin, and landmarks.
 
-    Landmarks alone show a shift that all taxels share.
+    Landmarks alone show a shift that all taxels share, and only where their own misses do not widen what is predicted for them.
     """
-    return check.tells and check.agrees and landmarks is not None and landmarks.agrees
+    by_landmarks = landmarks is not None and landmarks.agrees and not landmarks.by_noise
+    return check.tells and check.agrees and by_landmarks
 
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:

@@ -9,7 +9,7 @@ from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import closing_sentence, earlier_closings, predicted_words
+from skincal.sentences import closing_sentence, earlier_closings, error_words
 from skincal.taxels.result import Method
 
 
@@ -37,20 +37,33 @@ def verdict_sentence(verdict: Verdict) -> str:
 
 
 def _agreement(verdict: Verdict) -> str:
-    check, landmarks = verdict.check, verdict.landmarks
+    """Return what held-out pokes say, then what landmarks say, whatever the pokes said: only they show a shift of all."""
+    if verdict.believed and not verdict.moved:
+        return ", and the held-out pokes and the landmarks agree"
+    return f"{_skin_words(verdict)}; {_landmark_clause(verdict.landmarks)}"
+
+
+def _skin_words(verdict: Verdict) -> str:
+    check = verdict.check
     if verdict.moved:
         return ", but something has moved since the start"
     if not check.believed:
         return ", but the held-out pokes speak against it"
-    if landmarks is not None and not landmarks.agrees:
-        return ", but the landmarks speak against it"
     if not check.tells:
         return "; too few pokes are held out to check it" if verdict.done else ""
-    if not check.agrees:
-        return ", but the held-out pokes hardly agree"
+    return ", and the held-out pokes agree" if check.agrees else ", but the held-out pokes hardly agree"
+
+
+def _landmark_clause(landmarks: LandmarkAgreement | None) -> str:
     if landmarks is None:
-        return ", and the held-out pokes agree; whether the whole skin is shifted, only landmarks show"
-    return ", and the held-out pokes and the landmarks agree"
+        return "landmarks did not check it, so a shift that all taxels share would not show"
+    if not landmarks.agrees:
+        return "the landmarks speak against it"
+    return f"the landmarks agree only {_noise_words(landmarks)}" if landmarks.by_noise else "the landmarks agree"
+
+
+def _noise_words(landmarks: LandmarkAgreement) -> str:
+    return f"with noise {landmarks.noisier:g} times the scene's"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -61,7 +74,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
         ("Check", check_words(verdict)),
         ("Landmarks", landmark_words(verdict.landmarks)),
         ("Closing", closing_words(verdict.closings)),
-        ("Predicted error", error_words(verdict)),
+        ("Predicted error", error_words(verdict.predicted, verdict.unchecked)),
         ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
     )
 
@@ -98,6 +111,7 @@ def landmark_words(landmarks: LandmarkAgreement | None) -> str:
     if landmarks is None:
         return f"not checked: it needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
     how = "held out of the correction" if landmarks.corrected else "without a correction"
+    how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"{plural(landmarks.pokes, 'poke')}, {how}, pass them at {landmarks.ratio:.1f} times what is predicted"
     if landmarks.agrees:
         return words
@@ -111,24 +125,10 @@ def closing_words(closings: Sequence[Closing]) -> str:
     return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
-def error_words(verdict: Verdict) -> str:
-    """Return the predicted error, and what it leaves out where nobody knows the rig's own errors."""
-    if verdict.predicted is None:
-        return "no taxel is known"
-    if verdict.unchecked is None:
-        return predicted_words(verdict.predicted)
-    words = predicted_words(verdict.predicted, apart=False)
-    return f"{words}, for a right rig; an ordinary one's own errors add about {_mm(verdict.unchecked)}"
-
-
 def left_words(left: Left) -> str:
     """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
     needs = ", ".join(need.value for need in left.needs)
     return f"{left.why.value}: needs {needs}" if needs else left.why.value
-
-
-def _mm(metres: float, decimals: int = 1) -> str:
-    return f"{metres * 1e3:.{decimals}f} mm"
 
 
 def _minutes(seconds: float) -> str:

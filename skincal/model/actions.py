@@ -195,6 +195,8 @@ class Correct:
     """126, row by row; empty of a sensor that is taken for linear."""
     ratio: float = 0.0
     """0 where nobody knows it."""
+    noisier: float = 1.0
+    """As in `UsedCorrection`; 1 in sessions of old, which do not say."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ import numpy as np
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import LENGTH_MAX, Table, check_metres, parse_toml, read_text
+from skincal.model.tables import LENGTH_MAX, Table, check_degrees, check_metres, parse_toml, read_text
 
 # Settings that the file gives in degrees, by the name that says so.
 _IN_DEGREES = {"pose_turn": "pose_turn_deg"}
@@ -285,13 +285,16 @@ def _read_arm(table: Table) -> ArmSpec:
     joints = tuple(int(j) for j in columns)
     rows: FloatArray = table.array("dh", (len(joints), 4))
     check_metres(rows[:, :2], f"{table.where}: dh")
+    check_degrees(rows[:, 2:], f"{table.where}: dh")
     chain = tuple(DhLink(float(a), float(d), float(np.radians(al)), float(np.radians(of))) for a, d, al, of in rows)
     arm = Arm(joints, chain, _read_pose(table, "base_from_sensor"))
     poses = table.table("poses")
     named: dict[str, FloatArray] = {}
     if poses is not None:
         for name in poses.keys:
-            named[name] = np.radians(poses.array(name, (len(joints),)))
+            angles: FloatArray = poses.array(name, (len(joints),))
+            check_degrees(angles, f"{poses.where}: {name}")
+            named[name] = np.radians(angles)
     tolerance = table.take("tolerance_deg", float, 0.5)
     if not tolerance > 0:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")

@@ -18,6 +18,8 @@ T = TypeVar("T")
 
 LENGTH_MAX = 10.0
 """m. No length of a robot is larger; millimetres taken for metres are."""
+ANGLE_MAX = 3600.0
+"""Degrees: ten turns, more than any joint of an arm makes."""
 INTEGER_MAX = 10**18
 """Whole numbers of 64 bits end soon after; no count, channel or setting is as large."""
 DIRECTION_MAX = 1e100
@@ -179,6 +181,13 @@ def _digits(value: int) -> int:
 
 def _name(kind: type) -> str:
     return {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}[kind]
+
+
+def check_degrees(angles: FloatArray, what: str) -> None:
+    """Refuse angles beyond `ANGLE_MAX`: of much larger ones no digit is left after the turns."""
+    largest = float(np.abs(angles).max(initial=0.0))
+    if largest > ANGLE_MAX:
+        raise InputError(f"{what} has an angle of {largest:g}; degrees up to {ANGLE_MAX:g} were expected.")
 
 
 def check_metres(lengths: FloatArray, what: str) -> None:

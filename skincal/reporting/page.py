@@ -92,19 +92,20 @@ class ReportSection:
     tables: Sequence[ReportTable] = ()
 
 
-def write_report(folder: Path, path: Path, method: Method | None = None) -> str:
+def write_report(folder: Path, path: Path, method: Method | None = None, *, correct: bool = False) -> str:
     """Write the report of a recorded session; return its verdict. An older file stays beside it with `.bak` after its name.
 
     Parameters
     ----------
     method : whose estimates are shown; None for the one that leads
+    correct : whether the corrections that landmark pokes offer are used
 
     Raises
     ------
     InputError
-        The folder is no session, the scene lacks the method, or the file cannot be written.
+        The folder is no session, the scene lacks the method, no correction is offered, or the file cannot be written.
     """
-    facts = gather_facts(folder, method)
+    facts = gather_facts(folder, method, correct=correct)
     write_atomically(path, report_page(facts).encode("utf-8"))
     return verdict_sentence(facts.verdict)
 

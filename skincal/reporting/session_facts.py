@@ -25,11 +25,10 @@ from skincal.journal.documents import Totals
 from skincal.methods import estimate_taxels, leading_method
 from skincal.model.errors import InputError
 from skincal.modules.health import LayoutMend, judged_modules, mend_modules, spacing_ratio
-from skincal.rig.correction_fit import RigAnswer, correct_rig
-from skincal.rig.frame_check import FrameDiagnosis, diagnose
-from skincal.session.checked import verdicts_of
+from skincal.rig.correction_fit import RigAnswer
+from skincal.rig.frame_check import FrameDiagnosis
+from skincal.session.checked import landmark_findings, use_offered, verdicts_of
 from skincal.session.error_history import ErrorHistory, ErrorSeries, spreads_of
-from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
@@ -108,19 +107,22 @@ class SessionFacts:
     versions: Mapping[str, str]
 
 
-def gather_facts(folder: Path, method: Method | None = None) -> SessionFacts:
+def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = False) -> SessionFacts:
     """Load a recorded session and gather what a report tells; nothing in the folder changes.
 
     Parameters
     ----------
     method : whose estimates are shown; None for the one that leads
+    correct : whether the corrections that landmark pokes offer are used (`use_offered`)
 
     Raises
     ------
     InputError
-        The folder is no session, or its scene does not have the method.
+        The folder is no session, its scene does not have the method, or no correction is offered.
     """
     pipeline = load(folder)
+    if correct:
+        use_offered(pipeline.session)
     session, snapshot = pipeline.session, pipeline.snapshot()
     chosen = method or leading_method(snapshot.estimates) or session.methods[-1]
     if chosen not in snapshot.estimates:
@@ -129,7 +131,7 @@ def gather_facts(folder: Path, method: Method | None = None) -> SessionFacts:
     truth = find_truth(folder, pipeline.scene.link, part.channels.tolist())
     estimates, calibration = snapshot.estimates[chosen], session.calibration()
     errors = errors_of(estimates, truth)
-    frame, rig = _landmarks(session)
+    frame, rig = landmark_findings(session) if session.landmark_pokes else (None, None)
     mend, judged = _modules(session, snapshot)
     return SessionFacts(
         name=folder.resolve().name,
@@ -201,14 +203,6 @@ def _series(part: Part, snapshot: Snapshot, truth: Reference | None) -> ErrorSer
     if recount is not None:
         history.put(recount, recount.work())
     return history.series()
-
-
-def _landmarks(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer | None]:
-    if not session.landmark_pokes:
-        return None, None
-    known = {landmark.name: landmark for landmark in session.landmarks}
-    normals = landmark_normals([known[poke.name] for poke in session.landmark_pokes], session.surface)
-    return diagnose(session.landmark_pokes, normals), correct_rig(session.rig_request())
 
 
 def _misses(session: Session) -> dict[str, tuple[float, ...]]:

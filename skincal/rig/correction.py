@@ -111,6 +111,8 @@ class UsedCorrection:
     """How many landmark pokes it was found from."""
     ratio: float = float("nan")
     """Misses of held-out landmark pokes over what was predicted for them (`RigAnswer.ratio`); NaN where nobody knows."""
+    noisier: float = 1.0
+    """How many times the scene's noise was predicted for them (`RigAnswer.noisier`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,6 +65,9 @@ the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm o
 AS_PREDICTED = 1.5
 """Misses of landmarks over what is predicted for them that are still as predicted: of 21 pokes at six landmarks the ratio is
 0.7 to 1.1 on rigs that are wrong as modelled."""
+TOO_NOISY = 2.0
+"""Times the scene's noise from which landmarks that agree do not speak for a prediction, and so much is said: what is predicted
+for them is then twice as wide by their own misses, and hardly any misses would disagree."""
 DOUBTED = 0.9
 """A landmark poke that counts less than this is named to the operator."""
 PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
@@ -262,6 +265,9 @@ class RigAnswer:
     is wrong that the correction does not know of, and its uncertainty is as many times larger."""
     plain_ratio: float = float("nan")
     """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
+    noisier: float = 1.0
+    """How many times the scene's noise that of landmark pokes is taken for, by their own misses, one of `NOISIER`: what is
+    predicted for held-out pokes is as much wider, so that `ratio` tells little where this is large."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,11 +279,18 @@ class LandmarkAgreement:
     """Root mean square of their misses, each over its predicted standard deviation."""
     corrected: bool
     """A correction of the rig is in use, made without the pokes that are judged; else the rig is judged as it reports."""
+    noisier: float = 1.0
+    """How many times the scene's noise is predicted for them (`RigAnswer.noisier`); 1 without a correction."""
 
     @property
     def agrees(self) -> bool:
         """Whether they are passed as predicted."""
         return self.ratio <= AS_PREDICTED
+
+    @property
+    def by_noise(self) -> bool:
+        """Whether what is predicted is so much wider than by the scene's noise that to agree says little."""
+        return self.noisier >= TOO_NOISY
 
 
 def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
@@ -289,9 +302,10 @@ def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> La
     used : the correction of the rig that is in use
     """
     if rig is not None and rig.correction is not None:
-        ratio = rig.plain_ratio if used is None else rig.ratio
-        return LandmarkAgreement(len(rig.trust), ratio, used is not None)
-    return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True)
+        if used is None:
+            return LandmarkAgreement(len(rig.trust), rig.plain_ratio, False)
+        return LandmarkAgreement(len(rig.trust), rig.ratio, True, rig.noisier)
+    return None if used is None or np.isnan(used.ratio) else LandmarkAgreement(used.pokes, used.ratio, True, used.noisier)
 
 
 def _nothing() -> None:
@@ -370,7 +384,7 @@ class _Fit:
             self.trust = begin.trust
         points = sorted({poke.name for poke in self.landmarks})
         self._at_landmark = np.array([[poke.name == name for name in points] for poke in self.landmarks], dtype=float)
-        self._shared = np.zeros((2 * len(self.landmarks),) * 2)
+        self._shared, self._noisier = np.zeros((2 * len(self.landmarks),) * 2), 1.0
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
@@ -379,7 +393,7 @@ class _Fit:
         rows = self._landmark_rows(self.state)
         for _ in range(ROUNDS):
             self.trust = _trusted(rows, self._shared, *_solved(base, rows, self._shared, self.trust), self.trust)
-        self._shared, _ = self._likeliest(base, rows, self.trust)
+        self._shared, self._noisier, _ = self._likeliest(base, rows, self.trust)
         step, _ = _solved(base, rows, self._shared, self.trust)
         self._last = (rows, base)
         self.state = self.state.moved(step, self.scales)
@@ -390,14 +404,14 @@ class _Fit:
         """Return the logarithm of how likely landmark pokes are, (m,) by how far each counts, but for what all fits share."""
         assert self._last is not None
         rows, base = self._last
-        return self._likeliest(base, rows, trust)[1]
+        return self._likeliest(base, rows, trust)[2]
 
-    def _likeliest(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, float]:
+    def _likeliest(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, float, float]:
         """Return what is added to the covariance of landmark pokes, the likeliest of `PLACES_OFF` and `NOISIER`.
 
         Returns
         -------
-        (2 m, 2 m), and the logarithm of how likely the pokes are with it, but for a constant.
+        (2 m, 2 m), which of `NOISIER` is in it, and the logarithm of how likely the pokes are with it, but for a constant.
         """
         of_place = (rows.of_place[:, :, None] * self._at_landmark[:, None, :, None]).reshape(2 * len(self.landmarks), -1)
         alike = of_place @ of_place.T
@@ -405,7 +419,7 @@ class _Fit:
         every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
         likelihoods = [marginal.log_likelihood(added) for added in every]
         best = int(np.argmax(likelihoods))
-        return every[best], likelihoods[best]
+        return every[best], NOISIER[best // len(PLACES_OFF)], likelihoods[best]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
@@ -445,6 +459,7 @@ class _Fit:
             after=float(metre * np.sqrt(after)),
             ratio=ratio,
             plain_ratio=float(np.sqrt(before / 2.0)),
+            noisier=self._noisier,
             points=len({poke.name for poke in self.landmarks}),
             trust=dict(zip(pokes, self.trust.tolist(), strict=True)),
             distances=dict(zip(pokes, self.passed(unknowns).tolist(), strict=True)),

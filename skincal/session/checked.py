@@ -1,4 +1,4 @@
-"""A session's calibration together with what was checked of it: what the command line and the window write alike."""
+"""A session's calibration with what was checked of it, and its corrections: what commands, report and window do alike."""
 
 from __future__ import annotations
 
@@ -8,13 +8,48 @@ from dataclasses import replace
 from skincal.files.calibration import Calibration, landmark_check
 from skincal.guide.verdict import Verdict
 from skincal.guide.verdict_words import verdict_sentence
-from skincal.rig.correction_fit import RigAnswer
+from skincal.model.errors import InputError
+from skincal.rig.correction import FRAME
+from skincal.rig.correction_fit import RigAnswer, correct_rig
+from skincal.rig.frame_check import FrameDiagnosis, diagnose
+from skincal.sentences import frame_sentence, rig_sentences
+from skincal.session.corrections import offered
 from skincal.session.guiding import SessionGuide
+from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part, lay_part
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+
+
+def landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
+    """Return what landmark pokes say of the sensor's frame, None from too few, and of the rig."""
+    known = {landmark.name: landmark for landmark in session.landmarks}
+    pokes = session.landmark_pokes
+    normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
+    return diagnose(pokes, normals), correct_rig(session.rig_request())
+
+
+def use_offered(session: Session) -> None:
+    """Use the corrections that landmark pokes offer, the frame first, as `--correct` asks; the recording stays as it is.
+
+    Raises InputError: there are no such pokes, they offer nothing, or they do not say for sure what is wrong with the frame.
+    """
+    if not session.landmark_pokes:
+        raise InputError("--correct needs pokes at landmarks; this session has none.")
+    frame, rig = landmark_findings(session)
+    # A frame's correction changes what is found of the rig, so both are looked at again after each.
+    while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
+        # Each kind is used once, or what is found again and again would never end.
+        if action.of in session.corrections:
+            break
+        if action.of == FRAME and frame is not None and not frame.sure:
+            raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
+        session.act(action)
+        frame, rig = landmark_findings(session)
+    if not session.corrections:
+        raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 
 def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: RigAnswer | None) -> dict[Method, Verdict]:
@@ -37,9 +72,10 @@ def words_of(verdicts: Mapping[Method, Verdict]) -> dict[Method, str]:
 
 
 def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:
-    """Return what files are written from, with what landmark pokes say of a correction of the rig, and the verdicts."""
+    """Return what files are written from, with what landmark pokes say of a correction of the rig, and what verdicts say."""
     found = None if rig is None else landmark_check(rig)
-    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts))
+    unchecked = {method: verdict.unchecked for method, verdict in verdicts.items()}
+    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts), unchecked=unchecked)
 
 
 def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:

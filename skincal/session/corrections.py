@@ -138,7 +138,8 @@ def _same(first: Correction, second: Correction) -> bool:
 def used_of(action: Correct) -> UsedCorrection:
     """Return the correction that an action uses, with what speaks for it; InputError as for `correction_of`."""
     ratio = action.ratio or float("nan")
-    return UsedCorrection(action.of, correction_of(action), action.before, action.after, action.pokes, ratio)
+    correction = correction_of(action)
+    return UsedCorrection(action.of, correction, action.before, action.after, action.pokes, ratio, action.noisier)
 
 
 def correction_of(action: Correct) -> Correction:
@@ -162,11 +163,13 @@ def correction_of(action: Correct) -> Correction:
     root[np.triu_indices(size)] = action.spread
     matrix, everywhere = np.reshape(action.matrix, (6, 6)), np.reshape(action.everywhere, (4, 4))
     motions, quadratic = np.reshape(action.motions, (-1, 4, 4)), np.reshape(action.quadratic, (6, -1))
-    numbers = (matrix, everywhere, motions, root, quadratic, np.array([action.before, action.after, action.ratio]))
+    misses = np.array([action.before, action.after, action.ratio, action.noisier])
+    numbers = (matrix, everywhere, motions, root, quadratic, misses)
     if (
         not all(np.isfinite(values).all() for values in numbers)
         or not abs(np.linalg.det(matrix)) > 0
         or min(action.pokes, action.ratio) < 0
+        or action.noisier < 1
     ):
         raise InputError("A correction of the rig is no map of wrenches and poses; expected finite numbers, a regular matrix.")
     if not all(_is_motion(motion) for motion in (everywhere, *motions)):
@@ -200,16 +203,19 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
     if tried is None:
         return None
-    return correct_action(RIG, tried, rig.before, rig.after, pokes, 0.0 if np.isnan(rig.ratio) else rig.ratio)
+    ratio = 0.0 if np.isnan(rig.ratio) else rig.ratio
+    return correct_action(RIG, tried, rig.before, rig.after, pokes, ratio, rig.noisier)
 
 
-def correct_action(of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0) -> Correct:
+def correct_action(
+    of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0, noisier: float = 1.0
+) -> Correct:
     """Return the action that uses a correction; see `Correct` for the rest."""
     spread = correction.root[np.triu_indices(len(correction.root))].tolist()
     # Six digits of an uncertainty are more than anyone knows, and half of the file.
     root = tuple(float(f"{value:.6g}") for value in spread)
     quadratic = tuple(correction.quadratic.ravel().tolist())
-    return Correct(of, *_numbers(correction), before, after, pokes, root, quadratic, ratio)
+    return Correct(of, *_numbers(correction), before, after, pokes, root, quadratic, ratio, noisier)
 
 
 def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:

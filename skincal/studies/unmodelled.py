@@ -80,6 +80,8 @@ class FoundByMethod:
     """Whether the verdict believes the predicted error."""
     used: bool
     """Whether the rig was corrected."""
+    noisier: float
+    """How many times the scene's noise is predicted for landmark pokes; 1 where the rig is not corrected."""
 
     @property
     def wrongly_believed(self) -> bool:
@@ -165,6 +167,7 @@ def _judged(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> 
             ratio=float("nan") if landmarks is None else landmarks.ratio,
             believed=is_believed(tried, landmarks),
             used=used,
+            noisier=1.0 if landmarks is None else landmarks.noisier,
         )
         for name, (errors, tried) in solved.items()
     }

@@ -20,7 +20,6 @@ from skincal.guide.verdict import Check, Left, Verdict
 from skincal.guide.verdict_words import (
     check_words,
     done_words,
-    error_words,
     figures,
     landmark_words,
     left_words,
@@ -29,7 +28,7 @@ from skincal.guide.verdict_words import (
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
-from skincal.sentences import correction_sentence, rig_sentences
+from skincal.sentences import correction_sentence, error_words, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
@@ -46,6 +45,7 @@ EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
 AGREES = Check(14, 13)
 PASSED = LandmarkAgreement(21, 0.94, corrected=True)
 MISSED = LandmarkAgreement(21, 4.2, corrected=False)
+NOISY = LandmarkAgreement(21, 0.94, corrected=True, noisier=2.8)
 APART = PredictedError(mean=0.0011, worst=0.0021, whole=0.0012, among=0.0005)
 
 
@@ -77,11 +77,40 @@ def verdict(
         (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
         (verdict(checked=Check(0, 0)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
         (verdict(checked=Check(4, 4)), approved("verdict.all_done_unchecked", count=24, target_mm=3)),
+        (
+            verdict(checked=Check(4, 4), landmarks=None),
+            approved("verdict.all_done_unchecked_no_landmarks", count=24, target_mm=3),
+        ),
+        (
+            verdict(checked=Check(4, 4), landmarks=MISSED),
+            approved("verdict.all_done_unchecked_landmarks_against", count=24, target_mm=3),
+        ),
         (verdict(landmarks=None), approved("verdict.all_done_without_landmarks", count=24, target_mm=3)),
         (verdict(landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
-        (verdict(checked=Check(11, 8), landmarks=None), approved("verdict.all_done_hardly", count=24, target_mm=3)),
-        (verdict(checked=Check(4, 4), landmarks=MISSED), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
-        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_against", count=24, target_mm=3)),
+        (verdict(landmarks=NOISY), approved("verdict.all_done_landmarks_with_noise", count=24, target_mm=3, noise="2.8")),
+        (
+            verdict(landmarks=replace(NOISY, noisier=2.0)),
+            approved("verdict.all_done_landmarks_with_noise", count=24, target_mm=3, noise="2"),
+        ),
+        (verdict(landmarks=replace(NOISY, noisier=1.4)), approved("verdict.all_done_agree", count=24, target_mm=3)),
+        (verdict(landmarks=replace(NOISY, ratio=4.2)), approved("verdict.all_done_landmarks_against", count=24, target_mm=3)),
+        (
+            verdict(checked=Check(11, 8), landmarks=None),
+            approved("verdict.all_done_hardly_no_landmarks", count=24, target_mm=3),
+        ),
+        (
+            verdict(checked=Check(11, 8), landmarks=MISSED),
+            approved("verdict.all_done_hardly_landmarks_against", count=24, target_mm=3),
+        ),
+        (verdict(checked=Check(14, 7), landmarks=MISSED), approved("verdict.all_done_all_against", count=24, target_mm=3)),
+        (
+            verdict(checked=Check(14, 7), landmarks=None),
+            approved("verdict.all_done_against_no_landmarks", count=24, target_mm=3),
+        ),
+        (
+            replace(verdict(EARLY, checked=Check(0, 0), landmarks=None), done=0),
+            approved("verdict.none_done_no_landmarks", count=24),
+        ),
         (
             replace(verdict(), enough=False, landmarks_left=6),
             approved("verdict.landmarks_to_go", count=24, target_mm=3, left=6),
@@ -126,9 +155,11 @@ def test_what_moved_meanwhile_goes_before_all_else():
 def test_what_landmarks_say_and_what_nobody_checked_is_said():
     assert landmark_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
     assert landmark_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
-    unchecked = verdict(landmarks=None, unchecked=0.0071)
-    assert error_words(unchecked) == approved("verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1")
-    assert error_words(verdict(predicted=None, unchecked=0.0071)) == approved("verdict.predicted_none")
+    assert landmark_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
+    assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Predicted error"] == approved(
+        "verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1"
+    )
+    assert error_words(None, 0.0071) == approved("verdict.predicted_none")
     assert "nan" not in " ".join(value for _, value in figures(verdict(used=0, predicted=None, landmarks=None)))
 
 
@@ -140,6 +171,8 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
         (verdict(landmarks=MISSED), False, True),
         (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED, corrected=True)), True, False),
         (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED + 1e-9, corrected=True)), False, True),
+        (verdict(landmarks=NOISY), False, False),
+        (verdict(landmarks=replace(NOISY, noisier=1.4)), True, False),
         (verdict(checked=Check(4, 4)), False, False),
         (verdict(checked=Check(11, 8)), False, False),
         (verdict(checked=Check(14, 7)), False, True),

@@ -236,6 +236,41 @@ def test_an_order_is_of_all_pokes_that_no_taxel_answered_or_of_those_before_the_
     assert (code, out.splitlines()[0]) == (0, approved("landmark.nothing_new"))
 
 
+@pytest.mark.parametrize("rows", ["poke;landmark\n1;head\n2;tail, left\n", "\npoke\tlandmark\n1\thead\n2\ttail, left\n"])
+def test_columns_of_a_file_are_parted_as_those_of_a_recording(small, tmp_path, rows, capsys):
+    (tmp_path / "f.csv").write_text(rows, encoding="utf-8")
+    assert run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
+    assert named(small) == {1: "head", 2: "tail, left"}
+
+
+def test_between_semicolons_a_comma_is_the_decimal_point(small, tmp_path, capsys):
+    row = answered(capsys, "landmarks", small)["pokes"][1]
+    times = [f"{time:.3f}".replace(".", ",") for time in (row["start_s"] - 0.1, row["end_s"] + 0.1)]
+    (tmp_path / "f.csv").write_text(f"start_s;end_s;landmark\n{';'.join(times)};tail, left\n", encoding="utf-8")
+    assert run(capsys, "landmarks", small, "--csv", tmp_path / "f.csv")[0] == 0
+    assert named(small) == {2: "tail, left"}
+
+
+def test_how_many_pokes_are_missing_for_a_correction_is_said(log, imported, tmp_path, capsys):
+    folder, pairs = shutil.copytree(imported, tmp_path / "s"), list(log.names.items())
+    of = {name: [poke for poke, there in pairs if there == name] for name in dict.fromkeys(log.names.values())}
+    first, *rest = of
+
+    def said(*at):
+        words = [word for each in at for word in ("--at", each)]
+        return run(capsys, "landmarks", folder, *words)[1].splitlines()[-1]
+
+    assert said(f"{of[first][0]}={first}") == approved(
+        "landmark.missing_pokes", pokes="1 poke", missing="5 more, 3 of them at others"
+    )
+    more = [f"{of[name][0]}={name}" for name in rest[:2]]
+    assert said(*more) == approved("landmark.missing_pokes", pokes="3 pokes", missing="3 more, 1 of them at another")
+    more = [f"{of[name][1]}={name}" for name in (first, *rest[:2])]
+    assert said(*more) == approved("landmark.missing_pokes", pokes="6 pokes", missing="1 more, 1 of them at another")
+    assert run(capsys, "solve", folder, "--correct")[0] == 2
+    assert said(f"{of[rest[2]][0]}={rest[2]}") == approved("landmark.enough_for_correction", pokes=7, session=folder)
+
+
 def test_a_poke_that_a_taxel_answered_is_not_found_from_its_axis_and_can_be_said(small, capsys):
     assert run(capsys, "landmarks", small, "--find")[0] == 0
     assert named(small) == {1: "head", 2: "tail, left", 4: "tail, left"}
@@ -297,7 +332,9 @@ def test_each_refusal_is_one_sentence_and_writes_nothing(small, words, sentence,
     [
         ("", "begins with nothing"),
         ("landmark,poke\nhead,1\n", "begins with landmark,poke"),
-        ("poke,landmark\n1,tail, left\n", approved("landmark.row_fields", line=2, fields=3, expected=2)),
+        ("poke,landmark\n1,tail, left\n", approved("landmark.row_fields", line=2, fields=3, expected=2, mark="comma")),
+        ("poke;landmark\n1;tail;left\n", approved("landmark.row_fields", line=2, fields=3, expected=2, mark="semicolon")),
+        ("poke;landmark\n1;nose\n", approved("landmark.unknown", name="nose", known="'head', 'tail, left'")),
         ("poke,landmark\nfirst,head\n", approved("landmark.no_pair", where="line 2")),
         ("start_s,end_s,landmark\n0,soon,head\n", approved("landmark.no_times", start=0, end="soon")),
         ("start_s,end_s,landmark\n100,200,head\n", approved("landmark.no_poke_then", start=100, end=200)),

@@ -117,6 +117,7 @@ def _correction(values: dict[str, Any]) -> UsedCorrection:
         values["miss_after_m"],
         pokes=values["landmark_pokes"],
         ratio=values["miss_over_predicted"] or math.nan,
+        noisier=values["noise_over_scene"],
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS, json_text, ply_text, write_calibration
+from skincal.files.frames import mjcf_text, sdf_text, urdf_text
 from skincal.files.icub import icub_text
 from skincal.mesh.load import load_surface
 from skincal.methods import estimate_taxels
@@ -18,8 +19,9 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import FRAME, Correction, UsedCorrection
-from skincal.sentences import state_sentence
+from skincal.sentences import predicted_words, state_sentence
 from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
+from skincal.taxels.shared_errors import predicted_error
 from tests.approved import approved, approved_pattern
 from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 from tests.skincal.files.json_reader import read_json
@@ -284,9 +286,34 @@ def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tm
 
 
 def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
-    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it"
-    calibration = replace(make_calibration(part), verdicts={Method.SURFACE: words})
-    assert json.loads(json_text(calibration))["verdicts"] == {"surface": words}
-    assert f"comment {words}" in ply_text(calibration, Method.SURFACE).splitlines()
-    assert f"# {words}" in icub_text(calibration, Method.SURFACE).splitlines()
-    assert words not in ply_text(calibration, Method.FREE)
+    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it; the landmarks agree"
+    made = make_calibration(part)
+    calibration = replace(made, verdicts={Method.SURFACE: words}, unchecked={Method.SURFACE: 0.0071})
+    written = json.loads(json_text(calibration))
+    assert written["verdicts"] == {"surface": words}
+    assert written["predicted_errors"]["surface"]["unchecked_rig_m"] == 0.0071
+    found = predicted_error(made.of(Method.SURFACE))
+    mean, worst = f"{found.mean * 1e3:.1f}", f"{found.worst * 1e3:.1f}"
+    error = approved("verdict.predicted_unchecked", mean_mm=mean, worst_mm=worst, unchecked_mm="7.1")
+    for said in (words, f"predicted error: {error}"):
+        assert f"comment {said}" in ply_text(calibration, Method.SURFACE).splitlines()
+        assert f"# {said}" in icub_text(calibration, Method.SURFACE).splitlines()
+        for text in (urdf_text, sdf_text, mjcf_text):
+            assert f"<!-- {said} -->" in text(calibration, Method.SURFACE)
+    for unasked in (ply_text, icub_text, urdf_text):
+        assert "predicted error" not in unasked(calibration, Method.FREE)
+        assert words not in unasked(calibration, Method.FREE)
+
+
+def test_files_tell_what_of_the_error_the_whole_skin_has_where_that_is_predicted(part):
+    made = make_calibration(part)
+    moved = tuple(each if each.rms is None else replace(each, moved=0.0012 * np.eye(3)) for each in made.of(Method.SURFACE))
+    calibration = replace(made, estimates={Method.SURFACE: moved}, verdicts={Method.SURFACE: "enough"})
+    found = predicted_error(moved)
+    assert found.whole > 0
+    assert f"# predicted error: {predicted_words(found)}" in icub_text(calibration, Method.SURFACE).splitlines()
+    own = json.loads(json_text(calibration))["predicted_errors"]["surface"]
+    assert own == {
+        "mean_m": found.mean, "worst_m": found.worst, "whole_skin_m": found.whole, "among_taxels_m": found.among,
+        "unchecked_rig_m": None,
+    }  # fmt: skip

@@ -307,6 +307,10 @@ def test_landmarks_are_judged_as_the_rig_is_used():
     answer = RigAnswer(Correction(np.eye(6)), True, 0.009, 0.001, 6, dict.fromkeys(range(21), 1.0), {}, some, some, 1.2, 6.5)
     assert landmark_agreement(answer, None) == LandmarkAgreement(21, 6.5, False)
     assert landmark_agreement(answer, used_correction()) == LandmarkAgreement(21, 1.2, True)
+    assert landmark_agreement(replace(answer, noisier=2.8), used_correction()) == LandmarkAgreement(21, 1.2, True, 2.8)
+    assert landmark_agreement(replace(answer, noisier=2.8), None).noisier == 1.0, "as reported, the scene's noise is predicted"
+    noisy = replace(used_correction(1.1), noisier=4.0)
+    assert landmark_agreement(None, noisy) == LandmarkAgreement(21, 1.1, True, 4.0)
     assert landmark_agreement(None, used_correction(1.1)) == LandmarkAgreement(21, 1.1, True)
     assert landmark_agreement(replace(answer, correction=None), used_correction(1.1)) == LandmarkAgreement(21, 1.1, True)
     assert landmark_agreement(replace(answer, correction=None), None) is None

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from base64 import b64decode
 from collections import Counter
-from dataclasses import replace
+from dataclasses import astuple, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -226,14 +228,45 @@ def test_taxels_without_a_place_are_told_by_their_reason(facts):
         assert str(estimate.channel) in found
 
 
-def test_landmarks_and_a_correction_in_use_are_told(tmp_path):
-    log_folder, session = tmp_path / "log", tmp_path / "session"
-    log_folder.mkdir()
-    log = Log(log_folder)
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory) -> tuple[Log, Path]:
+    """An imported log, and its session in which pokes at landmarks are named."""
+    folder = tmp_path_factory.mktemp("imported")
+    (folder / "log").mkdir()
+    log, session = Log(folder / "log"), folder / "session"
     assert main(["import", "yarp", *log.arguments(), "--scene", "icub-forearm", "--out", str(session)]) == 0
     pipeline = resume(session)
     for number, (poke, name) in enumerate(log.names.items()):
         pipeline.act(AtLandmark(poke, name), number + 1)
+    pipeline.close()
+    return log, session
+
+
+def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_asked_for(imported, tmp_path, capsys):
+    (_, session), out = imported, tmp_path / "report.html"
+    capsys.readouterr()
+    assert main(["solve", str(session), "--correct", "--json"]) == 0
+    solved = json.loads(capsys.readouterr().out)
+    assert main(["report", str(session), "--correct", "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == f"{solved['verdict']}."
+    facts, found = gather_facts(session, correct=True), Page(out.read_text(encoding="utf-8")).text
+    assert facts.method.value == solved["leads"]
+    for each in facts.methods:
+        own = solved["methods"][each.method.value]
+        assert [1e3 * length for length in astuple(each.predicted)] == list(own["predicted_error_mm"].values())
+        assert each.spacing == own["spacing_ratio"]
+        assert f"{own['predicted_error_mm']['mean']:.2f}" in found
+    (used,) = facts.snapshot.corrections.values()
+    assert correction_sentence(used) in found
+    assert not gather_facts(session).snapshot.corrections, "the recording is as it was"
+    assert main(["report", str(SAMPLE), "--correct", "--out", str(tmp_path / "none.html")]) == 2
+    assert approved("landmark.needs_landmarks_to_correct") in capsys.readouterr().err
+    assert not (tmp_path / "none.html").exists()
+
+
+def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
+    log, session = imported[0], shutil.copytree(imported[1], tmp_path / "session")
+    pipeline = resume(session)
     answer = correct_rig(pipeline.session.rig_request())
     action = offered(None, answer, len(log.names), {})
     pipeline.act(action, 1000)

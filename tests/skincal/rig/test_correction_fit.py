@@ -416,6 +416,17 @@ def test_a_second_call_gives_the_same_bits():
     assert (again.ratio, again.plain_ratio, again.after) == (answer.ratio, answer.plain_ratio, answer.after)
 
 
+def test_how_much_noisier_landmark_pokes_are_than_the_scene_says_is_told():
+    """Wherever a scene promises less noise than there is, misses are as predicted all the same: by the noise that is found."""
+    _, request, answer = trial(1, "paper", 1, 10)
+    assert answer.noisier == 1.0
+    promised = replace(request.scene.noise, force=0.0, moment=request.scene.noise.moment / 6)
+    quiet = replace(request, scene=replace(request.scene, noise=promised), prior=replace(PRIOR, landmark=1e-4))
+    noisy = correct_rig(quiet)
+    assert noisy.noisier >= correction_fit.TOO_NOISY
+    assert noisy.ratio < correction_fit.AS_PREDICTED
+
+
 def test_misses_are_as_predicted_after_a_correction_and_of_a_right_rig():
     ratios = {errors: [trial(seed, errors, 1, 10)[2] for seed in (1, 2, 3)] for errors in ("paper", "good")}
     assert all(0.6 < answer.ratio < 1.4 for answers in ratios.values() for answer in answers)

@@ -33,6 +33,26 @@ def test_export_says_what_the_session_has_come_to_as_the_file_does(tmp_path, cap
     assert f"{verdict}." in capsys.readouterr().out.splitlines()
 
 
+def test_export_says_how_wrong_the_rig_may_be_as_solve_and_the_file_do(tmp_path, capsys):
+    asked = ["export", SAMPLE, "--format", "json", "--out", str(tmp_path / "c.json")]
+    assert main(["solve", SAMPLE, "--json"]) == 0
+    solved = json.loads(capsys.readouterr().out)
+    assert main([*asked, "--json"]) == 0
+    exported = json.loads(capsys.readouterr().out)
+    assert exported["unchecked_rig_mm"] == solved["unchecked_rig_mm"] > 1.0
+    assert exported["leads"] == solved["leads"] == exported["method"]
+    assert main([*asked, "--method", "free", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["leads"] == solved["leads"], "also where another one is written"
+    own = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["predicted_errors"]
+    assert set(own) == {"free", "surface", "modules"}
+    assert own[solved["leads"]]["unchecked_rig_m"] * 1e3 == solved["unchecked_rig_mm"]
+    there = solved["methods"][solved["leads"]]["predicted_error_mm"]
+    assert {name: own[solved["leads"]][f"{name}_m"] * 1e3 for name in there} == pytest.approx(there)
+    assert main(asked) == 0
+    said = approved("rig.unchecked", off_mm=f"{solved['unchecked_rig_mm']:.1f}")
+    assert said in capsys.readouterr().out.splitlines()
+
+
 def followed(folder: Path, actions: Iterable[Action] | None = None) -> tuple[bool, str, list[Action]]:
     """Go on with a copy of the sample as the window does; return whether its line says enough, its verdict, what was skipped.
 

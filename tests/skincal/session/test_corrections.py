@@ -208,6 +208,8 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
         {"poses": ("one",)},
         {"ratio": float("nan")},
         {"ratio": -1.0},
+        {"noisier": 0.9},
+        {"noisier": float("nan")},
         {"spread": (1e-3,) * 665},
         {"spread": (float("inf"),) * 666},
         {"quadratic": (1e-3,) * 125},
@@ -250,27 +252,28 @@ def some_correction(poses, rng, quadratic=True):
 def test_an_action_is_the_correction_again(rng, poses, quadratic):
     """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""
     there = some_correction(poses, rng, quadratic)
-    action = correct_action(RIG, there, 0.007, 0.001, 21, 1.25)
+    action = correct_action(RIG, there, 0.007, 0.001, 21, 1.25, 2.8)
     line = json.dumps(to_json(action))
     assert len(line) < 2e6
     used = used_of(from_json(json.loads(line)))
-    assert used.ratio == 1.25
+    assert (used.ratio, used.noisier) == (1.25, 2.8)
     for name in ("matrix", "quadratic"):
         assert np.array_equal(getattr(used.correction, name), getattr(there, name))
     np.testing.assert_allclose(used.correction.root, there.root, rtol=1e-5, atol=0)
-    assert correct_action(RIG, used.correction, 0.007, 0.001, 21, 1.25) == action, "again it is the same to the bit"
+    assert correct_action(RIG, used.correction, 0.007, 0.001, 21, 1.25, 2.8) == action, "again it is the same to the bit"
 
 
 def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
     session, _ = bad
     document = to_json(found_in(session))
-    old = {key: value for key, value in document.items() if key not in ("spread", "quadratic", "ratio")}
+    old = {key: value for key, value in document.items() if key not in ("spread", "quadratic", "ratio", "noisier")}
     session.act(from_json(document))
     known = session.snapshot().estimates
     session.act(from_json(old))
     used = session.snapshot().corrections[RIG]
     assert used.correction.exact
     assert np.isnan(used.ratio)
+    assert used.noisier == 1.0
     for method, estimates in session.snapshot().estimates.items():
         for estimate, other in zip(estimates, known[method], strict=True):
             assert estimate.moved is None
@@ -357,7 +360,7 @@ def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
 
 def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
     session, _ = bad
-    session.act(found_in(session))
+    session.act(replace(found_in(session), noisier=2.8))
     sentences = write_calibration(session.calibration(), "json", tmp_path / "c.json", Method.MODULES)
     assert any(approved("rig.held_out_clause") in sentence for sentence in sentences)
     file = read_json(tmp_path / "c.json")
@@ -371,7 +374,8 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
             assert np.array_equal(first.position, second.position), method
             assert np.array_equal(first.covariance, second.covariance), method
     (used,), (written,) = session.snapshot().corrections.values(), file.corrections
-    assert (written.before, written.after, written.ratio) == (used.before, used.after, used.ratio)
+    kept = ("before", "after", "ratio", "noisier")
+    assert [getattr(written, name) for name in kept] == [getattr(used, name) for name in kept]
     for name in ("matrix", "root", "quadratic"):
         assert np.array_equal(getattr(written.correction, name), getattr(used.correction, name))
     for kind in ("icub", "ply"):

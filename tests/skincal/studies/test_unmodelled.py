@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skincal.guide.verdict import Check, is_believed
-from skincal.rig.correction_fit import LandmarkAgreement
+from skincal.rig.correction_fit import NOISIER, LandmarkAgreement
 from skincal.studies import unmodelled as study
 from skincal.studies.measuring import bars_of
 from skincal.studies.unmodelled import (
@@ -102,6 +102,13 @@ def test_the_ratio_is_that_of_held_out_landmarks():
         assert all(len(ratios[count]) == 1 and 0.3 < next(iter(ratios[count])) < 1.6 for count in (21, 70))
 
 
+def test_the_noise_that_landmarks_agree_with_is_kept():
+    quiet, noisy = session("nothing"), session("bad")
+    assert {each.noisier for own in quiet.values() for each in own.values()} == {1.0}
+    assert noisy[0]["modules"].noisier == 1.0
+    assert noisy[21]["modules"].noisier in NOISIER[1:]
+
+
 def test_the_verdict_decides_what_is_believed(monkeypatch):
     asked = []
 
@@ -118,6 +125,8 @@ def test_the_verdict_decides_what_is_believed(monkeypatch):
     assert is_believed(tells, agrees)
     assert not is_believed(tells, None)
     assert not is_believed(tells, replace(agrees, ratio=1.6))
+    assert is_believed(tells, replace(agrees, noisier=1.4))
+    assert not is_believed(tells, replace(agrees, noisier=2.0))
     assert not is_believed(Check(5, 5), agrees)
     assert not is_believed(Check(60, 50), agrees)
 
@@ -140,7 +149,7 @@ def test_rows_hold_each_case_by_number_of_landmark_pokes_and_method():
 
 
 def test_rows_are_means_over_seeds_and_of_predictions_and_ratios_root_mean_squares():
-    first = FoundByMethod(1.0, 0.7, 3.0, 1.0, 1.0, 0, True, 1.0, True, True)
+    first = FoundByMethod(1.0, 0.7, 3.0, 1.0, 1.0, 0, True, 1.0, True, True, 1.0)
     second = replace(first, mean=2.0, inside=0.9, predicted=4.0, ratio=2.0)
     found = [{count: dict.fromkeys(NAMES, each) for count in (0, 21, 70)} for each in (first, second)]
     (row,) = unmodelled(2, ["nothing"], each=lambda *_: found)
