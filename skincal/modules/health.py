@@ -171,7 +171,7 @@ def _known(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -
     """Return the estimates of a module's pads that have a position and a normal; None where these or the plan do not say."""
     own = {row: estimates[channel] for row, channel in enumerate(model.channels_of([module])) if channel in estimates}
     known = {row: estimate for row, estimate in own.items() if estimate.position is not None and estimate.normal is not None}
-    places = {tuple(np.round(estimate.position / APART)) for estimate in known.values()}
+    places = {tuple(np.round(estimate.position / APART)) for estimate in known.values() if estimate.position is not None}
     return None if len(places) < FEWEST or model.plan(module) is None else known
 
 

@@ -368,7 +368,7 @@ def test_a_wrong_device_is_said_in_the_line_and_its_light_is_not_blue(bench, dev
     open_patch(bench, device(noisy(6)), device(noisy(20)))
     words = approved("links.other_width", width=20, of="the scene has", expected=CHANNELS)
     line_says(bench, "skin: ", words)
-    assert looks(bench) == {"wrench": LinkLook.STREAMING, "skin": LinkLook.WRONG}
+    bench.until(lambda: looks(bench) == {"wrench": LinkLook.STREAMING, "skin": LinkLook.WRONG}, VERDICT_MS)
     workspace = bench.window.session_view.workspace
     workspace.show_tab("Devices")
     bench.until(lambda: workspace.devices.cards["skin"].detail.text() == words, 5000)
@@ -392,7 +392,7 @@ def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(
     wrench = device(still(6))
     open_patch(bench, wrench, device(noisy(CHANNELS)))
     line_says(bench, "wrench is frozen", approved("links.frozen"))
-    assert looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}
+    bench.until(lambda: looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}, VERDICT_MS)
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     pipeline = bench.recording.pipeline
     assert not pipeline.measures(time.monotonic_ns())
