@@ -288,7 +288,7 @@ def _use_words(folder: Path, known: Session) -> str:
     more = max(FEWEST - len(known.landmark_pokes), points)
     if not more:
         return f"`skincal solve {folder} --correct` uses them"
-    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points else ""
+    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and known.landmark_pokes else ""
     return f"a correction of the rig needs {FEWEST} at {FEWEST_POINTS} landmarks: {more} more{others}"
 
 

@@ -37,7 +37,9 @@ def use_offered(session: Session) -> None:
     Raises InputError: there are no such pokes, they offer nothing, or they do not say for sure what is wrong with the frame.
     """
     if not session.landmark_pokes:
-        raise InputError("--correct needs pokes at landmarks; this session has none.")
+        raise InputError(
+            "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
+        )
     frame, rig = landmark_findings(session)
     # A frame's correction changes what is found of the rig, so both are looked at again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
