@@ -385,7 +385,8 @@ def summary(result: dict[str, Any]) -> list[str]:
     cases = result["cases"]
     lines = [
         f"{result['held']} of {len(cases)} cases hold: error at most {FACTOR:g} times what the inputs' last digit does "
-        f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; the same bits in every order."
+        f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; "
+        "methods give the same bits in every order."
     ]
     for solver in SOLVERS:
         own = [record for record in cases if record["solver"] == solver]
