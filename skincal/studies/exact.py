@@ -509,19 +509,19 @@ def pokes_of(readings: Readings, noise: NoiseSettings) -> ExactPokes:
     missed = (exactly(MIDDLE) * exactly(noise.contact)) / exactly(answering.sum(axis=1))
     beside = _np.where(readings.beside > 0, exactly(ACROSS), MP.zero)
     return ExactPokes(
-        answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], _across(u),
+        answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], two_across(u),
         exactly(readings.poses[readings.pose_of, :3, 3]), (exactly(noise.moment) / size) ** 2,
         (exactly(noise.force) / size) ** 2, missed**2 + beside**2,
     )  # fmt: skip
 
 
-def _across(u: Exact) -> Exact:
+def two_across(u: Exact) -> Exact:
     """Return two orthonormal directions (n, 2, 3) across u (n, 3)."""
     first = unit(cross(u, exactly(np.eye(3))[abs(u).argmin(axis=1)]))
     return np.stack([first, cross(u, first)], axis=1)
 
 
-def _weighed(pokes: ExactPokes, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
+def weighed(pokes: ExactPokes, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
     """Return of each poke the misses E (a - c) (n, 2), their slopes E dc/dp (n, 2, d), and D^-1 (n, 2, 2)."""
     places, changes, normals = pokes.middles(pads)
     levers = places - pokes.sensor
@@ -536,13 +536,13 @@ def _weighed(pokes: ExactPokes, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
 
 def pull(pokes: ExactPokes, pads: ExactPads) -> Exact:
     """Return g: how the pokes pull at each unknown."""
-    misses, slopes, inverse = _weighed(pokes, pads)
+    misses, slopes, inverse = weighed(pokes, pads)
     return (slopes * (inverse @ misses[:, :, None])).sum(axis=(0, 1))
 
 
 def information(pokes: ExactPokes, pads: ExactPads) -> Exact:
     """Return sum (E dc/dp)' D^-1 E dc/dp, the inverse of the unknowns' covariance."""
-    _, slopes, inverse = _weighed(pokes, pads)
+    _, slopes, inverse = weighed(pokes, pads)
     return (slopes.swapaxes(1, 2) @ (inverse @ slopes)).sum(axis=0)
 
 
@@ -592,7 +592,7 @@ def find(pokes: ExactPokes, pose: ExactPose) -> tuple[ExactPose, Exact]:
 
 def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Truth:
     """Return the exact answer of a case and how far its pads move over draws of the inputs' last digits."""
-    pokes, pose = pokes_of(case.readings, case.noise), _begin(case)
+    pokes, pose = pokes_of(case.readings, case.noise), begin_of(case)
     changes = [[0.0] * len(case.module.flat)]
     if not case.lost:
         pose, matrix = find(pokes, pose)
@@ -612,7 +612,8 @@ def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Tru
     )  # fmt: skip
 
 
-def _begin(case: ModuleCase) -> ExactPose:
+def begin_of(case: ModuleCase) -> ExactPose:
+    """Return where the pokes of a case were made."""
     at, mesh, flat = case.module.at, case.module.mesh, case.module.flat
     return InPlane.begin(at, flat) if mesh is None else OnMesh.begin(at, flat, mesh)
 

@@ -8,6 +8,9 @@ determine at all have none that could be compared.
 
 Exact is 80 digits (`exact`). With a million readings, and for modules, the draws take the exact answer's derivative instead of
 200 exact answers: the error of that is of the second order, 1e-16 of the change.
+
+What the program adds to the methods (`stability_terms`) is held to the same bar, each number that it gives by itself: draws are
+exact answers again, one for twenty of a taxel.
 """
 
 from __future__ import annotations
@@ -21,14 +24,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
 from skincal.mesh.search import nearest_to_rows
 from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
-from skincal.model.skin import Anchor, Layout, Module
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import ModuleModel, Pads
+from skincal.modules.pose import Pads
 from skincal.modules.pose_fit import fit_modules, whitened
 from skincal.studies import exact
 from skincal.studies.alternatives import ModuleProblem
@@ -37,7 +38,6 @@ from skincal.studies.figures import draw_stability
 from skincal.studies.measuring import processes
 from skincal.studies.stability_cases import (
     FULL,
-    KIND,
     PADS,
     QUICK,
     Case,
@@ -47,7 +47,10 @@ from skincal.studies.stability_cases import (
     Readings,
     all_cases,
     all_module_cases,
+    contacts_of,
+    model_of,
 )
+from skincal.studies.stability_terms import TermCase, term_cases
 from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.result import Method
 from skincal.taxels.solve import factor, solve
@@ -56,7 +59,7 @@ FACTOR = 10.0
 """The error may be that many times what the inputs' last digit does."""
 OF_SIZE = 1e-15
 """And that share of the answer's norm: nine roundings of it. Nothing is added where the answer is zero."""
-SOLVERS = ("free", "surface", "modules")
+SOLVERS = ("free", "surface", "modules", "added")
 STEPS = 15
 """Of an alternative for modules: more than the worst case needs."""
 _SEED = 20261121
@@ -77,7 +80,8 @@ def run(quick: bool, progress: Callable[[str], None], sizes: CaseSizes | None = 
     with processes() as pool:
         taxels = pool.map(partial(_measured, draws=sizes.draws), count(), all_cases(sizes))
         modules = pool.map(partial(_measured, draws=sizes.draws // 4), count(), all_module_cases(sizes))
-        for own, others in chain(taxels, modules):
+        added = pool.map(partial(judge_term, draws=max(2, sizes.draws // 20)), term_cases(sizes))
+        for own, others in chain(taxels, modules, ((own, []) for own in added)):
             cases += own
             alternatives += others
             progress(f"{cases[-1]['name']}: {cases[-1]['error_over_bound']:.2g} of the bar")
@@ -91,6 +95,25 @@ def _measured(number: int, case: Case, draws: int) -> tuple[list[Record], list[R
     seed = [_SEED, 1, number] if isinstance(case, ModuleCase) else [_SEED, number]
     truth = exact.find_truth(case, draws, np.random.default_rng(seed))
     return judge(case, truth), compare(case, truth)
+
+
+def judge_term(case: TermCase, draws: int) -> list[Record]:
+    """Return a record for each number that the program adds in a case: the error over all of it."""
+    said, answer, rng = case.said(), case.exactly_said(), np.random.default_rng([_SEED, 2])
+    drawn = [case.exactly_said(rng) for _ in range(draws)]
+    records: list[Record] = []
+    for what, numbers in answer.items():
+        flat = numbers.ravel()
+        size = distance(flat)
+        bound = bar(max(distance(flat, other[what].ravel()) for other in drawn), size)
+        numbered = what in said and said[what].shape == numbers.shape
+        error = distance_to(said[what].ravel(), flat) if numbered else NO_NUMBER
+        records.append({
+            "name": f"{case.name}: {what}", "solver": SOLVERS[-1], "error": error, "bound": bound,
+            "error_over_bound": over_bar(error, bound), "holds": bool(error <= bound), "same_bits": True, "size": size,
+            "readings": case.pokes, "draws_by": "digits",
+        })  # fmt: skip
+    return records
 
 
 def bar(change: float, size: float) -> float:
@@ -120,23 +143,6 @@ def _orders(case: Case) -> Iterator[IntArray]:
         by_weight = np.argsort(case.readings.responses / case.readings.strongest, kind="stable")
         yield np.tile(by_weight[::-1], case.copies)
         yield np.tile(by_weight, case.copies)
-
-
-def _contacts(case: Case, order: IntArray) -> list[Contact]:
-    """Return the contacts; the channel behind those of the taxel, or of the module's pads, is the one beside them."""
-    readings = case.readings.ordered(order)
-    # The same array for all contacts of a pose: a million of them need no copies.
-    poses, pose_of = list(readings.poses), readings.pose_of.tolist()
-    answers = np.column_stack([readings.responses, readings.beside])
-    # A taxel's contacts keep their numbers, a module's are numbered anew.
-    numbers = np.arange(len(order)) if isinstance(case, ModuleCase) else order
-    return [
-        Contact(
-            number + 1, 0.0, 1.0, readings.forces[at], readings.moments[at], np.flatnonzero(answers[at]),
-            answers[at][answers[at] > 0], poses[pose], f"pose {pose}", 0.0, True,
-        )
-        for at, (number, pose) in enumerate(zip(numbers.tolist(), pose_of, strict=True))
-    ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +223,7 @@ def shipped_taxel(case: Case, order: IntArray, surface: Surface | None) -> Found
     """Solve a taxel as the program does: free without a surface, else on it."""
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
-    found = solve(ContactTable(_contacts(case, order)).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
+    found = solve(ContactTable(contacts_of(case, order)).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
     if found.surface is not None:
         return Found(found.surface.points[:1])
     return Found(found.factors.solutions[:1], direction=found.factors.blind[0] if found.factors.ranks[0] == 2 else None)
@@ -308,14 +314,11 @@ ALTERNATIVES: dict[str, Way] = {
 def problem_of(case: Case, order: IntArray, surface: Surface | None) -> ModuleProblem:
     """Return pokes as the program gets them, the module's start as its plan."""
     assert isinstance(case, ModuleCase)
-    at = case.start
-    anchor = Anchor(np.zeros(2), at.points[0], at.x[0], at.normals[0])
-    layout = Layout((Module(0, KIND, 0, np.zeros(2), 0.0, case.module.mirror),), PADS + 1)
-    model = ModuleModel(layout, anchor, surface)
+    model = model_of([case], surface)
     start = model.plan(0)
     if start is None:
         raise ValueError(f"{case.name}: the search begins off the mesh")
-    return ModuleProblem(model, 0, ContactTable(_contacts(case, order)), start, case.noise)
+    return ModuleProblem(model, 0, ContactTable(contacts_of(case, order)), start, case.noise)
 
 
 def shipped_module(case: Case, order: IntArray, surface: Surface | None) -> Found:
@@ -382,7 +385,8 @@ def summary(result: dict[str, Any]) -> list[str]:
     cases = result["cases"]
     lines = [
         f"{result['held']} of {len(cases)} cases hold: error at most {FACTOR:g} times what the inputs' last digit does "
-        f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; the same bits in every order."
+        f"({result['draws']} draws, {result['digits']} digits) plus {OF_SIZE:g} of the answer; "
+        "methods give the same bits in every order."
     ]
     for solver in SOLVERS:
         own = [record for record in cases if record["solver"] == solver]

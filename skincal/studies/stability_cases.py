@@ -12,11 +12,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.surface import make_surface
-from skincal.model.scene import NoiseSettings
-from skincal.model.skin import KINDS
-from skincal.modules.pose import ModuleGround, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
+from skincal.mesh.surface import Surface, make_surface
+from skincal.model.scene import KnownDistance, NoiseSettings
+from skincal.model.skin import KINDS, Anchor, Layout, Module
+from skincal.modules.pose import ModuleGround, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
 
 TAXEL = np.array([0.031, -0.047, 0.083])
 """m, link frame: where a forearm's taxel may be."""
@@ -145,6 +146,34 @@ class ModuleCase(Case):
     def solver(self) -> str:
         """The method that has to solve it."""
         return "modules"
+
+
+def contacts_of(case: Case, order: IntArray) -> list[Contact]:
+    """Return the contacts; the channel behind those of the taxel, or of the module's pads, is the one beside them."""
+    readings = case.readings.ordered(order)
+    # The same array for all contacts of a pose: a million of them need no copies.
+    poses, pose_of = list(readings.poses), readings.pose_of.tolist()
+    answers = np.column_stack([readings.responses, readings.beside])
+    # A taxel's contacts keep their numbers, a module's are numbered anew.
+    numbers = np.arange(len(order)) if isinstance(case, ModuleCase) else order
+    return [
+        Contact(
+            number + 1, 0.0, 1.0, readings.forces[at], readings.moments[at], np.flatnonzero(answers[at]),
+            answers[at][answers[at] > 0], poses[pose], f"pose {pose}", 0.0, True,
+        )
+        for at, (number, pose) in enumerate(zip(numbers.tolist(), pose_of, strict=True))
+    ]  # fmt: skip
+
+
+def model_of(cases: Sequence[ModuleCase], surface: Surface | None, distances: Sequence[KnownDistance] = ()) -> ModuleModel:
+    """Return one module for each case, its plan where the search begins; the channel behind all of them is another one's."""
+    at = [case.start for case in cases]
+    anchors = [Anchor(np.zeros(2), pose.points[0], pose.x[0], pose.normals[0]) for pose in at]
+    modules = tuple(
+        Module(number, KIND, number * PADS, np.zeros(2), 0.0, case.module.mirror, anchor)
+        for number, (case, anchor) in enumerate(zip(cases, anchors, strict=True))
+    )
+    return ModuleModel(Layout(modules, len(modules) * PADS + 1), None, surface, distances)
 
 
 @dataclass(frozen=True, slots=True)

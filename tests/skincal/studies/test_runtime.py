@@ -171,6 +171,28 @@ def test_what_an_operator_waits_for_is_in_the_table_beside_what_it_cannot_do_wit
     assert {"poke_modules_ms", "contacts_over_session", "modules_over_surface", "help_s"} < set(result["bars"])
 
 
+def test_a_solve_of_the_whole_large_part_is_timed_beside_what_numpy_takes_in_the_same_minute():
+    whole, ratios = tiny()[0]["whole"], tiny()[0]["ratios"]
+    assert whole["taxels"] == 84
+    for name, ratio in (("time_ms", "resolve_whole_over_numpy"), ("modules_ms", "modules_whole_over_numpy")):
+        assert ratios[ratio] == pytest.approx(whole[name]["median"] / whole["numpy_ms"]["median"])
+        assert whole[name]["median"] > 0
+
+
+def test_the_slowest_pokes_are_told_and_not_held():
+    result, _ = tiny()
+    assert all(poke["time_ms"]["p95"] >= poke["time_ms"]["q3"] for poke in result["poke"])
+    assert not [name for name in result["bars"] if "p95" in name]
+    assert any("one in twenty" in line for line in summary(result))
+
+
+def test_memory_is_what_more_pokes_take_and_not_what_a_session_takes(monkeypatch):
+    taken = {21: 5.0, 84: 5.63}
+    monkeypatch.setattr(runtime, "_megabytes", lambda _, contacts: taken[len(contacts)])
+    found = runtime.memory(bench(), 84)
+    assert found["megabytes_per_1000"] == pytest.approx(10.0)
+
+
 def test_the_result_is_json_and_its_ratios_are_those_of_the_table():
     result, _ = tiny()
     assert json.loads(json.dumps(result, allow_nan=False)) == result
@@ -201,17 +223,20 @@ def test_the_summary_says_each_bar_and_whether_it_holds():
 def test_a_bar_is_met_on_its_own_side_only():
     ratios = {
         "brute_over_surface": 299.0, "slsqp_over_surface": 10_000.0, "per_taxel_100k_over_1k": 2.1,
-        "contacts_over_session": 6.1, "modules_over_surface": 4.9, "poke_modules_over_poke": 4.1, "import_over_words": 7.9,
+        "contacts_over_session": 6.1, "modules_over_surface": 4.9, "poke_modules_over_poke": 4.1, "import_over_words": 5.6,
+        "resolve_whole_over_numpy": 4.3, "modules_whole_over_numpy": 50.0,
     }  # fmt: skip
     spread = {"time_ms": {"median": 1.9}, "with_modules_ms": {"median": 5.1}}
     lively = {"poke": [spread], "resolve": {"time_ms": {"median": 2100.0}}, "memory": {"megabytes_per_1000": 2.0}}
     lively |= {"help": {"time_ms": {"median": 390.0}}}
+    lively |= {"whole": {"time_ms": {"median": 70.5}, "modules_ms": {"median": 999.0}}}
     holds = {name: bar["holds"] for name, bar in runtime_bars(ratios, {"brute": 1e-13}, lively).items()}
     assert holds == {
         "brute_over_surface": False, "slsqp_over_surface": True, "brute_equal_m": True, "per_taxel_100k_over_1k": False,
         "poke_ms": True, "resolve_s": False, "memory_mb_per_1000": True, "poke_modules_ms": False,
         "poke_modules_over_poke": False, "contacts_over_session": False, "modules_over_surface": True,
-        "import_over_words": True, "help_s": True,
+        "import_over_words": False, "help_s": True, "resolve_whole_ms": False, "resolve_whole_over_numpy": False,
+        "modules_whole_s": True, "modules_whole_over_numpy": True,
     }  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from skincal.studies.stability_cases import (
     sheet,
     unit,
 )
+from skincal.studies.stability_terms import term_cases
 from skincal.taxels.result import PER_TAXEL
 from tests.skincal.poke_script import same_estimates, small_scene
 
@@ -273,20 +274,22 @@ def result():
         [case for case in every(TINY) if case.name in names]
         for every, names in zip((all_cases, all_module_cases), some, strict=True)
     )
+    added = [case for case in term_cases(TINY) if case.name == "module on a sheet, shared errors"]
     said = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stability, "all_cases", lambda _: taxels)
         patch.setattr(stability, "all_module_cases", lambda _: modules)
+        patch.setattr(stability, "term_cases", lambda _: added)
         result = stability.run(quick=True, progress=said.append, sizes=TINY)
     assert said[0].startswith("the bar")
-    assert len(said) == 1 + len(taxels) + len(modules)
+    assert len(said) == 1 + len(taxels) + len(modules) + len(added)
     return result
 
 
 def test_what_the_study_says_of_its_cases_is_json_and_agrees_with_itself(result):
     cases = result["cases"]
     assert len({case["name"] for case in cases}) == len(cases)
-    assert {case["solver"] for case in cases} == {"free", "surface", "modules"}
+    assert {case["solver"] for case in cases} == {"free", "surface", "modules", "added"}
     assert [case["name"] for case in cases if not case["holds"]] == []
     assert result["held"] == len(cases)
     for case in cases:
