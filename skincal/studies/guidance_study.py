@@ -61,7 +61,7 @@ class GuidanceSizes:
     case_seeds: int = 10
     """Of the other cases."""
     guided_limit: int = 756
-    """Pokes of the guide in the standard case, free method: somewhat more than it has to ask for."""
+    """Pokes of the guide in the standard case, free method: nearly as many as it asks for."""
     free_limit: int = 252
     """Pokes of the others that follow, and of the other cases, free method; unguided ones go on to `long`."""
     surface_limit: int = 1008
