@@ -32,7 +32,7 @@ def canned(monkeypatch):
     def give(quick, progress):
         asked.append(quick)
         progress("measuring")
-        return {"study": "runtime", "quick": quick, "bars": {}, "table": [], "left_out": ["nothing"]}
+        return {"study": "runtime", "quick": quick, "bars": {}, "table": [], "poke": [], "left_out": ["nothing"]}
 
     monkeypatch.setattr(runtime, "run", give)
     monkeypatch.setattr(runtime, "draw", lambda _, figure: figure.add_subplot().plot([0, 1]))
