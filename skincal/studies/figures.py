@@ -115,7 +115,7 @@ def draw_stability(result: dict[str, Any], figure: Figure) -> None:
     """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
     solvers = list(dict.fromkeys(case["solver"] for case in result["cases"]))
     rows = max(sum(case["solver"] == solver for case in result["cases"]) for solver in solvers)
-    figure.set_size_inches(22.0, 2.0 + 0.19 * rows)
+    figure.set_size_inches(24.0, 2.0 + 0.19 * rows)
     for panel, solver in zip(figure.subplots(1, len(solvers), squeeze=False)[0], solvers, strict=True):
         of = ([record for record in result[kind] if record["solver"] == solver] for kind in ("cases", "alternatives"))
         _draw_solver(panel, solver, *of)
@@ -146,7 +146,7 @@ def _draw_solver(panel: Axes, solver: str, cases: Sequence[Measured], others: Se
     panel.grid(visible=True)
     panel.set(
         xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(-len(cases), 1), title=f"{solver}: {len(cases)} cases",
-        xlabel=f"error over the bar\n(least {SHARE_MIN:g}; no number at the right end)",
+        xlabel=f"error over the bar\n(least {SHARE_MIN:g};\nno number at the right end)",
     )  # fmt: skip
 
 
