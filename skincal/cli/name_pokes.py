@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 NOWHERE = "-"
 """Stands for no landmark, as an empty name does."""
 HEADERS = (["poke", "landmark"], ["start_s", "end_s", "landmark"])
-SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
-"""What may part the columns of a file, as in a recording's CSV: the first of these that is in its first line."""
 Names: TypeAlias = dict[int, str]
 """Number of a poke to the landmark that it was at; empty for none."""
 NewLandmark: TypeAlias = tuple[str, float, float, float]
@@ -155,6 +153,8 @@ def _number(text: str, where: str) -> int:
 
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     """Return what each row of a file says."""
+    from skincal.files.importers.csv_log import SEPARATORS
+
     try:
         content = read_regular(path, TEXT_MOST).decode("utf-8-sig")
         first = next(filter(str.strip, content.splitlines()), "")

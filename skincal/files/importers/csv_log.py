@@ -52,6 +52,8 @@ BLOCK = 64
 TEXTS_MAX = 1 << 12
 SLOWEST = 0.2
 """s from row to row. A tool holds still for 0.3 s in a poke: rows further apart, of a time without a unit, are not seconds."""
+SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
+"""What may part the columns, by its name: the first of these that is in the first line."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 UNIX_NS = (1e18, 5e18)
@@ -140,7 +142,7 @@ class _Table:
         if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
             raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
         self.stream, self.path = stream, path
-        self._separator = next((mark for mark in (";", "\t", ",") if mark in first[0]), None)
+        self._separator = next((mark for mark in SEPARATORS if mark in first[0]), None)
         row = next(_rows(path, self._separator))
         self.named = any(_to_float(field) is None and _DATE.fullmatch(field) is None for field in row if field)
         """It has a header."""

@@ -188,30 +188,10 @@ ROS = ["field.header.seq", "field.header.stamp", "field.header.frame_id"]
 @pytest.mark.parametrize(
     ("time", "factor", "wrench", "skin"),
     [
-        (
-            "%time",
-            1e9,
-            axes("field.wrench.{}.{}"),
-            ["field.layout.data_offset", "field.data0", "field.data2", "field.data10"],
-        ),
-        (
-            "__time",
-            1,
-            axes("/ft/wrench/{}/{}"),
-            ["/skin1/layout/data_offset", "/skin1/data[0]", "/skin1/data[2]", "/skin1/data[10]"],
-        ),
-        (
-            "rosbagTimestamp",
-            1e9,
-            axes("{}_{}"),
-            ["layout.data_offset", "data_0", "data_2", "data_10"],
-        ),
-        (
-            "/ft/header/stamp",
-            1,
-            axes("wrench_{}_{}"),
-            ["layout.data_offset", "t0", "t2", "t10"],
-        ),
+        ("%time", 1e9, axes("field.wrench.{}.{}"), ["field.layout.data_offset", *(f"field.data{k}" for k in (0, 2, 10))]),
+        ("__time", 1, axes("/ft/wrench/{}/{}"), ["/skin1/layout/data_offset", *(f"/skin1/data[{k}]" for k in (0, 2, 10))]),
+        ("rosbagTimestamp", 1e9, axes("{}_{}"), ["layout.data_offset", "data_0", "data_2", "data_10"]),
+        ("/ft/header/stamp", 1, axes("wrench_{}_{}"), ["layout.data_offset", "t0", "t2", "t10"]),
     ],
 )
 def test_columns_of_ros_bags_and_plotjuggler_are_understood(read, time, factor, wrench, skin):
