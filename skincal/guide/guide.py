@@ -427,14 +427,15 @@ class Guide:
         That is on the side that its pokes have missed; for a depth that is pulled inward on the side to which the push leans,
         else on the other: such a poke pulls it back.
         """
-        know, own, off = self._knowledge, float(self._knowledge.own[row]), np.zeros(3)
+        know, normal, off = self._knowledge, self._normals[row], np.zeros(3)
         # A poke that pulls the depth back moves the taxel: it settles afterwards.
         lopsided = {Need.BALANCE, Need.DEPTH, Need.SETTLED} if Need.DEPTH in missing else {Need.BALANCE}
-        if lopsided.issuperset(missing):
-            off -= own * know.beside[row] * (Need.BALANCE in missing)
-        if Need.DEPTH in missing and lopsided.issuperset(missing):
-            normal = self._normals[row]
-            off += own * know.pulled[row] * (push / float(push @ normal) - normal)
+        if not lopsided.issuperset(missing):
+            return self._places[row]
+        if Need.BALANCE in missing:
+            off -= know.own[row] * know.beside[row]
+        if Need.DEPTH in missing:
+            off += know.own[row] * know.pulled[row] * (push / (push @ normal) - normal)
         size = float(np.sqrt(off @ off))
         return self._places[row] + off * min(1.0, AIM_MAX / size if size > 0 else 0.0)
 
