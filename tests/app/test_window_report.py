@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
@@ -73,8 +74,12 @@ def test_a_report_that_cannot_be_written_is_said(bench, recorded, tmp_path, monk
 def test_closing_the_window_ends_a_report_that_is_being_written(bench, recorded, tmp_path, monkeypatch):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
+    others = set(active_children())
     write_a_report(bench, tmp_path / "report.html", monkeypatch)
+    bench.until(lambda: bool(set(active_children()) - others), OPEN_MS)
     bench.window.close()
+    assert not set(active_children()) - others
+    assert not (tmp_path / "report.html").exists()
 
 
 def test_the_verdict_leads_to_the_report_and_stays(bench, recorded, tmp_path, monkeypatch):
