@@ -124,23 +124,6 @@ def modules() -> dict[str, Path]:
     return {".".join(path.relative_to(CHECKOUT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
 
 
-def test_a_public_class_has_a_name_of_its_own() -> None:
-    places: dict[str, list[str]] = {}
-    for module, path in modules().items():
-        for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                places.setdefault(node.name, []).append(module)
-    assert {name: at for name, at in places.items() if len(at) > 1} == {}
-
-
-def test_a_file_name_stands_for_one_idea() -> None:
-    places: dict[str, list[str]] = {}
-    for module, path in modules().items():
-        if not path.stem.startswith("__"):
-            places.setdefault(path.stem, []).append(module)
-    assert {name: at for name, at in places.items() if len(at) > 1} == {}
-
-
 def test_each_folder_of_tests_is_a_room_of_the_program() -> None:
     """A room's tests are where the room is; `fuzz` is for all, `benchmarks` and `long` are run by their names."""
     files = [path.relative_to(CHECKOUT / "tests") for path in (CHECKOUT / "tests").rglob("*.py")]
