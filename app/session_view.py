@@ -772,6 +772,7 @@ class SessionView(QObject):
         for name in LAYERS:
             self._commands.actions[name].setChecked(bool(settings.value(f"layers/{name}", True, type=bool)))
         self.show_layers()
+        self.show_difference()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
         self._follow()

@@ -521,7 +521,7 @@ class TaxelMap(Painted):
         painter.setBrush(Qt.BrushStyle.NoBrush)
         if self._selected is not None and self._selected in self._plan.channels:
             self._ring(painter, self._selected, self._radius() * 1.75, ((4.0, colours.panel), (2.0, colours.text)))
-        if self._target is not None:
+        if self._target is not None and self._target in self._plan.channels:
             # White in black, outside the ring of a selected one.
             radius = max(TARGET_LEAST, self._radius() * TARGET_SHARE)
             self._ring(painter, self._target, radius, ((6.5, "black"), (2.5, "white")))

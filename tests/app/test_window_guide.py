@@ -307,6 +307,15 @@ def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
     assert paints.count == 1
 
 
+def test_a_target_that_is_not_on_the_map_is_left_out(qtbot):
+    half = TaxelMap(SCENE, PLAN.channels[:12], NAMES)
+    qtbot.addWidget(half)
+    half.show_state(framed(guidance()))
+    before = pixels(half)
+    half.show_state(framed(guidance(target(20))))
+    assert np.array_equal(pixels(half), before)
+
+
 def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):
     taxels.show_state(framed(guidance()))
     good = pixels(taxels)
@@ -414,6 +423,20 @@ def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, 
     other.key(Qt.Key.Key_4, Qt.KeyboardModifier.ControlModifier)
     assert ellipses_drawn(other) == 1
     other.window.close()
+
+
+def test_lines_to_another_method_stay_when_another_session_is_opened(bench, recorded):
+    def wanted() -> bool:
+        bench.until_all_is_there()
+        return bench.window.session_view.workspace.view._state.difference
+
+    bench.open(OpenRequest(session=recorded))
+    assert not wanted()
+    bench.window.commands.actions["difference"].trigger()
+    assert wanted()
+    bench.open(OpenRequest(session=recorded))
+    assert bench.window.commands.actions["difference"].isChecked()
+    assert wanted()
 
 
 def ellipses_drawn(bench):
