@@ -32,7 +32,7 @@ from skincal.robot.target_lines import (
     write_answer,
     write_line,
 )
-from skincal.streams.links import probe
+from skincal.streams.links import enable_keepalive
 
 LOCAL = "127.0.0.1"
 WAKE_S = 0.02
@@ -166,8 +166,12 @@ class TargetServer:
                 client.send(f"{GREETING}\n{write_line(Refused('another robot is connected'))}\n".encode())
             client.close()
             return
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        probe(client)
+        try:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            enable_keepalive(client)
+        except OSError:  # macOS: EINVAL where the peer has closed the connection already
+            client.close()
+            return
         with self._lock:
             self._out.clear()
             self._pending = f"{GREETING}\n{write_line(self._now)}\n".encode()

@@ -253,6 +253,8 @@ def _netft_page(device: DeviceAddress, ports: Ports) -> bytes:
     try:
         force, torque = float(options.get("cpf", force)), float(options.get("cpt", torque))
         number = int(options.get("page", 80))
+        if not 1 <= number <= 65535:
+            raise ValueError(f"page is {number}, not a port in 1 ... 65535")
     except ValueError as error:
         raise LinkFailure(FailureKind.ADDRESS, f"{device.text}: {error}; {_GIVE_COUNTS}.") from error
     if force and torque:

@@ -281,16 +281,22 @@ class TcpLink:
             self._socket = socket.create_connection((host, port), CONNECT_S)
         except UnicodeError as error:
             raise LinkFailure(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
+        except OverflowError as error:
+            raise LinkFailure(FailureKind.ADDRESS, f"{address}: port {port} is not in 1 ... 65535.") from error
         except OSError as error:
             raise _connect_failure(address, error) from error
-        probe(self._socket)
+        try:
+            enable_keepalive(self._socket)
+        except OSError as error:  # macOS: EINVAL where the peer has closed the connection already
+            self._socket.close()
+            raise _connect_failure(address, error) from error
 
     def read(self, timeout_s: float) -> bytes:
         """See `Link`."""
         self._socket.settimeout(timeout_s)
         try:
             data = self._socket.recv(READ_BYTES)
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):  # the second with a timeout of 0
             return b""
         except OSError as error:
             raise LinkFailure(FailureKind.VANISHED, _hung_up(self._name)) from error
@@ -311,7 +317,7 @@ class TcpLink:
         self._socket.close()
 
 
-def probe(connection: socket.socket) -> None:
+def enable_keepalive(connection: socket.socket) -> None:
     """Have the system ask a silent server whether it is there: one that lost its power says no goodbye.
 
     It is asked after `PROBE_IDLE_S` of silence, `PROBES` times, and one that answers may be silent for ever.

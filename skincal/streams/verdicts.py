@@ -42,8 +42,8 @@ NOISY = 20
 """Readings that differ from the one before, at least, until a stream is known to have noise."""
 ENOUGH = 5
 """Readings alike that show what comes, or that nothing changes; garbage now and then holds a line with a number."""
-WIDE = 12
-"""Values. No force/torque sensor sends more with a reading, and no arm has more joints: such lines are a skin's."""
+MAX_WRENCH_VALUES = 12
+"""Values. No force/torque sensor sends more with a reading: six, or six and as many of something else."""
 
 
 def values_of(batch: Batch) -> tuple[Stream, FloatArray]:
@@ -243,7 +243,7 @@ class LinkEar:
         for stream in self._wanted:
             heard = self._heard[stream]
             width = heard.last.shape[1]
-            if stream is Stream.JOINTS and (width < self._widths.get(stream, 0) or self._is_skin(width)):
+            if stream is Stream.JOINTS and (width < self._widths.get(stream, 0) or self._is_skin(width, wanted=stream)):
                 return self._of_width(stream, stream, width)
             if stream in self._noisy and heard.lifeless:
                 return LinkVerdict(LinkAnswer.FROZEN, stream)
@@ -263,10 +263,11 @@ class LinkEar:
 
     def _of_width(self, wanted: Stream, taken_for: Stream, width: int) -> LinkVerdict:
         """Return whose lines of so many values are; lines without names are taken for a skin's of any width."""
-        found = Stream.WRENCH if taken_for is Stream.WRENCH else Stream.SKIN if self._is_skin(width) else wanted
+        found = Stream.WRENCH if taken_for is Stream.WRENCH else Stream.SKIN if self._is_skin(width, wanted) else wanted
         if found is not wanted:
             return LinkVerdict(LinkAnswer.OTHER_STREAM, wanted, found, width)
         return LinkVerdict(LinkAnswer.OTHER_WIDTH, wanted, width=width, expected=self._widths.get(wanted, 0))
 
-    def _is_skin(self, width: int) -> bool:
-        return width == self._widths.get(Stream.SKIN) or width > WIDE
+    def _is_skin(self, width: int, wanted: Stream) -> bool:
+        """Check whether lines of this width are a skin's. An arm may have any number of joints: an iCub's arm port sends 16."""
+        return width == self._widths.get(Stream.SKIN) or (wanted is not Stream.JOINTS and width > MAX_WRENCH_VALUES)

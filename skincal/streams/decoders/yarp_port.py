@@ -361,8 +361,9 @@ class YarpPortDecoder(PieceDecoder):
         if vector is None:
             self._collector.note = "The port's messages hold other things than numbers; name a port of a sensor, skin or joints"
             return []
-        fitting = [stream for stream in self._carries if self._collector.fits(stream, len(vector))]
-        return [((fitting or self._carries)[0], vector, stamp)]
+        # The first stream that fits alone: `fits` would fix the width of every stream whose width is unknown.
+        fitting = (stream for stream in self._carries if self._collector.fits(stream, len(vector)))
+        return [(next(fitting, self._carries[0]), vector, stamp)]
 
     def _measured(self, groups: list[Value], stamp: float) -> list[tuple[Stream, FloatArray, float]]:
         readings: list[tuple[Stream, FloatArray, float]] = []

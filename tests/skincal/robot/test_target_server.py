@@ -1,5 +1,6 @@
 """A robot at the port for targets, over real TCP: it comes, goes and comes back, lies, floods, and takes nothing."""
 
+import errno
 import socket
 import time
 from contextlib import closing, contextmanager, suppress
@@ -62,6 +63,20 @@ def test_who_comes_back_hears_again_what_is_asked_for_now(server):
     with robot(server) as peer:
         assert [peer.line(), peer.line()] == [GREETING, write_line(target(2))]
     assert sum(item is RobotCame.CAME for item in taken(server, 3, but=None)) == 2
+
+
+def test_a_robot_that_left_before_it_was_taken_ends_nothing(server, monkeypatch):
+    """On macOS a socket whose peer has closed already takes no options."""
+
+    def refuse(_connection):
+        monkeypatch.undo()
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    monkeypatch.setattr("skincal.robot.target_server.enable_keepalive", refuse)
+    with robot(server) as peer, suppress(OSError):
+        peer.line()
+    with robot(server) as peer:
+        assert peer.line() == GREETING
 
 
 def test_one_robot_at_a_time(server):

@@ -263,6 +263,11 @@ def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
         assert sum(health.losses.values()) - before == 2
 
 
+@pytest.mark.parametrize("page", ["0", "70000"])
+def test_netft_page_that_is_no_port_is_refused(page):
+    assert "not a port in 1 ... 65535" in refusal(f"netft://127.0.0.1:9?page={page}")
+
+
 def test_netft_without_its_page_says_what_to_give():
     said = refusal(f"netft://127.0.0.1:9?page={free_port()}")
     assert "connection refused" in said

@@ -293,6 +293,26 @@ def test_tcp_reads_and_writes():
         assert client.recv(10) == b"?\n"
 
 
+def test_tcp_read_without_waiting_finds_nothing_and_keeps_the_link():
+    server = Server()
+    with closing(server), closing(open_link(spec(f"socket://127.0.0.1:{server.port}"))) as link:
+        client = server.accept()
+        assert link.read(0.0) == b""
+        client.sendall(b"abc")
+        assert link.read(1.0) == b"abc"
+
+
+def test_tcp_peer_that_closes_while_the_link_is_set_up_is_said(monkeypatch):
+    """On macOS a socket whose peer has closed already takes no options."""
+
+    def refuse(_connection):
+        raise OSError(errno.EINVAL, "Invalid argument")
+
+    monkeypatch.setattr("skincal.streams.links.enable_keepalive", refuse)
+    with closing(Server()) as server, pytest.raises(LinkFailure, match=f"socket://127.0.0.1:{server.port}: "):
+        open_link(spec(f"socket://127.0.0.1:{server.port}"))
+
+
 # ------------------------------------------------------------------ files
 
 

@@ -120,6 +120,11 @@ def test_another_number_of_values_is_told(stream, width, expected):
     assert (found.answer, found.width, found.expected) == (LinkAnswer.OTHER_WIDTH, width, expected)
 
 
+def test_an_arm_with_sixteen_joints_is_an_arm():
+    """An iCub's arm port sends arm and hand: more values than a force/torque sensor ever does."""
+    assert Played(Stream.JOINTS).send(noise(16)).answer is LinkAnswer.GOOD
+
+
 def test_a_board_that_sends_one_of_two_streams_is_not_good():
     both = Played(Stream.WRENCH, Stream.SKIN)
     assert both.send(noise(6), 3.5).found.stream is Stream.SKIN

@@ -82,6 +82,14 @@ def test_joints_of_a_state_and_of_an_extended_one(count):
         assert np.degrees(batch.angles).tolist() == [pytest.approx([10, -20])]
 
 
+def test_a_vector_fixes_the_width_of_one_stream_alone():
+    """A listener that takes every stream: the first vector is a skin's, one of another width can still be the joints'."""
+    messages = yarp_message(yarp_doubles([1.0] * 16), 1, 1.0) + yarp_message(yarp_doubles([10.0, 20.0]), 2, 1.1)
+    batches, decoder = fed(messages, (Stream.SKIN, Stream.JOINTS))
+    assert [type(batch).__name__ for batch in batches] == ["SkinBatch", "JointsBatch"]
+    assert Loss.BAD_WIDTH not in decoder.counts
+
+
 def test_gaps_of_the_envelope_are_counted_also_where_the_step_is_not_one():
     for step in (1, 3):
         numbers = [step * i for i in (0, 1, 2, 3, 6, 7)]
