@@ -42,7 +42,7 @@ _MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
         ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
         ("import", "Import a recording...", "Ctrl+I", "Make a session of logs of yarpdatadumper or of CSV files"),
         ("addresses", "Device addresses...", "A", "Another port or host for a device of this session"),
-        ("keep", "Keep this session", "Ctrl+S", "Copy a temporary recording to where it stays"),
+        ("keep", "Keep this session", "Ctrl+S", "Keep this session; without it the window asks when it closes"),
         ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
         ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
         ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),

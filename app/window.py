@@ -576,7 +576,7 @@ class Window(QMainWindow):
         self.controller.open(request)
 
     def _before_losing(self, then: Callable[[], object]) -> None:
-        """Ask what becomes of pokes in a temporary recording, if there are any, then go on."""
+        """Ask whether to keep a provisional session that has pokes, then call `then`."""
         pokes = self.controller.would_lose
         if not pokes:
             then()
@@ -595,8 +595,10 @@ class Window(QMainWindow):
             chosen, self._question = box.clickedButton(), None
             box.deleteLater()
             if chosen is keep:
-                self.controller.keep(then)
+                self.controller.keep()
             elif chosen is drop:
+                self.controller.discard()
+            if chosen in (keep, drop):
                 then()
 
         box.finished.connect(answered)
@@ -624,7 +626,7 @@ class Window(QMainWindow):
                 gone.deleteLater()
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask whether a temporary recording is kept; then stop the timers, close the 3D view, then the journal."""
+        """Ask whether to keep a provisional session; then stop the timers, close the 3D view, then the journal."""
         if not self._leaves and self.controller.would_lose:
             self._before_losing(self.leave)
             event.ignore()

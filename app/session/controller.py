@@ -7,11 +7,12 @@ comes back in a tick.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
@@ -27,7 +28,7 @@ from app.session.opening import (
     resume_pipeline,
     rig_again,
 )
-from app.session.recording import Recording, Storage, stop_all
+from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.running import Running
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
 
+T = TypeVar("T")
+LOG = logging.getLogger(__name__)
 TICK_MS = 33
 """One picture a tick: 30 a second."""
 BEHIND_MS = 4
@@ -75,7 +78,7 @@ SOLVE_S = 0.012
 """s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
 several ticks, in which the window answers."""
 AT_ONCE = 200
-"""Taxels that are solved before the next action is done: 0.1 s at most. While more wait, an action is refused."""
+"""While more taxels than this are unsolved, an action is refused: the window shows a state from before the last change."""
 
 
 PACES = (1, 2, 4)
@@ -98,6 +101,28 @@ def _make_folder(folder: Path) -> None:
 def _had(pipeline: Pipeline) -> tuple[tuple[Entry, ...], int]:
     """Return what was done in a session, and how many pokes it has, rejected ones as well."""
     return pipeline.session.history, len(pipeline.snapshot().pokes)
+
+
+def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
+    """Close a session that was opened too late."""
+    pipeline.close()
+    storage.discard()
+    storage.finish()
+
+
+def _with_sentence(work: Callable[[], T]) -> Callable[[], T]:
+    """Make every failure of `work` an `InputError`, so that its dialog can show it."""
+
+    def run() -> T:
+        try:
+            return work()
+        except InputError:
+            raise
+        except Exception as error:
+            LOG.exception("work beside the window failed")
+            raise InputError(f"It is not done: {error!r}; details are in the log.") from error
+
+    return run
 
 
 class TickSchedule:
@@ -197,7 +222,7 @@ class Controller(QObject):
         self._documents = documents
         self._threads = ThreadService("background", self)
         self._endings = ThreadService("ending", self)
-        """Copies recordings that are kept, and ends them, in that order; each is waited for, also as the window closes."""
+        """Ends recordings. Closing the window waits for it."""
         self._applying = ThreadService("applying", self)
         """Brings positions to a robot, which may be slow, and is never left half way."""
         self._processes: ProcessService | None = None
@@ -209,7 +234,7 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._links: tuple[LinkSpec, ...] = ()
         self._truth = b""
-        self._storage: Storage | None = None
+        self._storage: SessionFolder | None = None
         self._part: Part | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
@@ -230,7 +255,7 @@ class Controller(QObject):
         """Open something in place of what is open; returns at once, `part_loaded` and `session_opened` follow."""
         self._release()
         self._set_running(Running.OPENING)
-        self._storage = storage = Storage(request, self._documents)
+        self._storage = storage = SessionFolder(request, self._documents)
         self.demo, self.pace = request.demo, BRISK if request.demo else 1
         self._pose = request.pose
         self._timer.start()
@@ -242,8 +267,8 @@ class Controller(QObject):
             self.compute(
                 lambda: self._load_session(storage, links),
                 lambda found: self._take_session(storage, found),
-                # Its journal is open and its folder locked: what comes too late is put down, not forgotten.
-                dropped=lambda found: None if isinstance(found, str) else found[1].close(),
+                # Its journal is open and its folder locked.
+                dropped=lambda found: None if isinstance(found, str) else _drop(found[1], storage),
             )
             return
         self._confirmed = True
@@ -270,16 +295,15 @@ class Controller(QObject):
         self._links, self._truth, self._schedule = (), b"", TickSchedule()
         self._close_targets()
         self._again, self.simulated = (), False
-        storage = self._storage
-        if not self._end_recording() and storage is not None:
-            self.compute(storage.finish)
+        self._end_recording()
 
-    def _end_recording(self) -> bool:
-        """End the recording in the background; return whether there was one."""
+    def _end_recording(self) -> None:
+        """End the recording in the background. A provisional one without changes is discarded."""
+        if self._recording is not None and not self.would_lose:
+            self._recording.storage.discard()
         recording, self._recording, self._storage = self._recording, None, None
         if recording is not None:
             self._endings.submit(recording.end, lambda _: None, self._say_failure)
-        return recording is not None
 
     def stop(self) -> None:
         """Stop the timer, then the readers: nothing comes to the window any more."""
@@ -291,8 +315,7 @@ class Controller(QObject):
     def close(self) -> None:
         """Stop, end the process behind the links, and close the journal, in that order."""
         self.stop()
-        storage = self._storage
-        ended = self._end_recording()
+        self._end_recording()
         self._close_targets()
         if self._server is not None:
             self._server.stop()
@@ -305,8 +328,6 @@ class Controller(QObject):
         if self._jobs is not None:
             self._jobs.close()
         self._threads.close()
-        if not ended and storage is not None:
-            storage.finish()
         # Without a limit: a slow disk must not cost what the operator recorded or keeps.
         self._endings.wait()
         self._endings.deliver()
@@ -420,9 +441,9 @@ class Controller(QObject):
         part, links, storage, truth = self._part, self._links, self._storage, self._truth
         if part is not None and links and storage is not None:
             self.compute(
-                lambda: begin_session(part, links, storage.folder, truth),
+                lambda: begin_session(part, links, storage.prepare(), truth),
                 lambda pipeline: self._take_new(Recording(pipeline, storage)),
-                dropped=lambda pipeline: pipeline.close(),
+                dropped=lambda pipeline: _drop(pipeline, storage),
             )
 
     def _take_new(self, recording: Recording) -> None:
@@ -433,7 +454,7 @@ class Controller(QObject):
             recording.pipeline.act(SetPose(self._pose), time.monotonic_ns())
         self._take_recording(recording)
 
-    def _take_session(self, storage: Storage, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
+    def _take_session(self, storage: SessionFolder, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
         if isinstance(found, str):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
@@ -593,11 +614,8 @@ class Controller(QObject):
         return True
 
     def _is_solving(self) -> bool:
-        """Return whether what is shown is not what an action would change, and say so; a few taxels are solved first."""
-        if self._recording is None:
-            return False
-        if self._recording.pipeline.session.unsolved <= AT_ONCE:
-            self._recording.pipeline.snapshot()
+        """Return whether so many taxels are unsolved that an action has to wait, and say so."""
+        if self._recording is None or self._recording.pipeline.session.unsolved <= AT_ONCE:
             return False
         self._say_failure(STILL_SOLVING)
         return True
@@ -608,32 +626,31 @@ class Controller(QObject):
             if not self.act(action):
                 return
 
-    def keep(self, then: Callable[[], object] = lambda: None) -> None:
-        """Copy a temporary recording to where it stays, and go on with `then` once it lies there."""
-
-        def kept(folder: Path) -> None:
-            self.said.emit(Message(kept_words(folder)))
-            self._publish_storage()
-            then()
-
+    def keep(self) -> None:
+        """Keep a provisional session."""
         if self._recording is not None and self.can_keep:
-            # What is still buffered is in no file that could be copied.
-            self._recording.pipeline.sync()
-            self._endings.submit(self._recording.storage.keep, kept, self._say_failure)
+            self._recording.storage.keep()
+            self.said.emit(Message(kept_words(self._recording.storage.folder)))
+            self._publish_storage()
+
+    def discard(self) -> None:
+        """Have a provisional session removed from the disk once it is closed."""
+        if self._recording is not None:
+            self._recording.storage.discard()
 
     @property
     def can_keep(self) -> bool:
-        """Whether the recording would go with the window."""
-        return self._recording is not None and self._recording.storage.can_keep
+        """Whether the operator has not decided yet to keep the session."""
+        return self._recording is not None and self._recording.storage.is_provisional
 
     @property
     def folder(self) -> Path | None:
-        """Where what is open lies for good; None where it does not yet."""
-        return None if self._recording is None else self._recording.storage.lasting
+        """Folder of the session; `None` while it is provisional, or nothing is open."""
+        return None if self._recording is None or self.can_keep else self._recording.storage.folder
 
     @property
     def would_lose(self) -> int:
-        """How many pokes would go with the window; 0 where nothing was done since it was opened."""
+        """Number of pokes that would be discarded with a provisional session; 0 if nothing changed since it was opened."""
         if self._recording is None or not self.can_keep or _had(self._recording.pipeline) == self._opened_with:
             return 0
         return len(self._recording.pipeline.snapshot().pokes)
@@ -646,16 +663,19 @@ class Controller(QObject):
         rig: RigAnswer | None,
         done: Callable[[tuple[Verdict, tuple[str, ...]]], None],
         failed: Callable[[str], None],
+        ended: Callable[[], None] | None = None,
     ) -> None:
         """Write a calibration file in the background.
 
         Parameters
         ----------
-        rig : what landmark pokes say; None where nobody has looked
+        rig : what landmark pokes say; `None` if they were not reviewed
         done : gets the verdict by `method` and the sentences of the file's lint
-        failed : gets why there is none
+        failed : gets a sentence if there is no file, whatever the reason is
+        ended : called last in every case, also if another session was opened meanwhile
         """
         if self._recording is None or self._part is None:
+            failed(NO_SESSION)
             return
         if self._recording.pipeline.session.unsolved > AT_ONCE:
             failed(STILL_SOLVING)
@@ -674,14 +694,15 @@ class Controller(QObject):
             _make_folder(path.parent)
             return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
-        self.compute(write, done, failed)
+        self.compute(_with_sentence(write), done, failed, ended=ended)
 
-    def apply(self, address: str, method: Method, done: Callable[..., None]) -> None:
+    def apply(self, address: str, method: Method, done: Callable[..., None], ended: Callable[[], None] | None = None) -> None:
         """Bring positions to a running robot in the background.
 
         Parameters
         ----------
         done : gets a sentence, every question with its answer, and `good`: whether all went well
+        ended : called last in every case
         """
         if self._recording is None:
             done(NO_SESSION, (), good=False)
@@ -690,7 +711,9 @@ class Controller(QObject):
             done(STILL_SOLVING, (), good=False)
             return
         calibration = self._recording.pipeline.session.calibration()
-        folder = self._recording.storage.lasting or self._documents
+        # The robot's own positions are written beside the recording, and must not go with it.
+        self.keep()
+        folder = self._recording.storage.folder
         lines: list[str] = []
 
         def send() -> str:
@@ -702,7 +725,12 @@ class Controller(QObject):
             words = applied_words(apply_positions(address, positions, before, ANSWER_S, lines.append), positions.part)
             return f"{words[:1].upper()}{words[1:]}."
 
-        self._applying.submit(send, lambda words: done(words, lines, good=True), lambda words: done(words, lines, good=False))
+        self._applying.submit(
+            _with_sentence(send),
+            lambda words: done(words, lines, good=True),
+            lambda words: done(words, lines, good=False),
+            ended=ended,
+        )
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
         """Write the report of what is recorded, in a process of its own.
@@ -742,6 +770,7 @@ class Controller(QObject):
         done: Callable[[Any], None] | None = None,
         failed: Callable[[str], None] | None = None,
         dropped: Callable[[Any], None] | None = None,
+        ended: Callable[[], None] | None = None,
     ) -> None:
         """Do `work` in the background; see `ThreadService.submit`.
 
@@ -756,7 +785,7 @@ class Controller(QObject):
             if done is not None:
                 done(result)
 
-        self._threads.submit(work, take, failed or self._fail, dropped)
+        self._threads.submit(work, take, failed or self._fail, dropped, ended)
 
     # Helpers
 
@@ -768,20 +797,23 @@ class Controller(QObject):
         return load_part(find_scene(request.scene)) if request.mesh is None else load_mesh_part(request.mesh, self._documents)
 
     def _load_session(
-        self, storage: Storage, links: tuple[LinkSpec, ...] | None
+        self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None
     ) -> tuple[Part, Pipeline, tuple[str, ...]] | str:
         """Return what a folder holds, to be looked at where there are no `links`; a sentence where another records it."""
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
-        storage.fetch()
-        folder = storage.folder
+        folder = storage.prepare()
         from skincal.journal.lock import RecordedElsewhereError
 
         try:
             part, pipeline = look_at(folder) if links is None else resume_pipeline(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
+        except InputError:
+            storage.discard()
+            storage.finish()
+            raise
         again = () if links else rig_again(folder, pipeline.session.last_poke + 1)
         return part, pipeline, again
 
@@ -800,4 +832,4 @@ class Controller(QObject):
 
     def _publish_storage(self) -> None:
         if self._recording is not None:
-            self.stored.emit(self._recording.storage.words())
+            self.stored.emit(self._recording.storage.sentence())

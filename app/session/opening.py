@@ -49,7 +49,7 @@ class OpenRequest:
     server: tuple[str, ...] = ()
     """A command that prints its links and serves them; used where no address is given."""
     folder: Path | None = None
-    """Folder of the new session; None puts it into a temporary one that goes with the window unless it is kept."""
+    """Folder of the new session; `None` for a dated one, which the window offers to discard when it closes."""
     targets: str = ""
     """Where a robot is asked for pokes, `[HOST:]PORT`; empty: nowhere."""
     demo: bool = False
@@ -60,11 +60,6 @@ class OpenRequest:
 
     look_on: bool = False
     """See the session as far as it is written, and change nothing in it: another process records it."""
-
-    @property
-    def temporary(self) -> bool:
-        """Whether the recording goes when the window closes, unless the operator keeps it."""
-        return self.copied or (self.session is None and self.folder is None)
 
     @property
     def copied(self) -> bool:

@@ -1,12 +1,8 @@
-"""A session while it is open, without Qt: its pipeline, the readers that feed it through one queue, its place on the disk.
-
-That place is in the operator's documents, or a temporary folder until the session is kept.
-"""
+"""One open recording, without Qt: its folder, its pipeline, and the readers that feed the pipeline through one queue."""
 
 from __future__ import annotations
 
 import shutil
-import tempfile
 import time
 from collections.abc import Sequence
 from datetime import datetime
@@ -15,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from app.session.opening import OpenRequest, dated_folder
 from app.text.message import place_words
-from skincal.journal.lock import LOCK_NAME
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,105 +19,83 @@ if TYPE_CHECKING:
     from skincal.streams.links import Inbox, LinkSpec, Reader
 
 
-class Storage:
-    """The folder of one recording.
+class SessionFolder:
+    """Folder of one recording: the one that was named, else a new dated one under `documents`.
 
-    A recording without a folder of its own goes into a temporary one, and so does the copy of a session that ships. `keep`
-    copies it at once into a folder of its date and time under `documents`, and `finish` copies what was recorded after that
-    and removes the temporary folder.
+    A dated folder that nobody asked for by name is provisional, such as that of the demo or of a copied session. It stays on
+    the disk unless `discard` is called, so that a crash costs nothing.
     """
 
     def __init__(self, request: OpenRequest, documents: Path) -> None:
-        self._documents = documents
-        self._temporary = Path(tempfile.mkdtemp(prefix="skincal-")) if request.temporary else None
-        self.kept: Path | None = None
-        """Where the whole of it was copied to."""
-        self._target: Path | None = None
-        """Where it is to be copied to: also while that was tried in vain."""
         self.shipped = request.session if request.copied else None
-        """The session of which this is a copy."""
-        given = None if request.copied else request.session or request.folder
-        self.folder = given or (self._temporary or documents) / "session"
+        """The shipped session of which this is a copy; `None` otherwise."""
+        self._documents = documents
+        self._folder = None if request.copied else request.session or request.folder
+        self.is_provisional = self._folder is None
+        self._discarded = False
+        self._made: list[Path] = []
+        """Folders that did not exist before, the innermost first."""
 
-    def fetch(self) -> None:
-        """Copy a session that ships to where it may be gone on with; do nothing for any other.
+    @property
+    def folder(self) -> Path:
+        """Where the recording lies; a dated folder is known after `prepare`."""
+        assert self._folder is not None
+        return self._folder
+
+    def prepare(self) -> Path:
+        """Choose the dated folder, copy the shipped session into it, and return the folder of the recording.
 
         Raises
         ------
         InputError
-            It cannot be copied.
+            The shipped session cannot be copied.
         """
+        if self._folder is not None:
+            return self._folder
+        from skincal.session.importing import missing_folders
+
+        self._folder = folder = dated_folder(self._documents, datetime.now().astimezone())
+        self._made = missing_folders(folder)
         if self.shipped is None:
-            return
+            return folder
         try:
-            shutil.copytree(self.shipped, self.folder, copy_function=shutil.copyfile, dirs_exist_ok=True)
-            for folder in (self.folder, *filter(Path.is_dir, self.folder.rglob("*"))):
-                # An installation's folders may let nobody write.
-                folder.chmod(0o700)
+            shutil.copytree(self.shipped, folder, copy_function=shutil.copyfile)
+            for each in (folder, *filter(Path.is_dir, folder.rglob("*"))):
+                # An installation's folders may be read-only.
+                each.chmod(0o700)
         except (OSError, shutil.Error) as error:
             raise InputError(
-                f"{self.shipped}: cannot be copied to {self.folder} ({error}), and a session that ships is opened as a copy "
-                "alone. Look whether it is there, and free some space."
+                f"{self.shipped}: cannot be copied to {folder} ({error}). A session that ships with skincal is "
+                "opened as a copy. Check that you may write there, and free some space."
             ) from error
+        return folder
 
-    @property
-    def can_keep(self) -> bool:
-        """Whether the recording is temporary and not kept yet."""
-        return self._temporary is not None and self.kept is None
+    def keep(self) -> None:
+        """Keep a provisional session."""
+        self.is_provisional = False
 
-    @property
-    def lasting(self) -> Path | None:
-        """Where the recording, or a copy of it, is found again; None where it goes with the window."""
-        return self.folder if self._temporary is None else self.kept
-
-    def keep(self) -> Path:
-        """Copy a temporary recording into the documents and return the new folder.
-
-        Raises
-        ------
-        InputError
-            The folder cannot be written.
-        """
-        self._target = self._target or dated_folder(self._documents, datetime.now().astimezone())
-        self._copy(self._target)
-        self.kept = self._target
-        return self.kept
+    def discard(self) -> None:
+        """Have `finish` remove a provisional session."""
+        self._discarded = self.is_provisional
 
     def finish(self) -> None:
-        """Bring the copy that was asked for up to date, then remove the temporary folder; call after the journal is closed.
+        """Remove a discarded session. Files that others put into its folder stay. Call it after the journal is closed."""
+        if self._discarded and self._folder is not None:
+            from skincal.files.reference import TRUTH_NAME
+            from skincal.session.importing import take_away
 
-        Raises
-        ------
-        InputError
-            The copy cannot be written; the temporary folder stays.
-        """
-        if self._temporary is None:
-            return
-        if self._target is not None and self.folder.exists():
-            self._copy(self._target)
-        shutil.rmtree(self._temporary, ignore_errors=True)
-        self._temporary = None
+            (self._folder / TRUTH_NAME).unlink(missing_ok=True)
+            take_away(self._folder, self._made)
 
-    def _copy(self, target: Path) -> None:
-        try:
-            # Lines before the bytes that they vouch for, as they are read: the recording goes on meanwhile.
-            for other in ("*.mcap", "*.jsonl"):
-                left_out = shutil.ignore_patterns(LOCK_NAME, other)
-                shutil.copytree(self.folder, target, ignore=left_out, dirs_exist_ok=True)
-        except (OSError, shutil.Error) as error:
-            raise InputError(
-                f"{target}: the session cannot be kept there ({error}). It stays in {self.folder}; free some space."
-            ) from error
-
-    def words(self) -> str:
-        """Return where the recording is, for the foot of the window."""
-        return place_words(self.folder, self.kept, temporary=self._temporary is not None, copied=self.shipped is not None)
+    def sentence(self) -> str:
+        """Say where the recording is, for the foot of the window."""
+        return place_words(self.folder, provisional=self.is_provisional, copied=self.shipped is not None)
 
 
 class Recording:
     """One session while it is open, its pipeline with an open journal."""
 
-    def __init__(self, pipeline: Pipeline, storage: Storage) -> None:
+    def __init__(self, pipeline: Pipeline, storage: SessionFolder) -> None:
         self.pipeline = pipeline
         self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
@@ -199,13 +172,7 @@ class Recording:
         self.start()
 
     def end(self) -> None:
-        """Stop the readers, take in what they brought, close the journal, and clear the temporary folder.
-
-        Raises
-        ------
-        InputError
-            The kept copy cannot be brought up to date.
-        """
+        """Stop the readers, take in what they brought, close the journal, and remove a discarded session."""
         stop_all(self.let_go())
         self._queue.finish()
         try:

@@ -55,8 +55,8 @@ def look_words(sentence: str) -> str:
 
 
 def kept_words(folder: Path) -> str:
-    """Return what is said where a temporary recording was copied to `folder`."""
-    return f"This session is kept in {folder}; what is recorded from now on is added when the window closes."
+    """Say that a session is kept."""
+    return f"This session is kept in {folder}."
 
 
 def report_words(path: Path, verdict: str) -> str:
@@ -65,9 +65,9 @@ def report_words(path: Path, verdict: str) -> str:
 
 
 def keep_question(pokes: int) -> tuple[str, str]:
-    """Return what is asked before a temporary recording of so many pokes goes, and what follows from the answer."""
+    """Ask whether to keep a session of so many pokes, and say what follows from the answer."""
     number = f"{pokes} poke{'' if pokes == 1 else 's'}"
-    return f"Keep this session, with its {number}?", "It lies in a temporary folder, which goes now unless it is kept."
+    return f"Keep this session, with its {number}?", "Do not keep deletes its folder from the documents."
 
 
 def mesh_words(part: Part) -> str:
@@ -87,21 +87,20 @@ def mesh_words(part: Part) -> str:
 
 
 def copy_words(shipped: Path) -> str:
-    """Return what is said where a copy of a session that ships was opened."""
-    return f"{shipped} ships with skincal and stays as it is: this is a copy, gone when the window closes; Ctrl+S keeps it."
+    """Say that a copy of a shipped session was opened."""
+    return (
+        f"{shipped} ships with skincal and stays as it is. This is a copy; the window asks whether to keep it when it closes."
+    )
 
 
-def place_words(folder: Path, kept: Path | None, *, temporary: bool, copied: bool = False) -> str:
-    """Return where a recording is, for the foot of the window.
+def place_words(folder: Path, *, provisional: bool, copied: bool = False) -> str:
+    """Say where a recording is, for the foot of the window.
 
     Parameters
     ----------
-    kept : where it was copied to; None where it was not
-    temporary : the folder goes with the window
-    copied : it holds a copy of a session that ships
+    provisional : the operator has not decided yet to keep it
+    copied : it is a copy of a session that ships
     """
-    if not temporary:
+    if not provisional:
         return f"Session in {folder}"
-    if kept is not None:
-        return f"Kept in {kept}"
-    return f"Temporary {'copy' if copied else 'recording'}, gone when the window closes; Ctrl+S keeps it"
+    return f"{'Copy' if copied else 'Recording'} in {folder}; Ctrl+S keeps it without a question"

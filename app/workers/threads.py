@@ -34,6 +34,7 @@ class ThreadRequest:
     done: Callable[[Any], None]
     failed: Callable[[str], None] | None
     dropped: Callable[[Any], None] | None
+    ended: Callable[[], None] | None
 
 
 class ThreadService:
@@ -63,6 +64,7 @@ class ThreadService:
         done: Callable[[T], None],
         failed: Callable[[str], None] | None = None,
         dropped: Callable[[T], None] | None = None,
+        ended: Callable[[], None] | None = None,
     ) -> None:
         """Do `work` in the thread, and give its answer to one of the others in the window's thread. Nothing once it is closed.
 
@@ -73,11 +75,12 @@ class ThreadService:
         failed : gets the sentence of an InputError. Without it, and for every other exception, the exception is raised in the
             window's thread, where it reaches the operator
         dropped : gets, in place of `done`, what `work` returns after `renew` or `close`: something to be given back
+        ended : called last in every case: after an answer, a failure, and an answer that comes too late
         """
         if self._closed:
             return
         with self._lock:
-            self._requests.append(ThreadRequest(self._generation, work, done, failed, dropped))
+            self._requests.append(ThreadRequest(self._generation, work, done, failed, dropped, ended))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=f"skincal-{self._name}", daemon=True)
                 self._thread.start()
@@ -128,6 +131,13 @@ class ThreadService:
             self._bridge.answered.emit(self)
 
     def _hand_over(self, request: ThreadRequest, result: Any, error: BaseException | None) -> None:
+        try:
+            self._answer(request, result, error)
+        finally:
+            if request.ended is not None:
+                request.ended()
+
+    def _answer(self, request: ThreadRequest, result: Any, error: BaseException | None) -> None:
         late = request.generation != self._generation
         if error is None:
             take = request.dropped if late else request.done

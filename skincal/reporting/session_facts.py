@@ -28,7 +28,7 @@ from skincal.modules.health import LayoutMend, judged_modules, mend_modules, spa
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.session.checked import landmark_findings, use_offered, verdicts_of
-from skincal.session.error_history import ErrorHistory, ErrorSeries, spreads_of
+from skincal.session.error_history import ErrorCourse, ErrorSeries, spreads_of
 from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
@@ -197,12 +197,10 @@ def _module_spreads(pipeline: Pipeline, errors: Mapping[int, float]) -> FloatArr
 
 
 def _series(part: Part, snapshot: Snapshot, truth: Reference | None) -> ErrorSeries:
-    history = ErrorHistory(part.scene, part.surface, None if truth is None else truth.places)
-    history.take(snapshot)
-    recount = history.recount()
-    if recount is not None:
-        history.put(recount, recount.work())
-    return history.series()
+    course = ErrorCourse(part.scene, part.surface, None if truth is None else truth.places)
+    course.update(snapshot)
+    course.add_points(*course.work())
+    return course.series()
 
 
 def _misses(session: Session) -> dict[str, tuple[float, ...]]:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -23,9 +23,11 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Reference
 from skincal.geometry import FloatArray, IntArray
+from skincal.model.actions import Exclude, Restore
 from skincal.model.scene import Scene
 from skincal.modules.health import LayoutMend, judged_modules, mend_modules
 from skincal.modules.pose import ModuleModel
+from skincal.rig.correction import RIG, Correction
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
@@ -126,144 +128,134 @@ def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
     return lambda estimates: {method: spreads(found) for method, found in estimates.items()}
 
 
-class Recount:
-    """Works out points of a course, some at a time; it shares nothing with the session, so that any thread may do it.
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseInput:
+    """Everything that a course of errors follows from."""
+
+    contacts: tuple[Contact, ...] = ()
+    """Those that count, as the rig's correction has them, in the order of their numbers."""
+    dead: Mapping[int, str] = field(default_factory=dict[int, str])
+    correction: Correction | None = None
+    """Correction of the rig in use; its uncertainty is part of the predicted error."""
+
+    def common(self, other: CourseInput) -> int:
+        """Count the contacts with which both begin; 0 if dead channels or the correction differ."""
+        if dict(self.dead) != dict(other.dead) or self.correction is not other.correction:
+            return 0
+        return _common(self.contacts, other.contacts)
+
+
+class ErrorCourse:
+    """The course of errors of a session that goes on.
+
+    `update` adds the newest point from a snapshot. The points before it that are missing (after a session is opened, or after a
+    poke is excluded) are solved by `work`, in any one thread, and added by `add_points`.
 
     Parameters
     ----------
-    contacts : those that count, in the order of their numbers
-    dead : channels that are not used
-    wanted : after how many contacts there is to be a point, ascending; one at least
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        surface: Surface | None,
-        rule: Rule,
-        contacts: Sequence[Contact],
-        dead: Mapping[int, str],
-        wanted: Sequence[int],
-    ) -> None:
-        # Fed poke by poke like the live one, so that each point has the bits that it had then.
-        self._session = Session(scene, surface)
-        self._session.find_dead(dead)
-        self._rule, self._contacts = rule, contacts
-        # Backwards, since `pop` takes from the end.
-        self._wanted, self._taken = list(reversed(wanted)), 0
-        self.reach = wanted[-1]
-        """How many of the contacts the points are made from."""
-
-    @property
-    def done(self) -> bool:
-        """Whether every point was worked out."""
-        return not self._wanted
-
-    def work(self, seconds: float = math.inf) -> dict[int, Spreads]:
-        """Return the next points by their count of contacts: what can be had in `seconds`, and one at least."""
-        end = time.monotonic() + seconds
-        points: dict[int, Spreads] = {}
-        while self._wanted and (not points or time.monotonic() <= end):
-            count = self._wanted[-1]
-            for contact in self._contacts[self._taken : count]:
-                self._session.add(contact)
-            self._taken = count
-            points[count] = self._rule(self._session.snapshot().estimates)
-            self._wanted.pop()
-        return points
-
-
-class ErrorHistory:
-    """The course of errors of a session that goes on.
-
-    `take` follows the session and costs what the errors of one snapshot cost; what is missing then (the past of a session
-    that is opened again, everything after a poke that was taken out) is worked out by a `Recount`, in any thread, and
-    given back by `put`.
-
-    What is `known` is as for `error_rule`.
+    known : as for `error_rule`
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, known: Mapping[int, FloatArray] | None) -> None:
-        self._scene, self._surface = scene, surface
         self._rule = error_rule(scene, known)
-        self._contacts: tuple[Contact, ...] = ()
-        self._dead: Mapping[int, str] = {}
-        self._points: dict[int, Spreads] = {}
+        self._input = CourseInput()
+        self._points: Mapping[int, Spreads] = {}
+        """By the number of contacts; replaced and never changed, since `work` reads it."""
         self._stride = 1
-        self._recount: Recount | None = None
+        # The session that `work` solves the past with, and the contacts that count in it.
+        self._replica, self._fed = Session(scene, surface), tuple[Contact, ...]()
 
-    def take(self, snapshot: Snapshot) -> None:
-        """Take the session as it stands: what no longer holds of the past is dropped, the newest point is added."""
-        contacts = snapshot.contacts
-        same = _common(self._contacts, contacts) if dict(self._dead) == dict(snapshot.dead) else 0
-        if self._recount is not None and same < self._recount.reach:
-            self._recount = None
-        count = len(contacts)
-        self._contacts, self._dead, self._stride = contacts, snapshot.dead, stride_of(count)
-        self._points = {
-            at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)
-        }
-        if count and count not in self._points:
-            self._points[count] = self._rule(snapshot.estimates)
+    def update(self, snapshot: Snapshot) -> None:
+        """Follow the session: drop points that no longer hold, add the newest."""
+        used = snapshot.corrections.get(RIG)
+        before, self._input = self._input, CourseInput(snapshot.contacts, snapshot.dead, used and used.correction)
+        same, count = self._input.common(before), len(snapshot.contacts)
+        self._stride = stride_of(count)
+        points = {at: point for at, point in self._points.items() if at <= same and (at % self._stride == 0 or at == count)}
+        if count and count not in points:
+            points[count] = self._rule(snapshot.estimates)
+        self._points = points
 
-    def recount(self) -> Recount | None:
-        """Return what is to be worked out, and the same until it is done or no longer holds; None where nothing is missing."""
-        if self._recount is None or self._recount.done:
-            wanted = [at for at in range(self._stride, len(self._contacts), self._stride) if at not in self._points]
-            self._recount = None
-            if wanted:
-                self._recount = Recount(self._scene, self._surface, self._rule, self._contacts, self._dead, wanted)
-        return self._recount
+    @property
+    def missing(self) -> list[int]:
+        """Numbers of contacts whose points are not solved yet, ascending."""
+        return [at for at in range(self._stride, len(self._input.contacts), self._stride) if at not in self._points]
 
-    def put(self, recount: Recount, points: Mapping[int, Spreads]) -> bool:
-        """Take points that were worked out; return whether they still hold."""
-        if recount is not self._recount:
-            return False
-        self._points |= {count: point for count, point in points.items() if count % self._stride == 0}
-        return True
+    def work(self, seconds: float = math.inf) -> tuple[CourseInput, dict[int, Spreads]]:
+        """Solve missing points for about `seconds`, one at least, for `add_points`."""
+        end, of, points = time.monotonic() + seconds, self._input, dict[int, Spreads]()
+        self._replica.set_detected_dead(of.dead)
+        self._replica.assume_corrected(of.correction)
+        for count in self.missing:
+            # Poke by poke as in the session itself, so that a point has the bits that it had then.
+            self._feed(of.contacts[:count])
+            points[count] = self._rule(self._replica.snapshot().estimates)
+            if time.monotonic() > end:
+                break
+        return of, points
+
+    def add_points(self, of: CourseInput, points: Mapping[int, Spreads]) -> bool:
+        """Add solved points that still hold; return whether there are any."""
+        same = self._input.common(of)
+        held = {at: point for at, point in points.items() if at <= same and at % self._stride == 0}
+        self._points = {**self._points, **held}
+        return bool(held)
+
+    def _feed(self, contacts: tuple[Contact, ...]) -> None:
+        """Let exactly these contacts count in the replica."""
+        same = _common(self._fed, contacts)
+        wanted = {contact.poke for contact in contacts[same:]}
+        for contact in self._fed[same:]:
+            if contact.poke not in wanted:
+                self._replica.act(Exclude(contact.poke))
+        out = set(self._replica.excluded)
+        for contact in contacts[same:]:
+            self._replica.add(contact)
+            if contact.poke in out:
+                self._replica.act(Restore(contact.poke))
+        self._fed = contacts
 
     def series(self) -> ErrorSeries:
-        """Return the course as far as it is known."""
+        """Return the course as far as it is solved."""
         counts = np.array(sorted(self._points), dtype=np.int64)
         points = [self._points[count] for count in counts.tolist()]
         methods: tuple[Method, ...] = tuple(points[-1]) if points else ()
-        expected = len(range(self._stride, len(self._contacts), self._stride)) + bool(self._contacts)
+        contacts = self._input.contacts
         return ErrorSeries(
             counts=counts,
-            pokes=np.array([contact.poke for contact in self._contacts], dtype=np.int64)[counts - 1],
-            times=poking_times([contact.end_s for contact in self._contacts])[counts - 1],
+            pokes=np.array([contact.poke for contact in contacts], dtype=np.int64)[counts - 1],
+            times=poking_times([contact.end_s for contact in contacts])[counts - 1],
             spreads={method: np.stack([point[method] for point in points]) for method in methods},
             stride=self._stride,
-            missing=expected - len(counts),
+            missing=len(self.missing),
         )
 
 
 class ErrorFollower:
-    """Follows the course of errors of an open session against what the operator chose; asked for nothing, it does nothing.
+    """Course of errors of an open session against a source that the operator chose; it works only while somebody asks.
 
-    The past is worked out in the background, a moment at a time: other work comes in between, and what no longer holds after
-    an undo or an exclusion is dropped.
+    The past is solved in the background, a moment at a time, so that other work comes in between.
     """
 
     def __init__(self, part: Part, run: Run) -> None:
         self._part, self._run = part, run
         self.sources: list[Reference | None] = [None] if part.plan is None else [part.plan, None]
-        """What estimates can be compared with; None for the error that they predict of themselves."""
+        """Positions that estimates can be compared with; `None` for the predicted error."""
         self.source = self.sources[0]
         self.version = 0
-        """Another number where the course or its source is another."""
-        self._history = self._begun()
+        """Changes whenever the course or its source changes."""
+        self._course = self._new_course()
         self._revision: int | None = None
         self._busy = False
-        self._failed_at: tuple[ErrorHistory, int | None] | None = None
-        """Course and revision whose work failed: tried again when either is another, and not at every picture."""
+        self._failed_at: tuple[ErrorCourse, int | None] | None = None
+        """Course and revision whose work failed: it is tried again only once either changed."""
 
-    def _begun(self) -> ErrorHistory:
+    def _new_course(self) -> ErrorCourse:
         known = None if self.source is None else self.source.places
-        return ErrorHistory(self._part.scene, self._part.surface, known)
+        return ErrorCourse(self._part.scene, self._part.surface, known)
 
     def offer(self, reference: Reference) -> None:
-        """Take what was found or chosen, in place of another of its origin, and compare with it."""
+        """Add a source, in place of another of its origin, and compare with it."""
         self.sources = [reference, *(other for other in self.sources if other is None or other.origin is not reference.origin)]
         self.choose(0)
 
@@ -271,46 +263,43 @@ class ErrorFollower:
         """Compare with another of `sources`."""
         if self.sources[index] is not self.source:
             self.source = self.sources[index]
-            self._history, self._revision = self._begun(), None
+            self._course, self._revision = self._new_course(), None
             self.version += 1
 
     def follow(self, snapshot: Snapshot, revision: int) -> None:
-        """Take a session as it stands, and let the background go on with what is missing of the past.
+        """Follow a session, and let the background go on with the points that are missing.
 
-        `revision` is another number where pokes, estimates or dead taxels changed.
+        Parameters
+        ----------
+        revision : changes whenever pokes, estimates or dead taxels change
         """
         if revision != self._revision:
             self._revision = revision
-            self._history.take(snapshot)
+            self._course.update(snapshot)
             self.version += 1
-        if not self._busy and self._failed_at != (self._history, self._revision):
-            self._work()
-
-    def series(self) -> ErrorSeries:
-        """Return the course as far as it is known."""
-        return self._history.series()
-
-    def _work(self) -> None:
-        history, recount = self._history, self._history.recount()
-        if recount is None:
+        course, at = self._course, (self._course, revision)
+        if self._busy or self._failed_at == at or not course.missing:
             return
-        begun = history, self._revision
 
-        def work() -> dict[int, Spreads]:
+        def work() -> tuple[CourseInput, dict[int, Spreads]]:
             try:
-                return recount.work(STEP_S)
+                return course.work(STEP_S)
             except BaseException:
-                # `run` reports why, and does not call `take` then.
-                self._failed_at, self._busy = begun, False
+                # `run` reports why, and does not call `add` then.
+                self._failed_at, self._busy = at, False
                 raise
 
-        def take(points: dict[int, Spreads]) -> None:
+        def add(solved: tuple[CourseInput, dict[int, Spreads]]) -> None:
             self._busy = False
-            if history is self._history and history.put(recount, points):
+            if course.add_points(*solved) and course is self._course:
                 self.version += 1
 
         self._busy = True
-        self._run(work, take)
+        self._run(work, add)
+
+    def series(self) -> ErrorSeries:
+        """Return the course as far as it is solved."""
+        return self._course.series()
 
 
 def stride_of(count: int) -> int:

@@ -94,7 +94,7 @@ class SessionLandmarks:
     def put(self, action: AtLandmark | FoundAtLandmark, outcome: Outcome | None) -> Step:
         """Say at which landmark a poke was, return how that is taken back; InputError where one is missing, or has no axis."""
         self.check_name(action.name)
-        if action.name and (outcome is None or poke_at(outcome, self.landmarks[0]) is None):
+        if outcome is None or (action.name and poke_at(outcome, self.landmarks[0]) is None):
             raise InputError(
                 f"Poke {action.poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered."
             )

@@ -124,7 +124,7 @@ class Pipeline:
             self._earlier = note
             return
         if note.dead is not None:
-            self.session.find_dead(note.dead)
+            self.session.set_detected_dead(note.dead)
         for outcome, doubt in note.outcomes:
             self.session.add(outcome)
             if doubt is None:
@@ -260,7 +260,7 @@ class Pipeline:
         outcomes = self._detector.feed(sample, link_from_sensor, name)
         if self._detector.dead is not self._dead:
             self._dead = self._detector.dead
-            self.session.find_dead(self._dead)
+            self.session.set_detected_dead(self._dead)
             self._found_dead = True
             outcomes += self._detector.use_all_but(self.session.dead.keys())
         return outcomes
@@ -270,7 +270,8 @@ class Pipeline:
         # Asked before the outcomes are taken: the second outcome of a poke is no new poke.
         last = self.session.last_poke
         self._note(item, outcomes)
-        new = {outcome.poke for outcome in outcomes if outcome.poke > last}
+        # In the order of their numbers: which one is taken can depend on those before it.
+        new = sorted({outcome.poke for outcome in outcomes if outcome.poke > last})
         if new and self._landmarks.asked:
             tries = self.session.landmark_tries(new)
             for found in self._landmarks.find(tries, self.session.landmarks, self.scene.noise):

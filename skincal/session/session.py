@@ -44,7 +44,7 @@ from skincal.model.actions import (
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
-from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
+from skincal.rig.correction import RIG, Correction, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
 from skincal.session.corrections import Corrections
 from skincal.session.landmark_pokes import LandmarkTries, SessionLandmarks
@@ -82,6 +82,7 @@ class Session:
     _clocks: tuple[tuple[int, WallClock | None], ...] = ()
     _closings: tuple[ClosingRound, ...] = ()
     _skips: tuple[SkipPoke | SkipLandmark, ...] = ()
+    _assumed: Correction | None = None
     _generation = 0
     _last: Snapshot | None = None
     _snapshot: Snapshot | None = None
@@ -230,7 +231,7 @@ class Session:
         """Return how a poke ended, as the rig reported it; None where there is no such poke."""
         return self._corrections.reported.get(poke)
 
-    def find_dead(self, found: Mapping[int, str]) -> None:
+    def set_detected_dead(self, found: Mapping[int, str]) -> None:
         """Take the channels that the detector found to be dead, in place of those before."""
         if found is self.found_dead or dict(found) == dict(self.found_dead):
             return
@@ -437,8 +438,19 @@ class Session:
             if isinstance(outcome, Contact):
                 self._solving.poke_changed(poke, ())
         used = self.corrections.get(RIG)
-        exact = used is None or used.correction.exact
-        self._solving.shared = None if used is None or exact else CorrectionErrors(used.correction, self._contact)
+        self._share_errors(None if used is None else used.correction)
+
+    def assume_corrected(self, correction: Correction | None) -> None:
+        """Take all contacts as corrected already: estimates carry the uncertainty of `correction`."""
+        if correction is not self._assumed:
+            self._assumed = correction
+            self._share_errors(correction)
+            self._changed()
+
+    def _share_errors(self, correction: Correction | None) -> None:
+        self._solving.shared = None
+        if correction is not None and not correction.exact:
+            self._solving.shared = CorrectionErrors(correction, self._contact)
         self._solving.taxels_changed(self.channels)
 
     def _contact(self, poke: int) -> Contact:

@@ -89,16 +89,17 @@ def poked(bench) -> int:
     return len(bench.snapshot.pokes)
 
 
-def test_enter_keeps_what_would_go_with_the_window(bench):
+@pytest.mark.parametrize("kept_before", [False, True], ids=["once", "by Ctrl+S before the answer"])
+def test_enter_keeps_a_provisional_session(bench, kept_before):
     pokes = poked(bench)
-    temporary = bench.recording.storage.folder
     bench.window.close()
+    if kept_before:
+        bench.controller.keep()
     assert bench.window.isVisible(), "it waits for the answer"
     answer(bench, "")
     bench.until(lambda: not bench.window.isVisible(), OPEN_MS)
     (kept,) = bench.documents.iterdir()
     assert len(replay(kept).snapshot().pokes) == pokes
-    assert not temporary.exists()
 
 
 def test_before_another_session_is_opened_it_is_asked_too_and_nothing_happens_until_then(bench, recorded):
@@ -119,7 +120,6 @@ def test_a_simulated_session_that_was_kept_goes_on_with_its_rig(bench):
     bench.open(demo())
     bench.until(lambda: len(bench.accepted()) >= 2)
     bench.controller.keep()
-    bench.until(lambda: not bench.controller.can_keep, OPEN_MS)
     (kept,) = bench.documents.iterdir()
     truth = (kept / "truth.json").read_bytes()
     bench.open(OpenRequest(session=kept))

@@ -8,8 +8,10 @@ from app import headless
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.session.opening import OpenRequest
+from app.text.message import NO_SESSION
 from skincal.cli import main
 from skincal.model.scene import resource
+from skincal.taxels.result import Method
 
 OPEN_MS = 60_000
 
@@ -46,6 +48,21 @@ def test_the_windows_file_says_what_the_verdict_and_the_command_say(bench, recor
     assert main(["export", str(folder), "--format", "json", "--out", str(tmp_path / "c.json")]) == 0
     capsys.readouterr()
     assert verdicts(tmp_path / "c.json") == said
+
+
+def test_a_fault_while_a_file_is_written_reaches_its_dialog(bench, tmp_path, monkeypatch):
+    def fail(*_):
+        raise ZeroDivisionError("ours")
+
+    bench.open(OpenRequest(session=resource("sessions/sample")))
+    monkeypatch.setattr("skincal.files.export.write_calibration", fail)
+    said, ended = [], []
+    bench.controller.export("csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append, lambda: ended.append(1))
+    bench.until(lambda: ended == [1])
+    assert "ZeroDivisionError" in said[0]
+    bench.window.controller._end_recording()
+    bench.controller.export("csv", tmp_path / "c.csv", Method.FREE, None, said.append, said.append)
+    assert said[1] == NO_SESSION
 
 
 def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypatch, capsys):

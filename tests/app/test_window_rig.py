@@ -247,7 +247,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
     touched = []
     for owner, names in (
         (pipeline, ("feed", "act", "take", "begin_segment")),
-        (pipeline.session, ("act", "add", "find_dead", "settle")),
+        (pipeline.session, ("act", "add", "set_detected_dead", "settle")),
         (view.guide, ("follow", "skip")),
         (view.course, ("follow", "choose")),
         (bench.controller, ("act", "follow_guide", "tick", "pause", "go_on")),

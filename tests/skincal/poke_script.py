@@ -23,7 +23,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample, Stream
 from skincal.model.scene import ArmSpec, ContactSettings, NoiseSettings, Scene, SkinSpec, load_scene
 from skincal.model.skin import KINDS, Layout, Module
-from skincal.session.error_history import ErrorHistory
+from skincal.session.error_history import ErrorCourse
 from skincal.session.snapshot import Snapshot
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Estimate
@@ -256,10 +256,8 @@ def next_segment(folder, scene, links):
 
 
 def error_series(scene, surface, snapshot, known):
-    """Return the whole course of errors of a session at once; parameters as for `ErrorHistory`."""
-    history = ErrorHistory(scene, surface, known)
-    history.take(snapshot)
-    recount = history.recount()
-    if recount is not None:
-        history.put(recount, recount.work())
-    return history.series()
+    """Return the whole course of errors of a session at once; parameters as for `ErrorCourse`."""
+    course = ErrorCourse(scene, surface, known)
+    course.update(snapshot)
+    course.add_points(*course.work())
+    return course.series()

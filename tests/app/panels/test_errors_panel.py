@@ -38,10 +38,9 @@ from skincal.session.error_history import (
     MEAN,
     P95,
     TAXELS,
+    ErrorCourse,
     ErrorFollower,
-    ErrorHistory,
     ErrorSeries,
-    Recount,
 )
 from skincal.session.part import Part, load_part
 from skincal.session.session import Session
@@ -415,7 +414,7 @@ class Calls:
 
     def __init__(self, monkeypatch) -> None:
         self.count = 0
-        for owner, name in ((ErrorHistory, "take"), (ErrorHistory, "series"), (Recount, "work"), (ErrorFollower, "follow")):
+        for owner, name in ((ErrorCourse, "update"), (ErrorCourse, "series"), (ErrorCourse, "work"), (ErrorFollower, "follow")):
             monkeypatch.setattr(owner, name, self._counted(getattr(owner, name)))
 
     def _counted(self, method):
@@ -567,6 +566,6 @@ def test_a_simulated_rig_tells_where_its_taxels_are_and_the_session_keeps_it(qtb
 
 
 def test_a_taxel_estimated_where_it_is_known_to_be_has_no_error():
-    history = ErrorHistory(SCENE, None, {3: np.array([0.01, 0.0, 0.0])})
-    history.take(session(1, {3: estimate(3, (0.01, 0.0, 0.0)), 4: estimate(4, (0.0, 0.0, 0.0))}, [touch(1)]))
+    history = ErrorCourse(SCENE, None, {3: np.array([0.01, 0.0, 0.0])})
+    history.update(session(1, {3: estimate(3, (0.01, 0.0, 0.0)), 4: estimate(4, (0.0, 0.0, 0.0))}, [touch(1)]))
     assert history.series().spreads[Method.FREE][-1, 0].tolist() == [1.0, 0.0, 0.0, 0.0]

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.panels.plots import min_max_decimation
-from app.session.opening import Addresses, OpenRequest, dated_folder, link_specs
-from app.session.recording import Storage
+from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkLook, same_results
@@ -382,31 +381,6 @@ def test_sessions_get_folders_of_their_own(tmp_path):
     first.mkdir()
     assert first.name == "2026-05-04_03-02-01"
     assert dated_folder(tmp_path, now).name == "2026-05-04_03-02-01_2"
-
-
-def test_a_temporary_recording_goes_unless_it_is_kept(tmp_path):
-    storage = Storage(OpenRequest(), tmp_path)
-    assert storage.can_keep
-    storage.folder.mkdir(parents=True)
-    (storage.folder / "a").write_text("first")
-    kept = storage.keep()
-    assert (kept / "a").read_text() == "first"
-    (storage.folder / "a").write_text("first, and what came after")
-    folder = storage.folder
-    storage.finish()
-    assert not folder.exists()
-    assert (kept / "a").read_text() == "first, and what came after"
-    gone = Storage(OpenRequest(), tmp_path)
-    gone.finish()
-    assert not gone.folder.exists()
-
-
-def test_a_recording_with_a_folder_is_never_removed(tmp_path):
-    storage = Storage(OpenRequest(folder=tmp_path / "mine"), tmp_path)
-    storage.folder.mkdir()
-    assert not storage.can_keep
-    storage.finish()
-    assert storage.folder.exists()
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,17 @@ def test_a_sentence_is_said_and_a_fault_is_raised_where_the_operator_hears_of_it
     assert [kind for kind, *_ in faults] == [InputError, ZeroDivisionError, KeyError]
 
 
+@pytest.mark.parametrize("error", [None, InputError("no"), ZeroDivisionError("ours")])
+@pytest.mark.parametrize("late", [False, True])
+def test_who_asked_hears_of_the_end_whatever_became_of_the_work(qtbot, threads, error, late):
+    ended = []
+    with qtbot.captureExceptions():
+        threads.submit(lambda: broken(error) if error else 1, lambda _: None, lambda _: None, ended=lambda: ended.append(1))
+        if late:
+            threads.renew()
+        qtbot.waitUntil(lambda: ended == [1], timeout=5000)
+
+
 def test_closing_waits_with_a_limit_and_gives_back_what_came_too_late(qtbot, owner, caplog):
     threads, free, heard, back = ThreadService("test", owner), threading.Event(), [], []
     threads.submit(lambda: "done", heard.append, None, back.append)

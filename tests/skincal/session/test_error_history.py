@@ -15,6 +15,8 @@ from skincal.files.reference import Origin, error_summary, find_truth, load_refe
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
+from skincal.rig.correction import RIG, Correction, RigPrior
+from skincal.session.corrections import correct_action
 from skincal.session.error_history import (
     MAX,
     MEAN,
@@ -22,7 +24,7 @@ from skincal.session.error_history import (
     PAUSE_MAX_S,
     POINTS_MAX,
     TAXELS,
-    ErrorHistory,
+    ErrorCourse,
     poking_times,
     spreads_of,
     stride_of,
@@ -52,15 +54,13 @@ def poked(pipeline, contacts) -> Session:
     return session
 
 
-def history_of(pipeline, truth) -> ErrorHistory:
-    return ErrorHistory(pipeline.scene, pipeline.session.surface, None if truth is None else truth.places)
+def history_of(pipeline, truth) -> ErrorCourse:
+    return ErrorCourse(pipeline.scene, pipeline.session.surface, None if truth is None else truth.places)
 
 
-def finish(history: ErrorHistory):
-    recount = history.recount()
-    while recount is not None:
-        assert history.put(recount, recount.work(0.0))
-        recount = history.recount()
+def finish(history: ErrorCourse):
+    while history.missing:
+        assert history.add_points(*history.work(0.0))
     return history.series()
 
 
@@ -111,12 +111,12 @@ def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(
     for contact in contacts:
         # As the detector gives them: once at the release, and again when the tare after it is known.
         session.add(replace(contact, moment=contact.moment * 1.01, final=False))
-        live.take(session.snapshot())
+        live.update(session.snapshot())
         session.add(contact)
-        live.take(session.snapshot())
-        assert live.recount() is None
+        live.update(session.snapshot())
+        assert not live.missing
     late = history_of(pipeline, truth)
-    late.take(session.snapshot())
+    late.update(session.snapshot())
     assert late.series().missing == POKES - 1
     whole = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     assert same(live.series(), whole)
@@ -126,18 +126,18 @@ def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(
 def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
     pipeline, truth, contacts = sample
     history, session = history_of(pipeline, truth), poked(pipeline, contacts)
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     before = finish(history)
     session.act(Undo())
-    history.take(session.snapshot())
-    assert history.recount() is None
+    history.update(session.snapshot())
+    assert not history.missing
     assert same(
         history.series(),
         error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts[:-1]).snapshot(), truth.places),
     )
     session.act(Restore(contacts[-1].poke))
     session.act(Exclude(contacts[3].poke))
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     after = finish(history)
     assert contacts[3].poke not in after.pokes
     left_out = (*contacts[:3], *contacts[4:])
@@ -145,85 +145,65 @@ def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
         after, error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, left_out).snapshot(), truth.places)
     )
     session.act(Restore(contacts[3].poke))
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     assert same(finish(history), before)
 
 
 def test_a_taxel_that_is_not_used_leaves_the_whole_course(sample):
     pipeline, truth, contacts = sample
     history, session = history_of(pipeline, truth), poked(pipeline, contacts)
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     before = finish(history)
     dead = int(contacts[0].channels[0])
     session.act(MarkDead(dead))
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     assert finish(history).spreads[Method.SURFACE][0, 0, TAXELS] == before.spreads[Method.SURFACE][0, 0, TAXELS] - 1
     session.act(Revive(dead))
-    history.take(session.snapshot())
+    history.update(session.snapshot())
     assert same(finish(history), before)
 
 
-def test_work_that_no_longer_holds_is_dropped(sample):
-    pipeline, truth, contacts = sample
-    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
-    history.take(session.snapshot())
-    stale = history.recount()
-    points = stale.work(0.0)
-    assert len(points) == 1
-    session.act(Exclude(contacts[0].poke))
-    history.take(session.snapshot())
-    assert not history.put(stale, points)
-    assert history.series().counts.tolist() == [POKES - 1]
-    assert history.recount() is not stale
+CHANGES = {
+    "a poke before it was excluded": (lambda session, contacts: session.act(Exclude(contacts[0].poke)), False),
+    "another poke came": (lambda session, contacts: session.add(contacts[-1]), True),
+    "the last poke was reported again": (lambda session, contacts: session.add(contacts[-2]), True),
+    "an earlier poke was reported again": (lambda session, contacts: session.add(contacts[1]), False),
+}
 
 
-def test_a_poke_more_does_not_waste_the_work_that_is_under_way(sample):
+@pytest.mark.parametrize("change", CHANGES)
+def test_work_under_way_counts_as_far_as_it_still_holds(sample, change):
     pipeline, truth, contacts = sample
     history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
-    history.take(session.snapshot())
-    recount = history.recount()
-    points = recount.work(0.0)
-    session.add(contacts[-1])
-    history.take(session.snapshot())
-    assert history.recount() is recount
-    assert history.put(recount, points)
-    assert same(
-        finish(history),
-        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
-    )
+    for each in (contacts[1], contacts[-2]):
+        session.add(replace(each, moment=each.moment * 1.01, final=False))
+    history.update(session.snapshot())
+    solved = history.work()
+    do, holds = CHANGES[change]
+    do(session, contacts)
+    history.update(session.snapshot())
+    history.add_points(*solved)
+    assert (5 in history.series().counts.tolist()) == holds
+    whole = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
+    assert same(finish(history), whole)
 
 
-def test_the_second_telling_of_the_last_poke_does_not_waste_the_work_that_is_under_way(sample):
-    pipeline, truth, contacts = sample
-    history, session = history_of(pipeline, truth), poked(pipeline, contacts[:-1])
-    session.add(replace(contacts[-1], moment=contacts[-1].moment * 1.01, final=False))
-    history.take(session.snapshot())
-    recount = history.recount()
-    points = recount.work(0.0)
-    session.add(contacts[-1])
-    history.take(session.snapshot())
-    assert history.recount() is recount
-    assert history.put(recount, points)
-    assert same(
-        finish(history),
-        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
-    )
-
-
-def test_another_telling_of_the_last_poke_of_a_wish_drops_it(sample):
-    pipeline, truth, contacts = sample
-    history, session = history_of(pipeline, truth), poked(pipeline, contacts)
-    session.add(replace(contacts[-2], moment=contacts[-2].moment * 1.01, final=False))
-    history.take(session.snapshot())
-    stale = history.recount()
-    points = stale.work()
-    session.add(contacts[-2])
-    history.take(session.snapshot())
-    assert not history.put(stale, points)
-    assert same(
-        finish(history),
-        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places),
-    )
+def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample):
+    """Both kinds of points predict an error by the same definition, so the course has no jump at its end."""
+    pipeline, _, contacts = sample
+    correction = Correction(np.eye(6), np.eye(4), {}, np.diag(0.3 * RigPrior().scales(0)))
+    session = poked(pipeline, contacts)
+    session.act(correct_action(RIG, correction, 0.01, 0.001, 20))
+    live, late = history_of(pipeline, None), history_of(pipeline, None)
+    for contact in contacts:
+        session.act(Exclude(contact.poke))
+    for contact in contacts:
+        session.act(Restore(contact.poke))
+        live.update(session.snapshot())
+    late.update(session.snapshot())
+    assert same(finish(late), live.series())
+    plain = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), None)
+    assert (live.series().spreads[Method.SURFACE][5:, 0, MEAN] > 1.05 * plain.spreads[Method.SURFACE][5:, 0, MEAN]).all()
 
 
 def test_modules_are_told_apart(sample):
@@ -251,7 +231,7 @@ def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monke
     live, session = history_of(pipeline, truth), Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         session.add(contact)
-        live.take(session.snapshot())
+        live.update(session.snapshot())
     late = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
     monkeypatch.undo()
     full = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)

@@ -72,6 +72,9 @@ def test_landmarks_are_added_by_hand_and_named_once():
     session = Session(small_scene(), None)
     with pytest.raises(InputError, match="the scene has none"):
         session.act(AtLandmark(1, "head"))
+    with pytest.raises(InputError, match=approved_pattern("landmark.wrong_contact")):
+        session.act(AtLandmark(999, ""))
+    assert session.snapshot().can_undo == ""
     session.act(AddLandmark("head", 0.02, 0.05, 0.10))
     assert [landmark.name for landmark in session.snapshot().landmarks] == ["head"]
     for wrong in (AddLandmark("head", 0.0, 0.0, 0.0), AddLandmark("", 0.0, 0.0, 0.0), AddLandmark("far", 20.0, 0.0, 0.0)):

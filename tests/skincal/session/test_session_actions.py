@@ -217,10 +217,10 @@ def test_a_dead_channel_is_not_estimated_and_a_revived_one_is_as_before(outcomes
 
 def test_what_the_operator_revives_is_not_found_dead_again(outcomes):
     session = session_of(outcomes)
-    session.find_dead({3: "stuck"})
+    session.set_detected_dead({3: "stuck"})
     assert session.snapshot().dead == {3: "stuck"}
     session.act(Revive(3))
-    session.find_dead({3: "stuck", 5: "no number"})
+    session.set_detected_dead({3: "stuck", 5: "no number"})
     assert session.snapshot().dead == {5: "no number"}
 
 
