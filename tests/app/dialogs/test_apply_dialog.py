@@ -9,7 +9,7 @@ from PySide6.QtTest import QTest
 
 from app.dialogs.apply_dialog import USUAL, ApplyDialog, offered_port
 from app.session.opening import OpenRequest
-from app.session.recording import Storage
+from app.session.recording import SessionFolder
 from app.text.message import NO_SESSION
 from skincal.model.scene import resource
 from skincal.simulate.maker_outlets import SkinManagerOutlet
@@ -90,7 +90,7 @@ def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_wo
         assert not dialog.apply.isEnabled(), "a robot that does not answer holds up nothing else"
         assert ended(bench, dialog).endswith(approved("apply.unchanged"))
     (tmp_path / "file").touch()
-    monkeypatch.setattr(Storage, "lasting", tmp_path / "file" / "mine")
+    monkeypatch.setattr(SessionFolder, "folder", tmp_path / "file" / "mine")
     dialog.apply.click()
     assert approved("apply.no_folder") in ended(bench, dialog)
     monkeypatch.setattr(bench.controller, "_recording", None)
