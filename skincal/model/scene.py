@@ -332,6 +332,10 @@ def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, 
         table.done()
         known = KnownDistance((int(ends[0]), int(ends[1])), given[0] == "taxels", length, sd)
         check_distance(known, layout, table.where)
+        if known in distances:
+            raise InputError(
+                f"{table.where}: the same distance is written twice; leave one out, or it counts as two measurements."
+            )
         distances.append(known)
     return tuple(distances)
 

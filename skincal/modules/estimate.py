@@ -28,7 +28,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.off_surface import off_surface_variances
-from skincal.modules.pose import ModuleModel, ModulePoses
+from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import NO_RANK, Fitted, ModuleRows, Touches, fit_poked, whitened
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
@@ -39,8 +39,6 @@ MOVING_MAX = 2e-4
 micrometres; without a surface, from few pokes, by up to centimetres."""
 UNDETERMINED = 1e-6
 """Share of a direction that pokes do not determine above which a pad's place moves with it; below it is rounding."""
-ON_SURFACE = 3
-"""Unknowns of a module that is laid on a surface, from which it may lie apart."""
 OTHERS = 2
 """Other pokes of its module that a poke needs: one predicts nothing of how a module is turned."""
 
@@ -105,7 +103,7 @@ def estimate_modules(
             kept.pop(module, None)
     if fit is not None:
         estimates = list(_estimates(*fit, counts, dead))
-        found.update((estimate.channel, estimate) for estimate in _carried(*fit, noise, estimates, shared, kept))
+        found.update((estimate.channel, estimate) for estimate in _carried(*fit, model, noise, estimates, shared, kept))
     return found
 
 
@@ -188,6 +186,7 @@ def _doubted(touches: Touches, fitted: Fitted) -> list[dict[int, dict[int, float
 def _carried(
     touches: Touches,
     fitted: Fitted,
+    model: ModuleModel,
     noise: NoiseSettings,
     estimates: Sequence[Estimate],
     shared: SharedRows | None,
@@ -214,7 +213,7 @@ def _carried(
     of, gradient = fitted.of[pads], gradients[pads]
     more = gradient @ added[of] @ gradient.transpose(0, 2, 1)
     heights = np.zeros(len(factors))
-    if gradients.shape[2] == ON_SURFACE:
+    if isinstance(model.ground, ModulesOnSurface):  # a bent module may lie off the mesh
         heights = off_surface_variances(ordered, rows, order, trust, factors, noise.skin, errors)
         outward = fitted.pads.normals[pads]
         more = more + heights[of, None, None] * outward[:, :, None] * outward[:, None]

@@ -132,6 +132,11 @@ class RigPrior:
     landmark: float = 0.0007
     """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
 
+    @property
+    def columns(self) -> int:
+        """Columns of C: the wrench's components, and their products where the sensor is not linear."""
+        return 6 + len(products(np.ones((1, 6)))[0]) if self.quadratic else 6
+
     def scales(self, poses: int) -> FloatArray:
         """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, 6 or 27 columns, then turn and shift of each."""
         units = LOAD * np.repeat([1.0, self.arm], 3)

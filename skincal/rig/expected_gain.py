@@ -101,7 +101,7 @@ def expected_error(
         rows.append(_landmark_rows(pokes, readings_of(pokes, order), prior, noise, scales))
     if planned:
         rows.append(_landmark_rows(planned, _planned(planned, order), prior, noise, scales))
-    moved, points = _moved(places, normals, poses, order, scales), [poke.place for poke in every]
+    moved, points = _moved(places, normals, poses, order, prior, scales), [poke.place for poke in every]
     whole = np.concatenate(rows)
     now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
     return Gain(now, after, len(planned))
@@ -115,7 +115,7 @@ def expected_miss(poke: LandmarkPoke, noise: NoiseSettings) -> float:
     prior, lever = RigPrior(), float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3]))
     force = float(np.linalg.norm(poke.force))
     # Whitened by a spread of one metre the rows are in metres.
-    rows = _rows(readings_of([poke], {poke.pose: 0}), poke.place[None], 1.0, EXACT, prior.scales(1))
+    rows = _rows(readings_of([poke], {poke.pose: 0}), poke.place[None], 1.0, EXACT, prior, prior.scales(1))
     own = prior.landmark**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
     return float(np.sqrt(np.sum(rows.of_rig**2) + 2.0 * own))
 
@@ -176,7 +176,7 @@ def _landmark_rows(
 ) -> FloatArray:
     """Return (2 m, k) the whitened rows of pokes at landmarks, made or planned."""
     places = np.array([poke.place for poke in pokes])
-    return _rows(readings, places, prior.landmark, noise, scales).of_rig.reshape(-1, len(scales))
+    return _rows(readings, places, prior.landmark, noise, prior, scales).of_rig.reshape(-1, len(scales))
 
 
 def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadings:
@@ -186,7 +186,12 @@ def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadi
 
 
 def _moved(
-    places: FloatArray, normals: FloatArray, poses: Mapping[str, FloatArray], order: Mapping[str, int], scales: FloatArray
+    places: FloatArray,
+    normals: FloatArray,
+    poses: Mapping[str, FloatArray],
+    order: Mapping[str, int],
+    prior: RigPrior,
+    scales: FloatArray,
 ) -> FloatArray:
     """Return (n, 3, k) metres: how places are moved along the skin by each unknown of the rig, the mean of the poses."""
     step = -(-len(places) // TAXELS)
@@ -196,7 +201,7 @@ def _moved(
     of = np.repeat(np.array([order[name] for name in poses]), count)
     some, out = np.tile(some, (many, 1)), np.tile(out, (many, 1))
     # Whitened by a spread of one metre the rows are in metres, and their change with the place has orthonormal rows.
-    rows = _rows(_pushed(some, out, reported, of), some, 1.0, EXACT, scales)
+    rows = _rows(_pushed(some, out, reported, of), some, 1.0, EXACT, prior, scales)
     shifts = rows.of_place.transpose(0, 2, 1) @ rows.of_rig
     return shifts.reshape(many, count, 3, -1).mean(axis=0)
 
@@ -209,10 +214,14 @@ def _pushed(places: FloatArray, normals: FloatArray, reported: FloatArray, of: I
     return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, reported)
 
 
-def _rows(readings: RigReadings, places: FloatArray, spread: float, noise: NoiseSettings, scales: FloatArray) -> RigRows:
+def _rows(
+    readings: RigReadings, places: FloatArray, spread: float, noise: NoiseSettings, prior: RigPrior, scales: FloatArray
+) -> RigRows:
     """Return the rows of pokes that lie beside their places (m, 3) by an sd of `spread`, metres, in each direction."""
     around = np.broadcast_to(spread**2 * np.eye(3), (len(places), 3, 3))
-    return rig_rows(readings, RigState.at_prior((len(scales) - 36) // 6), places, around, noise, scales)
+    return rig_rows(
+        readings, RigState.at_prior((len(scales) - 6 * prior.columns) // 6, prior.columns), places, around, noise, scales
+    )
 
 
 def _expected(rows: FloatArray, points: Sequence[FloatArray], moved: FloatArray) -> float:

@@ -31,9 +31,9 @@ from skincal.mesh.surface import make_surface
 from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resource
 from skincal.modules.distances import STEPS as DISTANCE_STEPS
 from skincal.modules.distances import refined
-from skincal.modules.estimate import ON_SURFACE, FittedModule, estimate_modules
+from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.off_surface import SEEN, THICKEST, TOLD
-from skincal.modules.pose import LEVER, ModulePoses
+from skincal.modules.pose import LEVER, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_of
 from skincal.rig.correction import LOAD, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
@@ -528,7 +528,7 @@ def exact_module(shared: Shared, begin: ExactPose | None = None) -> Said:
     along = back @ (weights @ out[:, :, None]).sum(axis=0)
     total = factor * back + skin**2 * along @ along.T + sum(back @ each @ each.T @ back for each in own)
     height = MP.zero
-    if unknowns == ON_SURFACE:
+    if unknowns == ModulesOnSurface.unknowns:
         # One unknown more: the misses' slope with the height, less what the module's own unknowns make of it.
         alone = ((out - (slopes @ along)[:, :, 0])[:, None] @ inverse)[:, 0]
         told = dot(alone, out).sum()

@@ -68,6 +68,13 @@ sd_mm = 1
 """
 
 
+def test_a_distance_that_is_written_twice_is_refused(tmp_path):
+    """Twice it would count as two measurements."""
+    twice = GOOD + DISTANCES + DISTANCES
+    with pytest.raises(InputError, match="written twice"):
+        load_scene(write(tmp_path, twice, MODULES + OTHER))
+
+
 def test_known_distances_are_read(tmp_path):
     by_module, by_taxel = load_scene(write(tmp_path, GOOD + DISTANCES, MODULES + OTHER)).distances
     assert (by_module.ends, by_module.of_taxels) == ((5, 7), False)

@@ -152,6 +152,17 @@ def test_a_rigid_motion_of_the_link_changes_nothing():
     assert (moved.now, moved.after) == pytest.approx((here.now, here.after), rel=1e-9)
 
 
+def test_a_sensor_that_may_not_be_linear_is_predicted_to_err_more():
+    rig = make_rig(RigErrors.noise(), 1)
+    poses = dict(list(reported(rig).items())[:1])
+    linear, other = (
+        expected_error(prior, rig.scene.noise, [], planned(rig, 6), rig.places, rig.normals, poses)
+        for prior in (PRIOR, RigPrior(quadratic=0.02))
+    )
+    assert other.now > 1.05 * linear.now
+    assert other.after > linear.after
+
+
 def test_nothing_to_predict_is_an_error():
     rig = make_rig(RigErrors.noise(), 1)
     with pytest.raises(ValueError, match="no taxel"):
