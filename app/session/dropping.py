@@ -9,7 +9,7 @@ from pathlib import Path
 from app.session.opening import MESHES, OpenRequest, server_command
 from skincal.model.errors import InputError
 
-TABLES = (".csv", ".tsv", ".log")
+LOG_SUFFIX = ".log"
 EXPECTED = "drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
@@ -58,10 +58,11 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
 
 
 def _is_recording(path: Path) -> bool:
+    from skincal.files.importers.overview import TABLES, is_table
     from skincal.files.importers.yarp_folder import DATA
 
     if not path.is_dir():
-        return path.is_file() and path.suffix.lower() in TABLES
+        return path.is_file() and (is_table(path) or path.suffix.lower() == LOG_SUFFIX)
     # A port has a folder; no deeper, since it may be a whole disk that was dropped.
-    patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", "*.csv", "*.tsv")
+    patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", *(f"*{suffix}" for suffix in TABLES))
     return any(next(path.glob(pattern), None) is not None for pattern in patterns)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import json
 import math
 import queue
 import signal
@@ -16,6 +15,7 @@ import threading
 import time
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from types import FrameType
@@ -26,6 +26,7 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
+from skincal.model.given import parse_json
 from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
 from skincal.taxels.result import Method
 
@@ -47,6 +48,9 @@ LinkOption = Annotated[
     str,
     typer.Option(help="Port (/dev/ttyUSB0, COM3), socket://HOST:PORT, a file, a device (docs/devices.md) or run:COMMAND."),
 ]
+ORDER_MAX_BYTES = 1 << 16
+"""Of a line on standard input; a longer one is no order."""
+SHOWN_BYTES = 200
 POKES_MOST = 100_000
 """Pokes that may be asked for: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
 DRAIN_WAIT_S = 0.05
@@ -190,7 +194,7 @@ class OrderLine:
 def _read_orders(file: int, items: Inbox) -> None:
     """Stamp every line of a file that is open, and hand it on."""
     # Unbuffered: a buffer's lock, held by a thread that waits for a line, would break the end of the program.
-    for line in FileIO(file, closefd=False):
+    for line in iter(partial(FileIO(file, closefd=False).readline, ORDER_MAX_BYTES), b""):
         items.put(OrderLine(time.monotonic_ns(), line))
 
 
@@ -202,9 +206,9 @@ def _take(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
     from skincal.model.actions import from_json
 
     try:
-        pipeline.act(from_json(json.loads(item.text)), item.host_ns)
+        pipeline.act(from_json(parse_json(item.text)), item.host_ns)
     except (InputError, ValueError, AttributeError) as error:
-        say(f"order {item.text.decode(errors='replace').strip()}: not done. {error}", err=True)
+        say(f"order {item.text[:SHOWN_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
 def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:

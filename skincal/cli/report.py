@@ -137,7 +137,9 @@ def method_line(method: Method | str, summary: Mapping[str, Any]) -> str:
     states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
     line = f"{name:8s} {states or 'no taxel seen'}"
     if predicted is not None:
-        line += f"; predicted error {predicted_words(PredictedError(*(value * 1e-3 for value in predicted.values())))}"
+        names = {"mean": "mean", "worst": "worst", "whole": "whole_skin", "among": "among_taxels"}
+        error_m = PredictedError(**{name: predicted[key] * 1e-3 for name, key in names.items()})
+        line += f"; predicted error {predicted_words(error_m)}"
     if ratio is not None:
         line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
     if error is not None:

@@ -23,10 +23,10 @@ from skincal.taxels.differences import Repeatability, repeatability
 from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
+"""A simulated session has one next to its segments."""
 FORMS = "a truth.json, a calibration's JSON or CSV, or an iCub position file"
 RIG_KEY = "rig"
-"""In a truth: `seed` and `errors` of the simulated rig, by which `simulate` makes the same one again."""
-"""A simulated session has one beside its segments."""
+"""In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
 
 class Origin(Enum):

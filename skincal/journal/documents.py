@@ -345,10 +345,11 @@ def _contact(document: Mapping[str, Any]) -> Contact:
     )
     # In plain numbers, which is ten times quicker than in arrays.
     numbers = (*document["force"], *document["moment"], *responses, contact.start_s, contact.end_s)
+    bounded = all(-NUMBER_MOST <= number <= NUMBER_MOST for number in numbers)  # false for NaN
     right = type(contact.poke) is int and type(contact.pose) is str and type(contact.final) is bool
     right &= 0 < contact.poke < POKES_MOST and contact.force.shape == contact.moment.shape == (3,)
     right &= len(channels) == len(responses) > 0 and channels == sorted(set(channels)) and min(responses) > 0
-    if not right or max(map(abs, numbers)) > NUMBER_MOST or not any(document["force"]):
+    if not right or not bounded or not any(document["force"]):
         raise ValueError(f"poke {shown(contact.poke)} is none that was measured")
     return contact
 

@@ -38,7 +38,7 @@ from skincal.journal.documents import (
 )
 from skincal.journal.lock import writer_of
 from skincal.journal.mcap_file import EVENT_TOPIC, RAW_TOPIC, DamagedError, McapFile, is_closed, is_item, tells_all
-from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER, scene_digest
+from skincal.journal.writer import DIGEST_OF_ALL_FILES, SCENE_FILE, SCENE_FOLDER, scene_digest, toml_digest
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Scene, load_scene
@@ -77,7 +77,9 @@ class SessionLog:
         if self.written_by:
             self._findings.append(f"{folder}: is being recorded by {self.written_by}; read as far as it is written.")
         if self.scene_changed:
-            self._findings.append(f"{self.scene.path}: was changed after the recording; the changed one is used.")
+            self._findings.append(
+                f"{self.scene.path}: it, its layout or its mesh was changed after the recording; the changed one is used."
+            )
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -143,7 +145,8 @@ class SessionLog:
     def _differs(self, mark: SegmentMark) -> bool:
         """Return whether the scene is another one now."""
         if mark.digest is not None:
-            return mark.digest != self._digest
+            covers_all = mark.digest.startswith(DIGEST_OF_ALL_FILES)
+            return mark.digest != (self._digest if covers_all else toml_digest(self.folder / SCENE_FOLDER))
         return bool(mark.scene) and _without_paths(mark.scene) != _without_paths(self.scene.text)
 
 

@@ -32,7 +32,7 @@ from contextlib import ExitStack
 from functools import lru_cache, wraps
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, Concatenate, NoReturn, ParamSpec
+from typing import Any, Concatenate, NoReturn, ParamSpec, cast
 
 import numpy as np
 from mcap.writer import Writer
@@ -76,6 +76,10 @@ SCENE_FILES_MOST = 16
 """TOML files of a scene's folder: a scene and its layout are two, and each may have 4 MB."""
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
+NAMED_FILES = (("skin", "modules"), ("surface", "mesh"))
+"""Table and key of each file that a scene names."""
+DIGEST_OF_ALL_FILES = "all-files:"
+"""Begins a digest that covers the mesh, too. Digests without it are of the TOML files alone."""
 _DECODED = {
     "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/taxels": "skincal_msgs/msg/Taxels",
@@ -440,10 +444,9 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
     document = tomllib.loads(text)
     try:
         folder.mkdir(parents=True)
-        for table, key in (("skin", "modules"), ("surface", "mesh")):
-            named = document.get(table, {}).get(key)
-            if named is not None:
-                text = _copy_named(text, str(named), scene.path.parent, folder)
+        for table, key in NAMED_FILES:
+            if key in document.get(table, {}):
+                text = _copy_named(text, table, key, scene.path.parent, folder)
         target = folder / SCENE_FILE
         # Without `newline` Windows would write other line ends than the text has.
         target.write_text(text, encoding="utf-8", newline="")
@@ -452,25 +455,58 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
         raise InputError(f"{folder}: the scene cannot be copied ({why}); check {scene.path} and the space.") from None
     # Refused now, and not when the recorded session is opened.
     load_scene(target)
+    if _without_names(tomllib.loads(text)) != _without_names(document):
+        raise InputError(
+            f"{target}: the copy does not read as {scene.path} does; write the scene's tables in their usual form."
+        )
     return target
 
 
-def _copy_named(text: str, named: str, source: Path, folder: Path) -> str:
-    """Copy the file `named` in a scene and return the scene's text with its bare name."""
+def _without_names(document: dict[str, Any]) -> dict[str, Any]:
+    """Copy a scene's document without the names of its files."""
+    left_out = dict(NAMED_FILES)
+    return {
+        table: {key: value for key, value in cast("dict[str, Any]", content).items() if key != left_out.get(table)}
+        if isinstance(content, dict)
+        else content
+        for table, content in document.items()
+    }
+
+
+def _copy_named(text: str, table: str, key: str, source: Path, folder: Path) -> str:
+    """Copy the file that a scene names under `[table] key`; return the scene's text with the copy's bare name."""
+    named = str(tomllib.loads(text)[table][key])
     bare = Path(named).name
-    while (folder / bare).exists():
+    while (folder / bare).exists() or bare == SCENE_FILE:
         bare = f"_{bare}"
     data = read_regular(source / named, MESH_MOST)
     (folder / bare).write_bytes(data)
     if bare == named:
         return text
-    for quote in ('"', "'"):
-        text = text.replace(f"{quote}{named}{quote}", f"{quote}{bare}{quote}")
-    return text
+    import tomlkit  # 50 ms, for scenes whose files lie elsewhere
+
+    document: Any = tomlkit.parse(text)
+    document[table][key] = bare
+    return str(tomlkit.dumps(document))
 
 
 def scene_digest(folder: Path) -> str:
-    """Return a checksum of a scene folder's own files, layout included; it changes when somebody edits one.
+    """Compute a checksum of the scene, its layout and its mesh in a session's scene folder.
+
+    Raises InputError: a file cannot be read.
+    """
+    digest = hashlib.sha256(toml_digest(folder).encode())
+    with contextlib.suppress(tomllib.TOMLDecodeError):
+        document = tomllib.loads(read_text(folder / SCENE_FILE))
+        for table, key in NAMED_FILES:
+            named = document.get(table, {}).get(key)
+            if named is not None:
+                digest.update(read_regular(folder / str(named), MESH_MOST))
+    return DIGEST_OF_ALL_FILES + digest.hexdigest()
+
+
+def toml_digest(folder: Path) -> str:
+    """Compute the checksum of a scene folder's TOML files alone, as sessions recorded before the mesh was covered hold it.
 
     Raises InputError: there are too many, or one cannot be read.
     """

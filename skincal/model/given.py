@@ -70,14 +70,18 @@ def _demand_regular(path: Path, found: os.stat_result, advice: str) -> None:
 
 
 def parse_json(data: bytes | str) -> Any:
-    """Return a JSON document.
+    """Parse a JSON document.
 
-    Raises ValueError: it is none, is nested too deep, or has whole numbers that no 64 bits hold.
+    Raises ValueError: it is none, is nested too deep, has whole numbers beyond 64 bits, or holds NaN or Infinity.
     """
     try:
-        return json.loads(data, parse_int=_whole_number)
+        return json.loads(data, parse_int=_whole_number, parse_constant=_refuse_constant)
     except RecursionError:
         raise ValueError("it is nested too deep") from None
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def _whole_number(digits: str) -> int:

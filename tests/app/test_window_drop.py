@@ -91,7 +91,16 @@ def test_each_kind_has_its_sentence(tmp_path, name, sentence):
 
 @pytest.mark.parametrize(
     "name",
-    ["wrench.CSV", "data.log", "log/data.log", "log/arm/data.log", "log/robot/arm/data.log", "tables/b.csv"],
+    [
+        "wrench.CSV",
+        "data.log",
+        "log/data.log",
+        "log/arm/data.log",
+        "log/robot/arm/data.log",
+        "tables/b.csv",
+        "wrench.txt",
+        "tables/b.txt",
+    ],
 )
 def test_a_recording_is_to_be_imported(tmp_path, name):
     path = tmp_path / name

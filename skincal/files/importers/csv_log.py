@@ -67,6 +67,7 @@ _AXIS = re.compile(
     r"(?:.*[./])?(?:wrench_)?([fmt]|force|torque|moment)[._/ ]?([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?"
 )
 _NUMBERED = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
+_QUOTED = re.compile(r'"[^"]*"')
 _JOINT = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _MILLI = ("nmm", "n.mm")
 
@@ -137,13 +138,18 @@ class _Table:
 
     def __init__(self, stream: Stream, path: Path) -> None:
         first = next(_rows(path, "\n"), None)
+        header = _commented_header(path)
+        if header and first is not None:
+            first = [header]
         if first is None:
             raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
         if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
             raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
         self.stream, self.path = stream, path
-        self._separator = next((mark for mark in SEPARATORS if mark in first[0]), None)
-        row = next(_rows(path, self._separator))
+        unquoted = _QUOTED.sub("", first[0])
+        self._separator = next((mark for mark in SEPARATORS if mark in unquoted), None)
+        row = _fields(header, self._separator) if header else next(_rows(path, self._separator))
+        self._skips_header = not header
         self.named = any(_to_float(field) is None and _DATE.fullmatch(field) is None for field in row if field)
         """It has a header."""
         if self.named:
@@ -224,7 +230,7 @@ class _Table:
 
     def _rows(self, splits: int = -1) -> Iterator[list[str]]:
         rows = _rows(self.path, self._separator, splits)
-        if self.named:
+        if self.named and self._skips_header:
             next(rows, None)
         return rows
 
@@ -327,12 +333,35 @@ def guess_csv(path: Path) -> tuple[Stream | None, int]:
     return Stream.SKIN if table.named else None, len(table.columns.values)
 
 
-def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:
-    """Give the fields of each row, in quotes or not; empty lines and lines that begin with # are left out.
+def _commented_header(path: Path) -> str:
+    """Read a header that stands in a comment, as `numpy.savetxt` writes it; empty if the first line is none."""
+    with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
+        line = file.readline(LINE_MOST).strip()
+        text = line.lstrip("# ")
+        names = _fields(text, next((mark for mark in SEPARATORS if mark in text), None))
+        if line.startswith("#") and len(names) > 1 and any(_TIME.fullmatch(name.lower()) for name in names):
+            return text
+    return ""
 
-    With `splits` what lies behind so many fields stays together.
+
+def _fields(line: str, separator: str | None, splits: int = -1) -> list[str]:
+    """Split a line into its fields. A separator within double quotes belongs to its field."""
+    if '"' in line and separator is not None:
+        quoted = _QUOTED.findall(line)
+        fields = _QUOTED.sub("\0", line).split(separator, splits)
+        found = iter(quoted)
+        fields = [re.sub("\0", lambda _: next(found), field) for field in fields]
+    else:
+        fields = line.split(separator, splits)
+    return [field.strip(" \t\"'") for field in fields]
+
+
+def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:
+    """Yield the fields of each row, in quotes or not. Empty lines and lines that begin with # are left out.
+
+    With `splits` the rest of the line after so many fields stays together.
     """
-    marks = [mark for mark in " \t\"'" if mark != separator]
+    marks = [mark for mark in " \t\"'" if mark != separator and separator != "\n"]
     try:
         # Spreadsheets begin a file with a byte order mark.
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
@@ -342,8 +371,11 @@ def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[
                 # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
-                    fields = line.split(separator, splits)
-                    yield [field.strip(" \t\"'") for field in fields] if any(mark in line for mark in marks) else fields
+                    yield (
+                        _fields(line, separator, splits)
+                        if any(mark in line for mark in marks)
+                        else line.split(separator, splits)
+                    )
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
 

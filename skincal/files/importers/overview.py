@@ -32,8 +32,8 @@ BIN_S = 0.1
 """s. The curve of the force has its largest of each: a poke is longer."""
 JOINTS_MOST = 16
 """Values of a row that nothing else is known of: arms have fewer joints, skins more taxels."""
-LOOKED_AT = 50
-"""Files of a folder of which it is asked what they are."""
+MAX_FILES_TRIED = 2000
+"""Files of a folder whose stream is guessed: each costs about a millisecond."""
 ROW = 6
 """Values of the first row that are shown."""
 _NAMES = (
@@ -96,7 +96,11 @@ def find_files(paths: Sequence[Path]) -> RecordingFiles:
     Raises InputError: none of them is a recording.
     """
     places = _places(paths)
-    guesses = {place: guess for place in places[:LOOKED_AT] if (guess := _guess(place)) is not None}
+    guesses = {place: guess for place in places[:MAX_FILES_TRIED] if (guess := _guess(place)) is not None}
+    if len(places) > MAX_FILES_TRIED:
+        raise InputError(
+            f"{paths[0]}: holds {len(places)} recordings; expected at most {MAX_FILES_TRIED}: name the files instead."
+        )
     if not guesses:
         names = ", ".join(str(path) for path in paths)
         raise InputError(

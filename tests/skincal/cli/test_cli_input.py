@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import POKES_MOST, find_scene
+from skincal.cli.record import POKES_MOST, OrderLine, _take, find_scene
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.importing import new_session
@@ -259,6 +259,13 @@ def test_a_file_that_ends_as_another_format_is_remarked_on(run, tmp_path, sessio
     assert (code, file.exists()) == (0, True)
     said = approved("export.other_ending", name=name, ending=file.suffix, format="json", right=".json", other="csv")
     assert json.loads(out)["findings"].count(said) == remarked
+
+
+@pytest.mark.parametrize("line", [b"[" * 100_000, b'{"do": "exclude", "poke": NaN}', b"7"])
+def test_an_order_that_is_none_is_said_and_left_out(capsys, line):
+    """Beyond the interpreter's depth `json` raises a RecursionError, which would end the recording."""
+    _take(None, OrderLine(1, line))
+    assert "not done" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", [["--seconds", "-1"], ["--pokes", "0"]])

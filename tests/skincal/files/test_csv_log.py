@@ -94,6 +94,21 @@ def test_decimal_commas_quotes_comments_and_a_byte_order_mark(read):
     assert not counts["wrench"]
 
 
+def test_a_header_in_a_comment_names_the_columns(read):
+    """`numpy.savetxt` writes it so. Read by place, the joints' radians would be degrees."""
+    batches, _, findings = read(joints="# t_s, shoulder_rad\n" + "".join(f"{time},0.5\n" for time in TIMES))
+    np.testing.assert_allclose(np.vstack([batch.angles for batch in batches["joints"]]), 0.5, rtol=1e-9)
+    assert not any("no header" in finding for finding in findings)
+
+
+def test_a_separator_within_quotes_belongs_to_its_field(read):
+    rows = [f'"2024-05-01 12:00:00,{k}23",' + ",".join(f"{x!r}" for x in WRENCH[k].tolist()) for k in range(4)]
+    text = '"datetime","fx","fy","fz","mx","my","mz"\n' + "\n".join(rows) + "\n"
+    batches, counts, _ = read(wrench=text, skin=dated([f"2024-05-01 12:00:00.{k}23" for k in range(4)], "datetime")["skin"])
+    np.testing.assert_array_equal(wrench_of(batches), WRENCH)
+    assert not counts["wrench"]
+
+
 def test_columns_in_any_order_with_a_counter_and_moments_in_newton_millimetres(read):
     order = [6, 5, 4, 3, 2, 1, 0]
     header = ["t_s", "fx", "fy", "fz", "mx_nmm", "my_nmm", "mz_nmm"]

@@ -47,6 +47,14 @@ def test_without_a_header_the_number_of_columns_and_the_name_say_it(tmp_path):
     assert find_files([state]) == RecordingFiles(joints=state)
 
 
+def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
+    for index in range(80):
+        (tmp_path / f"a{index:02d}.csv").write_text("t_s,first_deg,second_rad\n0,1,2\n")
+    folder = write_csv(tmp_path, SAMPLES)
+    (folder / "b.csv").rename(folder / "zz_skin.csv")
+    assert find_files([folder]).skin == folder / "zz_skin.csv"
+
+
 def test_what_is_no_recording_is_refused(tmp_path):
     (tmp_path / "note.csv").write_text("some words,and more\n")
     (tmp_path / "empty").mkdir()

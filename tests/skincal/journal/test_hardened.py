@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import struct
@@ -331,6 +332,7 @@ CONTACT = {
 }  # fmt: skip
 WRONG = [
     ("poke", -1), ("poke", "1"), ("poke", 2**62), ("force", [1.0, 2.0]), ("force", [0, 0, 0]), ("force", [None, 0, 1]),
+    ("force", [1, math.nan, 1]), ("moment", [0, 0, math.inf]), ("responses", [math.nan]),
     ("force", [1e200, 0, 0]), ("moment", "x"), ("channels", [24]), ("channels", [-1]), ("channels", [3, 3]), ("channels", []),
     ("responses", [0.0]), ("responses", [1.0, 2.0]), ("pose", 7), ("final", 1), ("link_from_sensor", [1, 2, 3]),
     ("link_from_sensor", [[None] * 4] * 4), ("start_s", []), ("start_s", 1e300), ("doubt", 7), ("doubt", {}),

@@ -14,7 +14,7 @@ from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, MarkDead, Undo
 from skincal.model.readings import Chunk
-from skincal.model.scene import resource
+from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from tests.skincal.poke_script import (
@@ -58,6 +58,23 @@ def assert_same(*pipelines):
         assert first.dead == other.dead
         assert first.can_undo == other.can_undo
         assert same_estimates(first, other)
+
+
+def test_a_copied_scene_is_the_same_scene(tmp_path):
+    """A landmark may have the name of the mesh, and a layout in another folder the name of the scene."""
+    source = tmp_path / "source"
+    shutil.copytree(resource("scenes/icub-forearm"), source)
+    (source / "layouts").mkdir()
+    (source / "modules.toml").rename(source / "layouts" / "scene.toml")
+    text = (source / "scene.toml").read_text()
+    text = text.replace('"forearm.obj"', '"../mesh.obj"').replace('"modules.toml"', '"layouts/scene.toml"')
+    (source / "forearm.obj").rename(tmp_path / "mesh.obj")
+    (source / "scene.toml").write_text(text.replace('"elbow, outer"', '"../mesh.obj"'))
+    copy = load_scene(writer.copy_scene(load_scene(source / "scene.toml"), tmp_path / "copy"))
+    assert copy.landmarks[0].name == "../mesh.obj"
+    assert copy.surface.path == tmp_path / "copy" / "mesh.obj"
+    assert copy.skin.layout is not None
+    assert len(copy.skin.layout.channels) == 84
 
 
 def test_segments_follow_each_other_in_the_middle_of_a_poke(scene, tmp_path, monkeypatch):

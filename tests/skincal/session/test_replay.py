@@ -384,6 +384,15 @@ def test_a_changed_scene_is_not_answered_from_notes(scene, tmp_path, name):
     assert name == "modules.toml" or loaded.session.contacts == ()
 
 
+def test_an_exchanged_mesh_is_said(tmp_path):
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    record(scene, tmp_path / "s", some_pokes(scene, 1)).close()
+    assert load(tmp_path / "s").findings == ()
+    mesh = tmp_path / "s" / "scene" / "forearm.obj"
+    mesh.write_text(mesh.read_text() + "\n# other\n")
+    assert any(approved("mesh.changed_after_recording") in sentence for sentence in load(tmp_path / "s").findings)
+
+
 ODD = np.array([0.1, -0.0, 5e-324, 1.7976931348623157e308, math.nan, math.inf, -math.inf, 1 / 3])
 MEASURED = np.array([1 / 3, 1e12, -5e-324])
 """Odd as well, but within what a session takes for measured."""
