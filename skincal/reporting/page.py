@@ -64,6 +64,8 @@ class ReportTable:
     caption: str = ""
     small: bool = False
     """Whether it is long, and so set in small type."""
+    judged: bool = False
+    """Whether the last column holds verdicts, which are coloured."""
 
     @property
     def numeric(self) -> tuple[bool, ...]:
@@ -163,7 +165,9 @@ def _verdict(facts: SessionFacts) -> ReportSection:
     left = facts.verdict.left
     tables = [
         ReportTable(("", ""), [row for row in figures(facts.verdict) if row[0] not in CHECKS]),
-        ReportTable(("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on"),
+        ReportTable(
+            ("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on", judged=True
+        ),
     ]
     if left:
         rows = _by_words((left_words(each), each.channel) for each in left)

@@ -177,7 +177,9 @@ def _method_facts(session: Session, snapshot: Snapshot, method: Method, truth: R
     names = [estimate.state.value for estimate in estimates]
     begun = time.process_time()
     rest = session.scene.noise, session.surface, session.dead
-    estimate_taxels(session.contacts, session.channels, (method,), *rest, model=session.module_model)
+    # With the errors that a correction makes all contacts share: that is the work the session does.
+    shared = session.shared_errors
+    estimate_taxels(session.contacts, session.channels, (method,), *rest, model=session.module_model, shared=shared)
     return MethodFacts(
         method,
         {name: names.count(name) for name in dict.fromkeys(names)},

@@ -141,7 +141,7 @@ class Rig:
         self.scene, self.surface, self.errors, self.foam = scene, surface, errors, Foam()
         self.channels, self.places, self.normals = _mounted(scene, surface, errors, mount)
         if surface is not None:
-            # Loads what the search needs (0.3 s) now rather than in the middle of the first poke.
+            # Builds the surface's search tree now rather than in the middle of the first poke.
             nearest_points(surface, self.places[:1])
         self._squares = np.sum(self.places * self.places, axis=1)
         self._row = np.full(scene.skin.channels, -1, dtype=np.int64)

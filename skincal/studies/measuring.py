@@ -1,8 +1,8 @@
 """How the studies measure: bars, work side by side, and how long something takes.
 
-Times are the CPU time of the thread that works, the garbage collector at rest: on an idle machine that is the time that passes,
-and on a busy one it is what would. Where the system's clock of a thread is too coarse (Windows: 16 ms) it is the time that
-passes.
+Times are the CPU time of the whole process, all its threads together, with the garbage collector off. Other programs on a busy
+machine do not count. Work that two threads share counts in full, so that it compares with work of one thread. Where the
+system's clock of a process is too coarse (Windows: 16 ms), wall time is used.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
+import sys
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -63,8 +64,13 @@ def bar_lines(bars: Mapping[str, Mapping[str, Any]], digits: int = 3) -> list[st
 
 
 def processes() -> ProcessPoolExecutor:
-    """Return as many processes as the machine has cores; what they compute does not depend on how many."""
-    return ProcessPoolExecutor(os.cpu_count() or 1, mp_context=multiprocessing.get_context("spawn"))
+    """Start one process for each core that this process may use. Results do not depend on their number."""
+    return ProcessPoolExecutor(usable_cores(), mp_context=multiprocessing.get_context("spawn"))
+
+
+def usable_cores() -> int:
+    """Count the cores that this process may use: a container or a scheduler may allow fewer than the machine has."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 # ---- times ----
@@ -73,10 +79,10 @@ Result = TypeVar("Result")
 
 FINE_S = 1e-6
 """s. A clock that steps by more cannot tell the pieces that are measured."""
-CPU_TIME = time.get_clock_info("thread_time").resolution <= FINE_S
-clock: Callable[[], float] = time.thread_time if CPU_TIME else time.perf_counter
+CPU_TIME = time.get_clock_info("process_time").resolution <= FINE_S
+clock: Callable[[], float] = time.process_time if CPU_TIME else time.perf_counter
 CLOCK = (
-    "time.thread_time, the CPU time of one thread" if CPU_TIME else "time.perf_counter"
+    "time.process_time, the CPU time of all threads" if CPU_TIME else "time.perf_counter"
 ) + "; no garbage is collected within"
 """The clock in words."""
 

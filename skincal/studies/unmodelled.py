@@ -104,13 +104,18 @@ def part() -> tuple[Scene, Surface]:
 def along(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return an error (3,) and its variances in the directions that a covariance (3, 3) has, (d,) each: two on a surface."""
     values, axes = np.linalg.eigh(covariance)
-    known = values > FLAT * values[-1]
+    known = values > FLAT * max(values[-1], 0.0)
     return axes[:, known].T @ off, values[known]
 
 
 def inside(off: FloatArray, covariance: FloatArray) -> bool:
-    """Return whether an error (3,) lies inside the 95 % ellipsoid of a covariance (3, 3): its ellipse, if it has no depth."""
+    """Whether an error (3,) lies inside the 95 % ellipsoid of a covariance (3, 3), or inside its ellipse if it has no depth.
+
+    A covariance of zero claims an exact position: only a zero error lies inside.
+    """
     parts, variances = along(off, covariance)
+    if not len(parts):
+        return not off.any()
     return float(np.sum(parts**2 / variances)) < SQUARES[len(parts)]
 
 
@@ -180,6 +185,8 @@ def _errors(estimates: Sequence[Estimate], places: FloatArray) -> dict[str, Any]
         for estimate, place in zip(estimates, places, strict=True)
         if estimate.position is not None and estimate.covariance is not None
     ]
+    if not both:
+        return {**dict.fromkeys(("mean", "inside", "predicted", "true_rms", "true_along"), np.nan), "missing": len(estimates)}
     off: FloatArray = np.linalg.norm([error for error, _ in both], axis=1)
     return {
         "mean": 1e3 * float(off.mean()),
@@ -236,7 +243,8 @@ def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
 
 
 def _as_json(found: FoundByMethod) -> dict[str, Any]:
-    return {**asdict(found), "ratio": finite(found.ratio), "wrongly_believed": found.wrongly_believed}
+    numbers = {name: finite(value) if isinstance(value, float) else value for name, value in asdict(found).items()}
+    return {**numbers, "wrongly_believed": found.wrongly_believed}
 
 
 def _over(found: Sequence[FoundByMethod]) -> dict[str, float | None]:
@@ -244,7 +252,12 @@ def _over(found: Sequence[FoundByMethod]) -> dict[str, float | None]:
     rows = [{**asdict(session), "wrongly_believed": session.wrongly_believed} for session in found]
     columns = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
     squares = ("predicted", "true_rms", "true_along", "ratio")
-    return {name: finite(np.sqrt(np.mean(own**2)) if name in squares else own.mean()) for name, own in columns.items()}
+    # A session without any estimate has no errors (NaN); it counts under `missing`.
+    known = {name: own[np.isfinite(own)] for name, own in columns.items()}
+    return {
+        name: (None if not len(own) else float(np.sqrt(np.mean(own**2)) if name in squares else own.mean()))
+        for name, own in known.items()
+    }
 
 
 def unmodelled_bars(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str, float]]:

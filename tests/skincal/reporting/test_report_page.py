@@ -20,11 +20,13 @@ from skincal.guide.verdict_words import check_words, figures, landmark_words, ve
 from skincal.model.actions import AtLandmark
 from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
+from skincal.reporting import session_facts
 from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import DASH, ReportTable, report_page, write_report
 from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
 from skincal.rig.correction_fit import correct_rig
 from skincal.sentences import correction_sentence, frame_sentence, state_sentence
+from skincal.session.checked import use_offered
 from skincal.session.corrections import offered
 from skincal.session.error_history import MEAN, TAXELS
 from skincal.session.replay import load, resume
@@ -99,6 +101,24 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
     assert "force_min" in page.text
     assert facts.versions["numpy"] in page.text
     assert "SIMULATED" in page.text
+
+
+def test_only_a_verdict_is_coloured_and_no_name_that_reads_like_one(facts):
+    marks = (Landmark("agrees", np.zeros(3), None),)
+    misses = {"agrees": (0.001,)}
+    named = replace(facts, snapshot=replace(facts.snapshot, landmarks=marks), misses=misses)
+    coloured = [Page(report_page(each)).attributes.count(("class", "agrees")) for each in (facts, named)]
+    assert coloured[0] == coloured[1] > 0
+
+
+def test_a_method_is_timed_with_the_errors_that_a_correction_shares(imported, monkeypatch):
+    pipeline, seen = load(imported[1]), []
+    use_offered(pipeline.session)
+    monkeypatch.setattr(session_facts, "estimate_taxels", lambda *_, shared, **__: seen.append(shared))
+    snapshot = pipeline.snapshot()
+    for method in pipeline.session.methods:
+        session_facts._method_facts(pipeline.session, snapshot, method, None)
+    assert set(seen) == {pipeline.session.shared_errors} != {None}
 
 
 def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):

@@ -40,6 +40,10 @@ def test_it_says_what_each_way_takes():
     assert any("not reached" in line for line in guidance_study.summary(found))
 
 
+def test_a_process_makes_its_part_once():
+    assert guidance_study._bench() is guidance_study._bench()
+
+
 def test_the_figure_is_drawn(tmp_path):
     found, _ = result()
     paths = write_figure(lambda figure: guidance_study.draw(found, figure), tmp_path, "guidance")

@@ -3,6 +3,7 @@
 import gc
 import json
 import math
+import threading
 import time
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -16,7 +17,7 @@ from skincal.simulate.benches import SHAPES, Bench
 from skincal.studies import alternatives, runtime
 from skincal.studies.alternatives import closest_in_triangles
 from skincal.studies.figures import time_ticks, write_figure
-from skincal.studies.measuring import at_rest, quartiles, time_words, timed
+from skincal.studies.measuring import at_rest, quartiles, time_words, timed, usable_cores
 from skincal.studies.runtime import main_rows, positions_of, runtime_bars, summary, touching
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
@@ -274,6 +275,27 @@ def test_a_sample_stops_when_its_time_is_spent_and_never_before_its_first_piece(
     assert len(timed(works, 0.05)[0]) == len(done) < 20
     assert len(timed(works[:1], 0.0)[0]) == 1
     assert len(timed(iter(works[:2]), 10.0)[0]) == 2
+
+
+def test_the_work_of_every_thread_counts():
+    """The solver shares large problems between two threads: the clock of one of them would count half of the work."""
+
+    def in_two_threads():
+        both = [threading.Thread(target=lambda: sum(range(2_000_000))) for _ in range(2)]
+        for thread in both:
+            thread.start()
+        for thread in both:
+            thread.join()
+
+    (alone,), _ = timed([lambda: sum(range(2_000_000))])
+    (shared,), _ = timed([in_two_threads])
+    assert shared > alone
+
+
+def test_processes_are_as_many_as_cores_may_be_used(monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {5}, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    assert usable_cores() == 1
 
 
 def test_garbage_is_left_alone_while_the_clock_runs():

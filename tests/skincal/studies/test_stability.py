@@ -312,6 +312,11 @@ def test_the_summary_names_what_misses_and_the_figure_every_case(result):
     assert drawn == {case["name"] for case in broken}
 
 
+def test_a_summary_needs_no_case_of_every_solver(result):
+    some = {**result, "cases": [case for case in result["cases"] if case["solver"] == "free"], "alternatives": []}
+    assert any(line.startswith("free: ") for line in stability.summary(some))
+
+
 def stiff_pokes(first, count, weights, rng, mesh):
     """Pokes of two taxels on a sheet over two arm poses; channel 3 answers by `weights`."""
     corners = mesh.corners[len(mesh.triangles) // 2]

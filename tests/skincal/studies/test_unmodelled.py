@@ -22,7 +22,7 @@ from skincal.studies.unmodelled import (
     unmodelled_bars,
     unmodelled_lines,
 )
-from skincal.taxels.result import Method
+from skincal.taxels.result import Estimate, Method, State
 
 NAMES = {method.value for method in Method}
 
@@ -65,6 +65,20 @@ def test_what_a_flat_covariance_does_not_speak_of_is_left_out_wherever_it_lies()
     assert sorted(np.abs(parts)) == pytest.approx([1.0, 2.0], abs=1e-6)
     assert sorted(variances) == pytest.approx([1.0, 4.0])
     assert inside(turn @ np.array([1.0, 2.0, 50.0]), flat)
+
+
+def test_a_session_without_estimates_or_with_a_covariance_of_zero_ends_no_study():
+    assert not inside(np.array([1e-6, 0.0, 0.0]), np.zeros((3, 3)))
+    assert inside(np.zeros(3), np.zeros((3, 3)))
+    unknown = Estimate(3, Method.FREE, State.UNSEEN, 0)
+    numbers = study._errors([unknown], np.zeros((1, 3)))
+    assert numbers["missing"] == 1
+    none = FoundByMethod(**numbers, skin_agrees=False, ratio=float("nan"), believed=False, used=False, noisier=1.0)
+    good = FoundByMethod(1.0, 0.9, 1.0, 1.0, 1.0, 0, True, 1.0, True, True, 1.0)
+    sessions = [{count: dict.fromkeys(NAMES, each) for count in (0, 21, 70)} for each in (none, good)]
+    (row,) = unmodelled(2, ["nothing"], each=lambda *_: sessions)
+    json.dumps(row, allow_nan=False)
+    assert (row["21"], row["methods"]["21"]["modules"]["missing"]) == (1.0, 0.5)
 
 
 def test_a_good_rig_is_as_predicted_and_left_alone():
