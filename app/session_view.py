@@ -214,8 +214,9 @@ class Workspace(QWidget):
         self._show_tab()
 
     def _show_tab(self, _index: int = -1) -> None:
+        # By its place: a style may add an ampersand to the text of a tab.
         if self._state is not None and self.tabs.count():
-            self.panels[self.tabs.tabText(self.tabs.currentIndex())].show_state(self._state)
+            list(self.panels.values())[self.tabs.currentIndex()].show_state(self._state)
 
     def show_tab(self, title: str) -> None:
         """Open the tab of that title, if there is one."""
@@ -626,9 +627,9 @@ class SessionView(QObject):
             def done(found: tuple[Verdict, tuple[str, ...]]) -> None:
                 verdict, sentences = found
                 early = () if verdict.enough else (verdict_sentence(verdict),)
-                dialog.show_findings((*early, *sentences))
+                dialog.show_written((*early, *sentences))
 
-            self._controller.export(format_, path, method, rig, done, dialog.show_failure)
+            self._controller.export(format_, path, method, rig, done, dialog.show_failure, dialog.end_task)
 
         dialog.write_requested.connect(write)
         dialog.open()
@@ -650,7 +651,7 @@ class SessionView(QObject):
 
         def send(address: str, method: Method) -> None:
             settings.setValue("apply/address", address)
-            self._controller.apply(address, method, dialog.show_end)
+            self._controller.apply(address, method, dialog.show_end, dialog.end_task)
 
         dialog.apply_requested.connect(send)
         dialog.open()
@@ -660,7 +661,7 @@ class SessionView(QObject):
         name = str(self._folder() / f"{self.workspace.part.scene.name}-report.html")
         chosen, _ = QFileDialog.getSaveFileName(parent, "Write the report", name, "Report (*.html)")
         if chosen:
-            path = Path(chosen) if Path(chosen).suffix else Path(chosen).with_suffix(".html")
+            path = _with_ending(chosen, ".html")
             self.said.emit(Message(REPORTING, found=True))
 
             def say_where(verdict: str) -> None:
@@ -711,7 +712,7 @@ class SessionView(QObject):
         chosen, _ = QFileDialog.getSaveFileName(self.workspace, "Save the corrected layout", name, "Layout (*.toml)")
         if given is None or not chosen:
             return
-        path = Path(chosen)
+        path = _with_ending(chosen, ".toml")
 
         def write() -> None:
             from skincal.files.layout_file import write_layout
@@ -743,13 +744,11 @@ class SessionView(QObject):
 
     def ask_picture(self, parent: QWidget) -> None:
         """Ask for a file and write the 3D view to it."""
-        path, _ = QFileDialog.getSaveFileName(
-            parent, "Save 3D picture", str(self._documents / "skincal.png"), "Picture (*.png)"
-        )
+        path, _ = QFileDialog.getSaveFileName(parent, "Save 3D picture", str(self._folder() / "skincal.png"), "Picture (*.png)")
         if not path:
             return
         try:
-            self.workspace.view.screenshot(Path(path))
+            self.workspace.view.screenshot(_with_ending(path, ".png"))
         except InputError as error:
             self._say_failure(str(error))
 
@@ -788,7 +787,7 @@ class SessionView(QObject):
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
         for name in LAYERS:
             settings.setValue(f"layers/{name}", self._commands.actions[name].isChecked())
-        settings.setValue("window/tab", self.workspace.tabs.tabText(self.workspace.tabs.currentIndex()))
+        settings.setValue("window/tab", list(self.workspace.panels)[self.workspace.tabs.currentIndex()])
 
     def close(self) -> None:
         """Give the 3D view's resources back, and take out of the window what belongs to this session."""
@@ -801,3 +800,9 @@ class SessionView(QObject):
             action.deleteLater()
         self._tab_actions = []
         self.workspace.view.close_view()
+
+
+def _with_ending(chosen: str, ending: str) -> Path:
+    """Add the file ending to a typed name that has none."""
+    path = Path(chosen)
+    return path if path.suffix else path.with_name(path.name + ending)

@@ -184,9 +184,9 @@ class Window(QMainWindow):
         self.session_view: SessionView | None = None
         self._told: FirstMinute | None = None
         self._question: QMessageBox | None = None
+        """Whether to keep a session that would be deleted, while it is open."""
         self._targets = ""
-        """Where a robot is asked for pokes in every session that has devices, once it was said."""
-        """What becomes of pokes that would go."""
+        """Address that asks a robot for pokes, in every session with devices; empty before it was given."""
         self._leaves = False
         self._import: ImportDialog | None = None
         self.messages = MessageBar()
@@ -346,7 +346,8 @@ class Window(QMainWindow):
             session_view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
                 self._told = FirstMinute(session_view.workspace.view, session_view.workspace.view.cover)
-                self._told.gone.connect(lambda: self._settings.setValue("window/told", True))
+                # At once: a window that is closed within the minute has shown it, too.
+                self._settings.setValue("window/told", True)
 
     def _take_session(self, snapshot: Snapshot) -> None:
         if self.session_view is not None:
@@ -554,7 +555,10 @@ class Window(QMainWindow):
         return kept_texts(self._settings, "addresses")
 
     def _remember(self, addresses: Iterable[str]) -> None:
-        self._settings.setValue("addresses", sorted({*self._known_addresses(), *addresses})[-ADDRESSES_KEPT:])
+        newest = sorted(set(addresses))
+        older = [address for address in self._known_addresses() if address not in newest]
+        # The oldest are dropped: what is not known is asked about again.
+        self._settings.setValue("addresses", [*older, *newest][-ADDRESSES_KEPT:])
 
     def _offer_to_look(self, folder: Path, sentence: str) -> None:
         """Another process records the session: offer to see it as far as it is written."""

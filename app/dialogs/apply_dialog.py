@@ -1,4 +1,4 @@
-"""The dialog that brings positions to a running robot: what the session has come to, where to send them, what was answered."""
+"""Dialog that sends positions to a running robot: the verdict, the address, then the robot's answers."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Callable, Iterable, Sequence
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent
-from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLineEdit, QListWidget, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QLineEdit, QWidget
 
-from app.panels.widgets import plain_buttons, quiet
-from app.text.outcomes import METHOD_NAMES
+from app.dialogs.task_dialog import TaskDialog
+from app.panels.widgets import quiet
 from skincal.taxels.result import Method
 
-USUAL = "yarp:/skinManager/rpc"
-SERVER = "yarp://"
+DEFAULT_PORT = "yarp:/skinManager/rpc"
+SERVER_PREFIX = "yarp://"
 
 
 def offered_port(links: Iterable[str]) -> str:
-    """Return the usual address of skinManager's port, by the name server that the addresses of a session name, if any do."""
-    servers = [link.removeprefix(SERVER).partition("/")[0] for link in links if link.startswith(SERVER)]
-    return f"{SERVER}{servers[0]}/{USUAL.partition('/')[2]}" if servers else USUAL
+    """Propose skinManager's port, on the YARP name server of the session's device addresses if they name one."""
+    servers = [link.removeprefix(SERVER_PREFIX).partition("/")[0] for link in links if link.startswith(SERVER_PREFIX)]
+    return f"{SERVER_PREFIX}{servers[0]}/{DEFAULT_PORT.partition('/')[2]}" if servers else DEFAULT_PORT
 
 
-class ApplyDialog(QDialog):
-    """Asks before anything is sent; `verdict_of` says of one of the `methods` what the session has come to."""
+class ApplyDialog(TaskDialog):
+    """Asks before anything is sent. `verdict_of` makes the session's verdict by a method."""
 
     apply_requested = Signal(str, object)
     """Address, method."""
@@ -36,73 +36,40 @@ class ApplyDialog(QDialog):
         address: str,
         parent: QWidget | None = None,
     ) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Apply to the robot")
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        super().__init__("Apply to the robot", "Send positions", methods, shown, parent)
         self._verdict_of = verdict_of
         self.address = QLineEdit(address)
-        self.method = QComboBox()
-        for method in methods:
-            self.method.addItem(METHOD_NAMES[method], method)
-        self.method.setCurrentIndex(self.method.findData(shown))
-        self.verdict, self.outcome = quiet(wrap=True), quiet(wrap=True)
-        self.answers = QListWidget()
-        self.answers.setAccessibleName("what was asked and answered")
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-        self.apply = self.buttons.addButton("Send positions", QDialogButtonBox.ButtonRole.ActionRole)
-        self._arrange()
+        self.verdict = quiet(wrap=True)
+        self.remarks.setAccessibleName("questions and answers")
+        self.form.addRow("&Method", self.method)
+        self.form.addRow("", self.verdict)
+        self.form.addRow("&RPC port of skinManager", self.address)
+        self.form.addRow(
+            "", quiet("The robot's present positions are read first and saved in a file, to go back to.", wrap=True)
+        )
+        # A robot is changed on purpose: Space and Enter close.
+        self.close_button.setDefault(True)
+        self.close_button.setFocus()
         self.method.currentIndexChanged.connect(self._show_verdict)
-        self.apply.clicked.connect(self._apply)
-        self.buttons.rejected.connect(self.reject)
+        self.start.clicked.connect(self._apply)
         self._show_verdict()
 
-    def _arrange(self) -> None:
-        form = QFormLayout()
-        form.addRow("&Method", self.method)
-        form.addRow("", self.verdict)
-        form.addRow("&RPC port of skinManager", self.address)
-        form.addRow("", quiet("The robot's own positions are read first, and kept in a file to go back.", wrap=True))
-        column = QVBoxLayout(self)
-        column.addLayout(form)
-        column.addWidget(self.outcome)
-        column.addWidget(self.answers, 1)
-        column.addWidget(self.buttons)
-        self.answers.hide()
-        plain_buttons(self.buttons)
-        self.setMinimumWidth(560)
-        # A robot is changed on purpose: Space and Enter close.
-        close = self.buttons.button(QDialogButtonBox.StandardButton.Close)
-        close.setDefault(True)
-        close.setFocus()
-
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Go on with Enter from the address to the button that sends, which another key presses."""
+        """Move with Enter from the address to the button that sends; another key presses that."""
         if self.address.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self.apply.setFocus()
+            self.start.setFocus()
             event.accept()
             return
         super().keyPressEvent(event)
 
     def show_end(self, sentence: str, lines: Sequence[str], *, good: bool) -> None:
-        """Say what became of it, with every question and its answer."""
-        self.apply.setEnabled(True)
-        self.outcome.setText(("\N{CHECK MARK} " if good else "\N{BALLOT X} ") + sentence)
-        self.answers.clear()
-        self.answers.addItems(list(lines))
-        self.answers.setVisible(bool(lines))
-        self.answers.scrollToBottom()
-
-    def reject(self) -> None:
-        """Close, but not before it is said what became of the robot."""
-        if self.apply.isEnabled():
-            super().reject()
+        """Show the outcome, with every question and its answer."""
+        self.show_outcome(sentence, lines, good=good)
+        self.remarks.scrollToBottom()
 
     def _show_verdict(self) -> None:
         self.verdict.setText(self._verdict_of(self.method.currentData()))
 
     def _apply(self) -> None:
-        self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
-        self.apply.setEnabled(False)
-        self.answers.hide()
-        self.outcome.setText("Sending \N{HORIZONTAL ELLIPSIS}")
+        self.begin_task("Sending \N{HORIZONTAL ELLIPSIS}")
         self.apply_requested.emit(self.address.text().strip(), self.method.currentData())

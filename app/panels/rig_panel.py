@@ -13,12 +13,12 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QPushButton,
-    QScrollArea,
     QTreeWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
+from app.panels.panel import Panel, is_same
 from app.panels.widgets import embolden, fit_rows, on_panel, put_rows, quiet, table
 from app.state.policies import Offer
 from app.state.view_state import ViewState
@@ -83,7 +83,7 @@ class ArmPanel(QWidget):
         """Show the current pose and how it is known."""
         streamed = any(Stream.JOINTS in link.carries for link in state.live.links)
         shown = (state.revision, state.snapshot.pose, streamed)
-        if shown == self._shown:
+        if is_same(shown, self._shown):
             return
         self._shown = shown
         pose = state.snapshot.pose
@@ -102,7 +102,7 @@ class ArmPanel(QWidget):
             self.pose_requested.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
 
 
-class RigPanel(QScrollArea):
+class RigPanel(Panel):
     """What is known of the rig, and what could put it right."""
 
     correct_requested = Signal(object)
@@ -112,7 +112,6 @@ class RigPanel(QScrollArea):
 
     def __init__(self, arm: ArmSpec | None) -> None:
         super().__init__()
-        self._shown: tuple[object, ...] = ()
         self._offer: Offer | None = None
         self._used = ""
         self.arm = None if arm is None else ArmPanel(arm)
@@ -154,15 +153,17 @@ class RigPanel(QScrollArea):
         self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
-        """Show the rig of a tick; nothing happens where it is the same."""
         if self.arm is not None:
             self.arm.show_state(state)
-        snapshot, guidance = state.snapshot, state.guidance
-        shown = (state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, guidance, state.method)
-        # By identity: a change makes a new object, and `==` would compare arrays.
-        if len(shown) == len(self._shown) and all(new is old for new, old in zip(shown, self._shown, strict=True)):
-            return
-        self._shown = shown
+        super().show_state(state)
+
+    def depends_on(self, state: ViewState) -> tuple[object, ...]:
+        snapshot = state.snapshot
+        shown = state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, state.guidance, state.method
+        return (*shown, None if state.target is None else state.target.landmark)
+
+    def update_view(self, state: ViewState) -> None:
+        guidance = state.guidance
         self._list_points(state)
         landmark = None if guidance is None else guidance.landmark
         asked = () if guidance is None or landmark is None else (landmark_words(landmark), gain_words(guidance.gain))

@@ -247,10 +247,10 @@ def test_the_dialog_stays_until_the_file_is_written(qtbot, tmp_path):
     qtbot.addWidget(dialog)
     with qtbot.waitExposed(dialog):
         dialog.show()
-    QTest.keyClick(dialog.write, Key.Key_Space)
+    QTest.keyClick(dialog.start, Key.Key_Space)
     dialog.reject()
     assert dialog.isVisible()
-    dialog.show_findings(())
+    dialog.show_written(())
     dialog.reject()
     assert not dialog.isVisible()
 

@@ -22,7 +22,7 @@ from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
 from app.units import ChannelNames
-from app.window import Theme, Window
+from app.window import ADDRESSES_KEPT, Theme, Window
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import RIG_KEY, TRUTH_NAME
 from skincal.journal.writer import create_session
@@ -188,6 +188,20 @@ def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
     assert seen == [True]
     window._ask_first(("COM4",))
     assert seen == [True]
+    window.close()
+
+
+def test_the_oldest_addresses_are_forgotten_first(qtbot, tmp_path):
+    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
+    window = Window(Controller(tmp_path), Theme(Choice.DARK), settings, tmp_path, Listener())
+    qtbot.addWidget(window)
+    for number in range(ADDRESSES_KEPT):
+        window._remember([f"tcp:10.0.0.{number}"])
+    window._remember(["/dev/ttyUSB0"])
+    known = window._known_addresses()
+    assert len(known) == ADDRESSES_KEPT
+    assert known[0] == "tcp:10.0.0.1"
+    assert known[-1] == "/dev/ttyUSB0"
     window.close()
 
 

@@ -26,7 +26,7 @@ def export_json(bench, path: Path) -> None:
     dialog.path.setText(str(path))
     dialog.format.setCurrentIndex(next(i for i in range(dialog.format.count()) if dialog.format.itemData(i).value == "json"))
     dialog.path.setText(str(path))
-    dialog.write.click()
+    dialog.start.click()
     bench.until(lambda: "Written" in dialog.outcome.text(), OPEN_MS)
     dialog.reject()
 

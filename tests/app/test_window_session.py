@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSettings, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QDialog
+from PySide6.QtWidgets import QApplication, QDialog, QFileDialog
 
 from app.commands import COMMANDS
 from app.dialogs.export_dialog import ExportDialog
@@ -251,3 +251,24 @@ def the_file_is_right(keys: Keys, path: Path, recording: Path) -> None:
     assert len(again.pokes) == pokes
     for before, after in zip(estimates, again.estimates[Method.SURFACE], strict=True):
         np.testing.assert_array_equal(before.position, after.position)
+
+
+def test_a_tab_is_found_by_its_place_whatever_a_style_adds_to_its_text(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    tabs = bench.window.session_view.workspace.tabs
+    for index in range(tabs.count()):
+        tabs.setTabText(index, f"&{tabs.tabText(index)}")
+    bench.key(Qt.Key.Key_3)
+    bench.window.session_view.show()
+    bench.window.session_view.save(QSettings("skincal", "test"))
+    assert QSettings("skincal", "test").value("window/tab") == "Taxel"
+
+
+def test_files_are_proposed_in_a_folder_that_exists_and_get_their_ending(bench, recorded, tmp_path, monkeypatch):
+    bench.open(OpenRequest(session=recorded))
+    bench.until_all_is_there()
+    proposed = []
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *given: proposed.append(given[2]) or (str(tmp_path / "a"), ""))
+    bench.key(Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
+    assert Path(proposed[0]).parent.is_dir()
+    assert (tmp_path / "a.png").is_file()

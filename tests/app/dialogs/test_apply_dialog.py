@@ -4,15 +4,18 @@ import shutil
 import socket
 
 import numpy as np
+import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
-from app.dialogs.apply_dialog import USUAL, ApplyDialog, offered_port
+from app.dialogs.apply_dialog import DEFAULT_PORT, ApplyDialog, offered_port
+from app.dialogs.export_dialog import ExportDialog
 from app.session.opening import OpenRequest
 from app.session.recording import SessionFolder
 from app.text.message import NO_SESSION
 from skincal.model.scene import resource
 from skincal.simulate.maker_outlets import SkinManagerOutlet
+from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.robot.robot_support import robot
@@ -28,7 +31,7 @@ def asked(bench) -> ApplyDialog:
 
 
 def ended(bench, dialog) -> str:
-    bench.until(dialog.apply.isEnabled, OPEN_MS)
+    bench.until(dialog.start.isEnabled, OPEN_MS)
     return dialog.outcome.text()
 
 
@@ -52,16 +55,16 @@ def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench
         QTest.keyClicks(dialog.address, address)
         QTest.keyClick(dialog.address, Qt.Key.Key_Return)
         assert dialog.isVisible(), "Enter after the address closes nothing"
-        assert dialog.focusWidget() is dialog.apply
+        assert dialog.focusWidget() is dialog.start
         dialog.reject()
         dialog = asked(bench)
         assert dialog.address.text() == address, "what was typed is remembered"
         assert not manager.poses.any()
-        dialog.apply.click()
-        assert not dialog.apply.isEnabled()
+        dialog.start.click()
+        assert not dialog.start.isEnabled()
         dialog.reject()
         assert approved("apply.changed", count=84, part="r_forearm") in ended(bench, dialog)
-        lines = [dialog.answers.item(row).text() for row in range(dialog.answers.count())]
+        lines = [dialog.remarks.item(row).text() for row in range(dialog.remarks.count())]
         assert sum(line.startswith("set pose 5 ") and line.endswith(": 0") for line in lines) == 84
         assert any(f"{folder / 'before-r_forearm.txt'}: `skincal apply " in line for line in lines)
         estimates = bench.snapshot.estimates[bench.window.session_view.method]
@@ -69,7 +72,7 @@ def test_it_asks_first_sends_beside_the_window_and_shows_what_was_answered(bench
             np.testing.assert_allclose(manager.poses[each.channel, :3], each.position, atol=1e-6)
 
     # The robot is gone: the address is remembered, the sentence shown, the window lives.
-    dialog.apply.click()
+    dialog.start.click()
     assert ended(bench, dialog).endswith(approved("apply.unchanged"))
     dialog.reject()
     again = asked(bench)
@@ -83,18 +86,18 @@ def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_wo
     dialog = asked(bench)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         dialog.address.setText(f"yarp://127.0.0.1:{silent.getsockname()[1]}/skinManager/rpc")
-        dialog.apply.click()
+        dialog.start.click()
         beside: list[int] = []
         bench.controller.compute(lambda: 1, beside.append)
         bench.until(lambda: beside == [1])
-        assert not dialog.apply.isEnabled(), "a robot that does not answer holds up nothing else"
+        assert not dialog.start.isEnabled(), "a robot that does not answer holds up nothing else"
         assert ended(bench, dialog).endswith(approved("apply.unchanged"))
     (tmp_path / "file").touch()
     monkeypatch.setattr(SessionFolder, "folder", tmp_path / "file" / "mine")
-    dialog.apply.click()
+    dialog.start.click()
     assert approved("apply.no_folder") in ended(bench, dialog)
     monkeypatch.setattr(bench.controller, "_recording", None)
-    dialog.apply.click()
+    dialog.start.click()
     assert NO_SESSION in ended(bench, dialog)
     monkeypatch.undo()
     dialog.reject()
@@ -102,5 +105,36 @@ def test_whatever_becomes_of_it_the_dialog_says_so_and_the_rest_of_the_window_wo
 
 
 def test_the_port_is_asked_for_at_the_name_server_of_the_session():
-    assert offered_port(["/dev/ttyUSB0", "yarp:/icub/skin"]) == USUAL
+    assert offered_port(["/dev/ttyUSB0", "yarp:/icub/skin"]) == DEFAULT_PORT
     assert offered_port(["/dev/ttyUSB0", "yarp://10.0.0.1:10000/icub/skin"]) == "yarp://10.0.0.1:10000/skinManager/rpc"
+
+
+@pytest.mark.parametrize("kind", ["export", "apply"])
+def test_a_dialog_whose_task_ends_without_an_answer_can_be_closed(qtbot, tmp_path, kind):
+    methods = (Method.FREE,)
+    dialog = (
+        ExportDialog(methods, Method.FREE, tmp_path / "part")
+        if kind == "export"
+        else ApplyDialog(methods, Method.FREE, lambda _method: "", DEFAULT_PORT)
+    )
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
+    qtbot.addWidget(dialog)
+    dialog.open()
+    dialog.start.click()
+    dialog.reject()
+    assert dialog.isVisible(), "the outcome is not known yet"
+    dialog.end_task()
+    dialog.reject()
+    assert not dialog.isVisible()
+
+
+@pytest.mark.parametrize("kind", ["export", "apply"])
+def test_the_window_ends_each_task_of_a_dialog(bench, monkeypatch, kind):
+    """Also where the controller calls neither `done` nor `failed`."""
+    bench.open(OpenRequest(session=resource("sessions/sample")))
+    monkeypatch.setattr(bench.controller, kind, lambda *given: given[-1]())
+    bench.window.commands.actions[kind].trigger()
+    dialog = bench.window.findChild(ExportDialog if kind == "export" else ApplyDialog)
+    dialog.start.click()
+    dialog.reject()
+    assert not dialog.isVisible()

@@ -591,11 +591,11 @@ def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot,
     assert dialog.path.text() == str(tmp_path / "part.json")
     assert not dialog.method.isEnabled()
     with qtbot.waitSignal(dialog.write_requested) as asked:
-        QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
+        QTest.mouseClick(dialog.start, Qt.MouseButton.LeftButton)
     assert asked.args == ["json", tmp_path / "part.json", Method.FREE]
-    dialog.show_findings(("3 taxels have no position",))
+    dialog.show_written(("3 taxels have no position",))
     assert "1 remark" in dialog.outcome.text()
-    assert dialog.findings.item(0).text() == "3 taxels have no position"
+    assert dialog.remarks.item(0).text() == "3 taxels have no position"
     dialog.show_failure("cannot be written")
     assert dialog.outcome.text().startswith("\N{BALLOT X}")
 
@@ -603,8 +603,8 @@ def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot,
 @pytest.mark.parametrize("change", ["format", "method", "path"])
 def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_path, change):
     dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
-    QTest.mouseClick(dialog.write, Qt.MouseButton.LeftButton)
-    dialog.show_findings(("3 taxels have no position",))
+    QTest.mouseClick(dialog.start, Qt.MouseButton.LeftButton)
+    dialog.show_written(("3 taxels have no position",))
     assert "Written to" in dialog.outcome.text()
     if change == "path":
         QTest.keyClicks(dialog.path, "x")
@@ -612,7 +612,7 @@ def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_p
         box = getattr(dialog, change)
         box.setCurrentIndex(1 - box.currentIndex())
     assert dialog.outcome.text() == ""
-    assert not dialog.findings.isVisible()
+    assert not dialog.remarks.isVisible()
 
 
 def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):

@@ -313,3 +313,12 @@ def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, pane
     with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
         panel.drop.click()
     assert dropped.args == [FRAME]
+
+
+def test_streamed_joints_that_name_the_same_pose_again_draw_nothing(panel, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(panel, "_list_points", drawn.append)
+    moment, answer = at(), review()
+    for pose in ("low", "".join(["l", "ow"]), "high"):
+        panel.show_state(replace(shown(moment, answer), snapshot=replace(moment, pose=pose), offers=()))
+    assert len(drawn) == 2

@@ -1,0 +1,72 @@
+"""Base of dialogs that start one task for one method, wait for it and show its outcome."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
+
+from app.panels.widgets import plain_buttons, quiet
+from app.text.outcomes import METHOD_NAMES
+from skincal.taxels.result import Method
+
+MIN_WIDTH_PX = 560
+
+
+class TaskDialog(QDialog):
+    """Method, outcome, list of remarks, and the button that starts. It stays open while the task runs."""
+
+    def __init__(self, title: str, start: str, methods: Sequence[Method], shown: Method, parent: QWidget | None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle(title)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setMinimumWidth(MIN_WIDTH_PX)
+        self.method = QComboBox()
+        for method in methods:
+            self.method.addItem(METHOD_NAMES[method], method)
+        self.method.setCurrentIndex(self.method.findData(shown))
+        self.form = QFormLayout()
+        self.outcome = quiet(wrap=True)
+        self.remarks = QListWidget()
+        self.remarks.setWordWrap(True)
+        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        self.start = self.buttons.addButton(start, QDialogButtonBox.ButtonRole.ActionRole)
+        column = QVBoxLayout(self)
+        column.addLayout(self.form)
+        column.addWidget(self.outcome)
+        column.addWidget(self.remarks, 1)
+        column.addWidget(self.buttons)
+        self.remarks.hide()
+        plain_buttons(self.buttons)
+        self.buttons.rejected.connect(self.reject)
+
+    @property
+    def close_button(self) -> QPushButton:
+        return self.buttons.button(QDialogButtonBox.StandardButton.Close)
+
+    def begin_task(self, words: str) -> None:
+        """Show that the task runs; the next Space or Enter closes the dialog once it has ended."""
+        # A button that is disabled while it has the focus would pass the focus to any other widget.
+        self.close_button.setFocus()
+        self.start.setEnabled(False)
+        self.remarks.hide()
+        self.outcome.setText(words)
+
+    def end_task(self) -> None:
+        """Allow another start and closing, whatever became of the task."""
+        self.start.setEnabled(True)
+
+    def show_outcome(self, sentence: str, remarks: Sequence[str] = (), *, good: bool) -> None:
+        """Show the outcome with a sign, and its remarks in the list."""
+        self.end_task()
+        sign = "\N{CHECK MARK}" if good else "\N{BALLOT X}"
+        self.outcome.setText(f"{sign} {sentence}")
+        self.remarks.clear()
+        self.remarks.addItems(list(remarks))
+        self.remarks.setVisible(bool(remarks))
+
+    def reject(self) -> None:
+        """Close, but only after the outcome of a running task was shown."""
+        if self.start.isEnabled():
+            super().reject()
