@@ -51,11 +51,9 @@ from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
-from app.units import ChannelNames
 from skincal.files.reference import Origin
 from skincal.guide.guidance import Guidance, leeway
 from skincal.guide.progress import AxisDiversity
-from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.actions import (
     Action,
     AtLandmark,
@@ -78,6 +76,8 @@ from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames
+from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
     from skincal.files.reference import PlaceSet, Reference

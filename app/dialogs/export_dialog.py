@@ -9,9 +9,9 @@ from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLine
 
 from app.dialogs.task_dialog import TaskDialog
 from app.panels.widgets import quiet
-from app.units import count
 from skincal.files.formats import FORMATS, ExportFormat, FormatWords
 from skincal.taxels.result import Method
+from skincal.words.units import count
 
 
 class ExportDialog(TaskDialog):

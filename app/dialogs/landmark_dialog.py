@@ -22,10 +22,10 @@ from app.panels.widgets import plain_buttons, quiet
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import GAP
-from app.units import UNITS, in_metres, in_millimetres
 from skincal.geometry import FloatArray
 from skincal.model.actions import Action, AddLandmark
 from skincal.model.tables import LENGTH_MAX
+from skincal.words.units import UNITS, in_metres, in_millimetres
 
 AXES = ("x", "y", "z")
 DECIMALS = 2

@@ -35,12 +35,12 @@ from app.state.view_state import LinkLook, link_look
 from app.text.outcomes import preview_words
 from app.text_size import scaled, set_font
 from app.theme import GAP, Colours
-from app.units import rate
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError, plain_text, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.streams.links import parse_address
+from skincal.words.units import rate
 
 ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
 JOINTS_HINT = "only where the arm's joints are streamed"

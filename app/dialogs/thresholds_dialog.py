@@ -19,7 +19,12 @@ from PySide6.QtWidgets import (
 
 from app.panels.widgets import embolden, fit_to_screen, on_panel, plain_buttons, quiet
 from app.state.view_state import ViewState
-from app.text.thresholds_text import (
+from app.theme import GAP
+from skincal.contacts.outcome import Outcome
+from skincal.contacts.thresholds import NEWEST, threshold_uses
+from skincal.model.actions import SetThresholds
+from skincal.model.scene import ContactSettings
+from skincal.words.threshold_words import (
     ABOUT,
     GROUPS,
     ThresholdWords,
@@ -29,11 +34,6 @@ from app.text.thresholds_text import (
     use_words,
     with_unit,
 )
-from app.theme import GAP
-from skincal.contacts.outcome import Outcome
-from skincal.contacts.thresholds import NEWEST, threshold_uses
-from skincal.model.actions import SetThresholds
-from skincal.model.scene import ContactSettings
 
 SIZE = (620, 600)
 """Pixels at 100 %, where the screen has them."""

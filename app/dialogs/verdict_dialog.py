@@ -23,9 +23,9 @@ from app.panels.copying import make_copyable
 from app.panels.widgets import embolden, fit_to_screen, plain_buttons, quiet
 from app.text_size import scaled
 from app.theme import GAP, HEADLINE_PT
-from app.units import ChannelNames, count
 from skincal.guide.verdict import Verdict
-from skincal.guide.verdict_words import figures, left_words, verdict_sentence
+from skincal.words.units import ChannelNames, count
+from skincal.words.verdict_words import figures, left_words, verdict_sentence
 
 HEADINGS = ("Taxel", "Why it is not done")
 WIDTH_PX = 840

@@ -57,13 +57,13 @@ from app.text.compare_text import (
     worst_words,
 )
 from app.theme import GAP
-from app.units import ChannelNames
 from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
 from skincal.session.error_history import ModulesFound
 from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames
 
 if TYPE_CHECKING:
     from skincal.session.part import Part

@@ -13,9 +13,9 @@ from app.text.guidance_text import BETWEEN
 from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import GAP
-from app.units import count
 from skincal.model.readings import LinkHealth, Stream
-from skincal.sentences import beside_words
+from skincal.words.link_words import beside_words
+from skincal.words.units import count
 
 BEHIND_SAID_S = 0.6
 """s. A shorter delay is not said: a hand does not notice it."""

@@ -29,12 +29,12 @@ from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, tax
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
 from app.theme import GAP, Colours
-from app.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
-from skincal.sentences import state_sentence
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.taxel_words import state_sentence
+from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
 PLOT_PX = 152
 TITLE_PT = 11

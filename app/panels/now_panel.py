@@ -15,10 +15,10 @@ from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, e
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
-from app.units import degrees, millimetres, newtons
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import leeway
 from skincal.session.snapshot import Snapshot
+from skincal.words.units import degrees, millimetres, newtons
 
 SIGN_PX = 52
 GAUGE_PX = 170

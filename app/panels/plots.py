@@ -24,10 +24,10 @@ from app.state.view_state import ViewState
 from app.text.errors_text import PAPER, STATISTICS, Axis, axis_words, log_ticks, paper_words, shown_range
 from app.text_size import scaled
 from app.theme import GAP, method_hue
-from app.units import UNITS, in_millimetres, in_minutes, number
 from skincal.geometry import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method
+from skincal.words.units import UNITS, in_millimetres, in_minutes, number
 
 SPAN = 10.0
 """s, of the time axis: what the live view keeps."""

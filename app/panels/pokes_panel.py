@@ -28,12 +28,12 @@ from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
 from app.theme import GAP
-from app.units import DASH, ChannelNames, cell, number
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.model.actions import MissedLandmark
-from skincal.sentences import missed_words
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
+from skincal.words.poke_words import missed_words
+from skincal.words.units import DASH, ChannelNames, cell, number
 
 _Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Pitch\nmm")

@@ -25,10 +25,10 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
 from app.text.rig_text import landmark_rows, offer_text, review_words
 from app.theme import GAP
-from app.units import cell
 from skincal.contacts.outcome import Contact
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
+from skincal.words.units import cell
 
 HEADINGS = ("Landmark", "Here", "All", "Off by, mm")
 _HINTS = (

@@ -40,12 +40,12 @@ from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text_size import scaled
 from app.theme import GAP, HUES, Colours
-from app.units import ChannelNames, number
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames, number
 
 TURN_GAIN = 1.25
 """Where nobody knows how the skin lies on the part, the map is turned only if that makes it a quarter larger: a map that looks

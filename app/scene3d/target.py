@@ -17,10 +17,10 @@ from app.scene3d.estimates import EstimatesLayer
 from app.scene3d.names import boxes_around, make_readable, name_actor, put
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.scene3d.shapes import Layer, Segments, heads, rings, tangents
-from app.units import ChannelNames
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import skin_point
+from skincal.words.units import ChannelNames
 
 RING = 4.6e-3
 """m. Radius of the ring: around the rings of a selected taxel, and below the distance to the next one."""

@@ -23,11 +23,11 @@ from skincal.model.readings import LinkHealth, Stream
 from skincal.model.scene import ContactSettings, Scene
 from skincal.rig.correction import FRAME, RIG
 from skincal.rig.frame_check import FrameDiagnosis
-from skincal.sentences import frame_sentence
 from skincal.session.corrections import offered
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, State
+from skincal.words.rig_words import frame_sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

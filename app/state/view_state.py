@@ -9,7 +9,6 @@ from enum import Enum
 from app.scene3d.camera import PLAIN, Eye
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
-from app.units import ChannelNames
 from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
@@ -18,6 +17,7 @@ from skincal.session.error_history import ModulesFound
 from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method
+from skincal.words.units import ChannelNames
 
 
 class LinkLook(Enum):

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
-from app.units import TIMES, ChannelNames, cell, count, degrees, millimetres, number
 from skincal.modules.health import LayoutMend
-from skincal.sentences import change_words, left_sentences, misfit_sentence
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
+from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
+from skincal.words.units import TIMES, ChannelNames, cell, count, degrees, millimetres, number
 
 MODULE_HEADINGS = ("Module", "Mean, mm", "Shift, mm", "Shape, mm", "Spacing")
 MODULE_HINTS = (

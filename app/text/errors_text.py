@@ -14,13 +14,13 @@ from itertools import islice
 
 import numpy as np
 
-from app.units import ChannelNames, count, in_millimetres, millimetres, number
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, Reference
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.units import ChannelNames, count, in_millimetres, millimetres, number
 
 PAPER = {Method.FREE: 7.2e-3, Method.SURFACE: 6.6e-3}
 """m. Mean error of Del Prete et al. 2011 on their forearm, seven arm poses averaged (section V)."""

@@ -9,12 +9,12 @@ import numpy as np
 from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
 from app.state.view_state import ViewState
 from app.text.outcomes import METHOD_NAMES
-from app.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
 from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import Coaching, Guidance, GuidePhase, LandmarkTarget, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
 
 DONE_NAMED = 3
 """So many taxels that became done with one poke are named."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.units import DASH, count, number, rate
 from skincal.files.importers.overview import RecordingKind, RecordingPreview, StreamPreview
 from skincal.model.errors import plain_text
 from skincal.model.readings import Stream
 from skincal.session.importing import Imported
+from skincal.words.units import DASH, count, number, rate
 
 NAMES = {Stream.WRENCH: "Force/torque", Stream.SKIN: "Skin", Stream.JOINTS: "Joints"}
 UNITS_OF = {Stream.WRENCH: "N, N m", Stream.SKIN: "raw", Stream.JOINTS: "\N{DEGREE SIGN}"}

@@ -38,14 +38,14 @@ from app.text.outcomes import (
     verdict_detail,
     verdict_words,
 )
-from app.units import count, newtons, number
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
-from skincal.sentences import missed_words
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import Deed, DeedKind
+from skincal.words.poke_words import missed_words
+from skincal.words.units import count, newtons, number
 
 VERDICT_S = 2.5
 """s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""

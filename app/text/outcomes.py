@@ -14,14 +14,15 @@ import numpy as np
 
 from app.state.policies import GOOD_RMS, Mark
 from app.state.view_state import LinkLook, ViewState, link_look
-from app.units import ChannelNames, age, count, grouped, millimetres, newtons, number, quantity, rate
 from skincal.contacts.outcome import RAW, Contact, Outcome, Reason, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
-from skincal.sentences import link_verdict_words, predicted_words, state_sentence
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
+from skincal.words.link_words import link_verdict_words
+from skincal.words.taxel_words import predicted_words, state_sentence
+from skincal.words.units import ChannelNames, age, count, grouped, millimetres, newtons, number, quantity, rate
 
 ADVICE: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "Press harder, then hold.",

@@ -9,14 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.state.policies import Offer
-from app.units import DASH, cell, millimetres
 from skincal.model.actions import Correct
 from skincal.rig.correction import RIG, UsedCorrection
-from skincal.sentences import correction_sentence, distance_sentences, frame_sentence, rig_sentences
 from skincal.session.corrections import used_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
+from skincal.words.layout_words import distance_sentences
+from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.units import DASH, cell, millimetres
 
 
 def offer_text(offer: Offer) -> str:

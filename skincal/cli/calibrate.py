@@ -176,7 +176,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     """
     from skincal.files.layout_file import write_layout
     from skincal.modules.health import judged_modules, mend_modules
-    from skincal.sentences import left_sentences, misfit_sentence
+    from skincal.words.layout_words import left_sentences, misfit_sentence
 
     lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
     result: dict[str, Any] = {"misfits": [], "layout": {"used": used, "changes": [], "left": [], "written": None}}
@@ -201,8 +201,9 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
 
 def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
     """Return which known distances are used, and whether anything moved since the session began, where that was checked."""
-    from skincal.sentences import closing_sentence, distance_sentences, earlier_closings
     from skincal.session.closing_pokes import closings_of
+    from skincal.words.layout_words import distance_sentences
+    from skincal.words.rig_words import closing_sentence, earlier_closings
 
     closings = closings_of(snapshot, scene.noise)
     told = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
@@ -211,7 +212,7 @@ def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
     """Return the lines on the correction, without the misfits themselves."""
-    from skincal.sentences import change_words, left_sentences
+    from skincal.words.layout_words import change_words, left_sentences
 
     changes, left = "; ".join(change_words(change) for change in mend.changes), left_sentences(mend)
     if mend.changes and out is not None:
@@ -237,8 +238,8 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     from skincal.cli import report
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
-    from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
     from skincal.session.checked import landmark_findings
+    from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 
     frame, answer = landmark_findings(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
@@ -282,7 +283,7 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
     from skincal.rig.correction import RIG
     from skincal.rig.correction_fit import landmark_agreement
     from skincal.rig.expected_gain import unchecked_of
-    from skincal.sentences import unchecked_sentence
+    from skincal.words.taxel_words import unchecked_sentence
 
     known = session.snapshot().estimates
     used, estimates = session.corrections.get(RIG), known[leading_method(known) or session.methods[-1]]
@@ -362,7 +363,7 @@ def export(
     from skincal.cli import report
     from skincal.files.export import write_calibration
     from skincal.methods import leading_method
-    from skincal.sentences import unchecked_sentence
+    from skincal.words.taxel_words import unchecked_sentence
 
     if part is not None and format_ is not ExportFormat.ICUB:
         raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")

@@ -47,10 +47,10 @@ class Watched:
     """What one link brought: readings, rate, losses and what its device says."""
 
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
-        from skincal.sentences import link_verdict_words
         from skincal.streams.decoders.detect import AUTO, LinkDecoder
         from skincal.streams.device_address import format_of
         from skincal.streams.verdicts import LinkEar
+        from skincal.words.link_words import link_verdict_words
 
         # Now: imported at the first line, what comes meanwhile would count for the second.
         self._verdict_words = link_verdict_words
@@ -122,7 +122,7 @@ def _numbers(values: list[float], digits: int) -> str:
 
 def _words(figures: dict[str, Any]) -> str:
     from skincal.model.readings import SideReading
-    from skincal.sentences import beside_words
+    from skincal.words.link_words import beside_words
 
     of = {name: f" ({words})" for name, words in figures["units"].items()}
     parts = [] if figures["verdict"] == "good" else [figures["verdict"]]

@@ -319,7 +319,7 @@ class Silence:
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
     """Print each poke's outcome once it is final; return how many were printed."""
     from skincal.contacts.outcome import Contact
-    from skincal.sentences import missed_words, rejection_words
+    from skincal.words.poke_words import missed_words, rejection_words
 
     snapshot = pipeline.snapshot()
     records = snapshot.pokes
@@ -356,8 +356,9 @@ def finish(
         Not everything could be recorded, or a link gave nothing that could be used.
     """
     from skincal.cli import report
-    from skincal.sentences import no_poke_sentence, silent_links
     from skincal.session.importing import KeptError
+    from skincal.words.link_words import silent_links
+    from skincal.words.poke_words import no_poke_sentence
 
     snapshot = pipeline.snapshot()
     counts = report.poke_counts(snapshot)

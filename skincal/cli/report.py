@@ -18,10 +18,11 @@ from skincal.methods import leading_method
 from skincal.model.readings import LinkHealth, LinkState, SideReading
 from skincal.model.skin import Layout
 from skincal.modules.health import spacing_ratio
-from skincal.sentences import beside_words, predicted_words
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
+from skincal.words.link_words import beside_words
+from skincal.words.taxel_words import predicted_words
 
 
 def print_result(result: Mapping[str, Any], as_json: bool) -> None:

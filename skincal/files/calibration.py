@@ -14,10 +14,10 @@ from skincal.model.scene import Scene
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
-from skincal.sentences import error_words
 from skincal.taxels.gains import TaxelGain, taxel_gains
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import predicted_error
+from skincal.words.taxel_words import error_words
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,10 +39,11 @@ from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
-from skincal.sentences import correction_words, state_sentence
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
+from skincal.words.rig_words import correction_words
+from skincal.words.taxel_words import state_sentence
 
 BOX_MARGIN = 0.020
 """m. A taxel lies on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""

@@ -22,8 +22,8 @@ import numpy as np
 
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.geometry import FloatArray
-from skincal.sentences import correction_words
 from skincal.taxels.result import Method
+from skincal.words.rig_words import correction_words
 
 SITE_RADIUS = 0.0025
 """m. Of a touch site where no layout says how far taxels lie apart: half of the iCub's 5 mm."""

@@ -36,8 +36,8 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, list_channels
 from skincal.model.given import TEXT_MOST, read_regular
 from skincal.model.skin import Layout
-from skincal.sentences import correction_words
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.rig_words import correction_words
 
 DECIMALS = 6
 NO_TAXEL = -1

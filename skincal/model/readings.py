@@ -180,7 +180,7 @@ class LinkAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LinkVerdict:
-    """What is found of a link: numbers and states; its words are in `skincal.sentences`."""
+    """What is found of a link: numbers and states; its words are in `skincal.words`."""
 
     answer: LinkAnswer
     stream: Stream | None = None

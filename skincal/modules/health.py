@@ -12,7 +12,7 @@ estimates, until nothing is left. A correction whose plan does not lie nearer to
 
 **Spacing**: how far neighbouring taxels lie apart over how far the layout plans it.
 
-What it finds is an offer; nothing is changed by it. The sentences on it are made by `skincal.sentences`.
+What it finds is an offer; nothing is changed by it. The sentences on it are made by `skincal.words`.
 """
 
 from __future__ import annotations

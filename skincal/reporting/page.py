@@ -17,25 +17,18 @@ from typing import Any
 from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
-from skincal.guide.verdict_words import check_words, closing_words, figures, landmark_words, left_words, verdict_sentence
 from skincal.model.errors import list_channels, plural
 from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
 from skincal.rig.correction import RIG
-from skincal.sentences import (
-    beside_words,
-    correction_sentence,
-    distance_sentences,
-    frame_sentence,
-    left_sentences,
-    misfit_sentence,
-    rig_sentences,
-    state_sentence,
-    unchecked_sentence,
-)
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
+from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
+from skincal.words.link_words import beside_words
+from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.taxel_words import state_sentence, unchecked_sentence
+from skincal.words.verdict_words import check_words, closing_words, figures, landmark_words, left_words, verdict_sentence
 
 DASH = "\N{EN DASH}"
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")

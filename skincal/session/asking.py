@@ -19,12 +19,12 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Judged, NoTarget, PokeTarget, write_answer, write_line
 from skincal.robot.target_server import RobotCame, TargetServer
-from skincal.sentences import missed_words, rejection_words
 from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
+from skincal.words.poke_words import missed_words, rejection_words
 
 if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline

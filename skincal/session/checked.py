@@ -7,12 +7,10 @@ from dataclasses import replace
 
 from skincal.files.calibration import Calibration, landmark_check
 from skincal.guide.verdict import Verdict
-from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME
 from skincal.rig.correction_fit import RigAnswer, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
-from skincal.sentences import frame_sentence, rig_sentences
 from skincal.session.corrections import offered
 from skincal.session.guiding import SessionGuide
 from skincal.session.landmark_pokes import landmark_normals
@@ -21,6 +19,8 @@ from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+from skincal.words.rig_words import frame_sentence, rig_sentences
+from skincal.words.verdict_words import verdict_sentence
 
 
 def landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:

@@ -16,10 +16,11 @@ from skincal.journal.lock import LOCK_NAME, writer_of
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
-from skincal.sentences import no_poke_sentence, silent_links
 from skincal.session.part import anchor_findings, load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
+from skincal.words.link_words import silent_links
+from skincal.words.poke_words import no_poke_sentence
 
 TOLD_CHUNKS = 20
 """Chunks from one word on how far it is to the next: a second of a recording, some hundredths of one of work."""

@@ -43,7 +43,7 @@ class State(Enum):
 
 
 class Cause(Enum):
-    """Why a taxel's state is what it is; the value is short, the sentence is made by `skincal.sentences`."""
+    """Why a taxel's state is what it is; the value is short, the sentence is made by `skincal.words`."""
 
     UNPOKED = "no accepted poke touched it"
     ONE_AXIS = "one axis: the depth along it is unknown"

@@ -21,7 +21,6 @@ from app.session.opening import Addresses, OpenRequest, rig_again
 from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
-from app.units import ChannelNames
 from app.window import ADDRESSES_KEPT, Theme, Window
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import RIG_KEY, TRUTH_NAME
@@ -30,6 +29,7 @@ from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
 from skincal.streams.links import LinkSpec
+from skincal.words.units import ChannelNames
 from tests.app.whole_window import Bench, Listener
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 

@@ -14,7 +14,6 @@ from app.state.policies import allowed
 from app.state.running import Running
 from app.state.view_state import ViewState
 from app.theme import Colours
-from app.units import ChannelNames
 from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry import Arm, DhLink
@@ -22,6 +21,7 @@ from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdic
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.taxels.result import Estimate, Method
+from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import layout, live, scene, snapshot
 
 PLAN = layout()

@@ -11,12 +11,12 @@ import pytest
 
 from app.text.outcomes import error_words
 from skincal.cli import main
-from skincal.guide.verdict_words import figures
 from skincal.methods import leading_method
 from skincal.model.scene import resource
 from skincal.reporting.page import report_page
 from skincal.reporting.session_facts import gather_facts
 from skincal.taxels.result import Cause, Estimate, Method, State, StateReason
+from skincal.words.verdict_words import figures
 from tests.approved import approved
 
 SAMPLE = str(resource("sessions/sample"))

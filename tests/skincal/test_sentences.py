@@ -12,20 +12,11 @@ from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis, Slip
-from skincal.sentences import (
-    change_words,
-    correction_sentence,
-    correction_words,
-    frame_sentence,
-    left_sentences,
-    link_verdict_words,
-    misfit_sentence,
-    rig_sentences,
-    silent_links,
-    state_sentence,
-    unchecked_sentence,
-)
 from skincal.taxels.result import Cause, StateReason
+from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
+from skincal.words.link_words import link_verdict_words, silent_links
+from skincal.words.rig_words import correction_sentence, correction_words, frame_sentence, rig_sentences
+from skincal.words.taxel_words import state_sentence, unchecked_sentence
 from tests.approved import approved
 
 NEITHER = np.empty(0)

@@ -11,12 +11,12 @@ from PySide6.QtWidgets import QApplication, QLineEdit
 
 from app.dialogs.thresholds_dialog import ThresholdsDialog
 from app.session.opening import OpenRequest
-from app.text.thresholds_text import WORDS, objections, shown_value, typed_value, use_words
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.contacts.thresholds import ThresholdUse
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.session.replay import load, replay
+from skincal.words.threshold_words import WORDS, objections, shown_value, typed_value, use_words
 from tests.app.test_commands import dialog_of, tap
 from tests.app.window_support import changed, pixels
 from tests.approved import approved

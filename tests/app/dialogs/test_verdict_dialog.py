@@ -17,7 +17,16 @@ from app.state.policies import Offer
 from app.text.rig_text import rig_state
 from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
-from skincal.guide.verdict_words import (
+from skincal.rig.closing import Closing, ClosingPlaces
+from skincal.rig.correction import RIG, Correction, UsedCorrection
+from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
+from skincal.session.corrections import correct_action
+from skincal.session.review import Review
+from skincal.taxels.result import Method
+from skincal.taxels.shared_errors import PredictedError
+from skincal.words.rig_words import correction_sentence, rig_sentences
+from skincal.words.taxel_words import error_words
+from skincal.words.verdict_words import (
     check_words,
     done_words,
     figures,
@@ -25,14 +34,6 @@ from skincal.guide.verdict_words import (
     left_words,
     verdict_sentence,
 )
-from skincal.rig.closing import Closing, ClosingPlaces
-from skincal.rig.correction import RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
-from skincal.sentences import correction_sentence, error_words, rig_sentences
-from skincal.session.corrections import correct_action
-from skincal.session.review import Review
-from skincal.taxels.result import Method
-from skincal.taxels.shared_errors import PredictedError
 from tests.app.window_support import NAMES, changed, pixels
 from tests.approved import approved
 

@@ -30,17 +30,17 @@ from app.text.compare_text import (
     spacing_words,
 )
 from app.theme import DARK
-from app.units import ChannelNames
 from skincal.model.skin import Anchor
 from skincal.modules import health
 from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
 from skincal.rig.correction_fit import RigAnswer
-from skincal.sentences import left_sentences, misfit_sentence
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
+from skincal.words.layout_words import left_sentences, misfit_sentence
+from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import box, estimate, laid, scene
 from tests.app.view3d_on_screen import KEPT, make_view, stage_of, turn
 from tests.app.view3d_on_screen import pixels as picture

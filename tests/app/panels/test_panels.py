@@ -31,7 +31,6 @@ from app.state.running import Running
 from app.text.guidance_text import BETWEEN
 from app.text.message import Message
 from app.theme import DARK, HUES, LIGHT, Choice, Colours
-from app.units import ChannelNames
 from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
@@ -39,6 +38,7 @@ from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
 from skincal.model.scene import resource
 from skincal.session.part import load_part
 from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
     NAMES,

@@ -12,7 +12,6 @@ from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
 from app.state.policies import RigReview, allowed, offers_of
 from app.state.running import Running
 from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
-from app.units import DASH
 from skincal.contacts.outcome import Reason
 from skincal.geometry import FloatArray
 from skincal.model.actions import Uncorrect
@@ -20,11 +19,12 @@ from skincal.model.scene import Landmark
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer
 from skincal.rig.frame_check import FrameCorrection, FrameDiagnosis
-from skincal.sentences import correction_sentence, frame_sentence, rig_sentences
 from skincal.session.corrections import correction_of
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
+from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.units import DASH
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import PLAN, arm_scene, frame, session, slip, touch
 from tests.approved import approved

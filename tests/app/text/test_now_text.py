@@ -27,12 +27,12 @@ from app.text.outcomes import (
     verdict_detail,
     verdict_words,
 )
-from app.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from skincal.contacts.outcome import RAW, PressPhase, Reason
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import Deed, DeedKind
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch

@@ -18,13 +18,13 @@ from skincal.mesh.surface import Surface
 from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, SetPose, Undo
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
-from skincal.sentences import frame_sentence, rig_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, Reviewer, Unreviewed
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
+from skincal.words.rig_words import frame_sentence, rig_sentences
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 

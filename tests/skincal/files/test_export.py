@@ -19,9 +19,9 @@ from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, NoiseSettings
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import FRAME, Correction, UsedCorrection
-from skincal.sentences import predicted_words, state_sentence
 from skincal.taxels.result import Estimate, Method, Rival, State, StateReason
 from skincal.taxels.shared_errors import predicted_error
+from skincal.words.taxel_words import predicted_words, state_sentence
 from tests.approved import approved, approved_pattern
 from tests.skincal.files.files_support import Part, make_calibration, make_contacts, make_part
 from tests.skincal.files.json_reader import read_json

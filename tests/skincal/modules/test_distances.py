@@ -18,7 +18,6 @@ from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import ModuleModel, joined
 from skincal.modules.pose_fit import fit_poked, whitened
 from skincal.rig.correction import RIG, Correction
-from skincal.sentences import distance_sentences
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
@@ -26,6 +25,7 @@ from skincal.simulate.faults import RigErrors
 from skincal.studies.unmodelled import inside
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
+from skincal.words.layout_words import distance_sentences
 from tests.approved import approved
 from tests.skincal.modules.test_pose_fit import laid, model_of, moved_poses, press
 from tests.skincal.poke_script import same_estimates
@@ -259,7 +259,7 @@ import sys
 from skincal.mesh.load import load_surface
 from skincal.model.scene import load_scene, resource
 from skincal.session.session import Session
-import skincal.cli.calibrate, skincal.sentences
+import skincal.cli.calibrate, skincal.words.layout_words
 scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
 Session(scene, load_surface(scene.surface)[0]).snapshot()
 sys.exit("skincal.modules.distances" in sys.modules)

@@ -16,7 +16,6 @@ import pytest
 
 from skincal.cli import main
 from skincal.files.reference import error_summary, read_reference
-from skincal.guide.verdict_words import check_words, figures, landmark_words, verdict_sentence
 from skincal.model.actions import AtLandmark
 from skincal.model.readings import TEMPERATURE, SideReading
 from skincal.model.scene import Landmark, resource
@@ -25,13 +24,15 @@ from skincal.reporting.drawings import side_frames
 from skincal.reporting.page import DASH, ReportTable, report_page, write_report
 from skincal.reporting.session_facts import SessionFacts, errors_of, gather_facts
 from skincal.rig.correction_fit import correct_rig
-from skincal.sentences import correction_sentence, frame_sentence, state_sentence
 from skincal.session.checked import use_offered
 from skincal.session.corrections import offered
 from skincal.session.error_history import MEAN, TAXELS
 from skincal.session.replay import load, resume
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
+from skincal.words.rig_words import correction_sentence, frame_sentence
+from skincal.words.taxel_words import state_sentence
+from skincal.words.verdict_words import check_words, figures, landmark_words, verdict_sentence
 from tests.approved import approved
 from tests.skincal.cli.test_cli_landmarks import Log
 

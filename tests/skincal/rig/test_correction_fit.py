@@ -14,13 +14,13 @@ from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig import correction_fit
 from skincal.rig.correction import LOAD, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
 from skincal.rig.correction_fit import FEWEST, LandmarkPoke, RigRequest, _first_rows, correct_rig
-from skincal.sentences import rig_sentences
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.studies.physics import CASES, poke
 from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error
+from skincal.words.rig_words import rig_sentences
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = 3

@@ -10,11 +10,11 @@ from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose, frame_correction
-from skincal.sentences import frame_sentence
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
+from skincal.words.rig_words import frame_sentence
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig
 

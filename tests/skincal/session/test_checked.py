@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
-from skincal.guide.verdict_words import verdict_sentence
 from skincal.model.actions import Action, AddLandmark, AskPoke, SetPose, SkipLandmark, SkipPoke
 from skincal.model.scene import resource
 from skincal.reporting.session_facts import gather_facts
@@ -17,6 +16,7 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.replay import replay, resume
 from skincal.taxels.result import Method
+from skincal.words.verdict_words import verdict_sentence
 from tests.approved import approved
 
 SAMPLE = str(resource("sessions/sample"))

@@ -11,13 +11,11 @@ import pytest
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.files.export import json_text
 from skincal.guide.guidance import GuidePhase
-from skincal.guide.verdict_words import figures
 from skincal.journal.writer import create_session
 from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Redo, SkipClosing, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.sentences import closing_sentence, earlier_closings
 from skincal.session.closing_pokes import AGAIN, ONCE_MORE, TRIES, at_taxels, closing_rounds, closings_of
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
@@ -28,6 +26,8 @@ from skincal.simulate.contacts import aim, poke_landmarks, simulate_contacts, un
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
 from skincal.taxels.result import Method
+from skincal.words.rig_words import closing_sentence, earlier_closings
+from skincal.words.verdict_words import figures
 from tests.approved import approved
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 from tests.skincal.sim_support import make_rig

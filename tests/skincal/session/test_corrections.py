@@ -20,7 +20,6 @@ from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
-from skincal.sentences import correction_words
 from skincal.session.corrections import correct_action, used_of
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
@@ -28,6 +27,7 @@ from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
+from skincal.words.rig_words import correction_words
 from tests.approved import approved, approved_pattern
 from tests.skincal.files.json_reader import read_json
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, small_scene, write_scene

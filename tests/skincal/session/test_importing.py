@@ -13,7 +13,6 @@ from skincal.files.importers.overview import find_files
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
-from skincal.sentences import no_poke_sentence
 from skincal.session.importing import (
     Imported,
     ImportRequest,
@@ -27,6 +26,7 @@ from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.streams.decoders import yarp_log
+from skincal.words.poke_words import no_poke_sentence
 from tests.approved import approved
 from tests.skincal.import_support import write_csv, write_yarp
 from tests.skincal.poke_script import ANSWERS, SPOTS, Script, outcome_key, some_pokes, write_scene

@@ -18,10 +18,10 @@ from skincal.model.actions import AskLandmark, AtLandmark, FoundAtLandmark, Miss
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene
-from skincal.sentences import missed_words
 from skincal.session.landmark_pokes import REACTION_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from skincal.words.poke_words import missed_words
 from tests.approved import approved
 from tests.skincal.poke_script import LINKS, Script, as_chunks, outcome_key, same_estimates, small_scene, write_scene
 

@@ -14,13 +14,13 @@ from skincal.model.scene import SurfaceSpec
 from skincal.rig.correction import FRAME, RIG, Correction
 from skincal.rig.correction_fit import correct_rig
 from skincal.rig.frame_check import diagnose
-from skincal.sentences import frame_sentence
 from skincal.session import review
 from skincal.session.corrections import correct_action
 from skincal.session.review import Asked, ReviewedPart, Reviewer, Unreviewed, review_change
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
+from skincal.words.rig_words import frame_sentence
 from tests.approved import approved_pattern
 from tests.skincal.poke_script import small_scene
 from tests.skincal.session.test_corrections import rejected

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
-from app.units import UNITS, DisplayUnit, count, number
 from skincal.contacts.thresholds import ThresholdUse
 from skincal.model.scene import RISING, ContactSettings, most_of
+from skincal.words.units import UNITS, DisplayUnit, count, number
 
 ABOUT = (
     "What a poke must pass to count. A change holds for pokes that begin from then on, is kept in the session and can be "

@@ -9,8 +9,9 @@ from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
-from skincal.sentences import closing_sentence, earlier_closings, error_words
 from skincal.taxels.result import Method
+from skincal.words.rig_words import closing_sentence, earlier_closings
+from skincal.words.taxel_words import error_words
 
 
 def verdict_sentence(verdict: Verdict) -> str:
