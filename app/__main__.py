@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from app.preflight import no_display, objection
+from app.scene3d.drawing_probe import PROBE_OPTION
 from app.session.opening import MESHES
 from skincal.model.errors import INTERRUPTED, InputError
 
@@ -27,6 +28,10 @@ HELP = ("-h", "--help", "--version")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command or the window and return the exit code: 0 done, 2 the user's input is at fault, 1 ours."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments[:1] == [PROBE_OPTION]:
+        from app.scene3d.drawing_probe import draw_probe_picture
+
+        return draw_probe_picture("".join(arguments[1:]))
     if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(MESHES):
         # As where a file is dropped onto the program.
         arguments.insert(0, "--scene")

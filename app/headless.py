@@ -60,6 +60,10 @@ def _simulate(scene_path: Path, out: Path) -> Pipeline:
 
 
 def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
+    from app.scene3d.drawing_probe import choose_offscreen
+
+    # Before VTK is imported: on a machine without OpenGL that may fail, too.
+    choose_offscreen()
     from app.scene3d.offscreen import picture
     from skincal.mesh.lay import lay
 

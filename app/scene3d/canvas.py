@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtGui import QImage, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
 from PySide6.QtWidgets import QWidget
 
+from app.scene3d.drawing_probe import start_egl_probe
 from app.text_size import text_scale
 
 if TYPE_CHECKING:
@@ -149,10 +150,11 @@ def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int],
         import app.scene3d.stage  # noqa: F401
 
         return Loaded(None, None)
+    egl_probe = start_egl_probe()
     from app.scene3d.offscreen import HiddenWindow, choose_offscreen
     from app.scene3d.stage import Stage
 
-    choose_offscreen()
+    choose_offscreen(egl_probe)
     # EGL and OSMesa alone know no threads of their own: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
         return Loaded(None, None)

@@ -1,82 +1,28 @@
-"""Pictures without a window: what can draw them here, and a session's picture for the headless commands. Imports no Qt.
-
-On Linux an off-screen picture needs EGL with a driver that starts, or OSMesa. Both are looked for before VTK makes its first
-window: it ends the process where it cannot draw. Windows and macOS bring what is needed.
-"""
+"""Pictures without a window, and a session's picture for the headless commands. Imports no Qt."""
 
 from __future__ import annotations
 
-import ctypes
-import os
-import sys
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkLogger, vtkUnsignedCharArray
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 from vtkmodules.vtkIOImage import vtkPNGWriter
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 
+from app.scene3d.drawing_probe import choose_offscreen
 from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
 from app.scene3d.stage import Stage
 from skincal.files.atomic import write_atomically
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
-from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 
 NO_SAMPLES = 0
 """Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long."""
-OSMESA_NAMES = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
-VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
-"""VTK's own switch: the class that it makes for a window it is not given."""
-MISSING = (
-    "No picture can be drawn: neither EGL with a driver nor OSMesa was found. "
-    "Install them, on Debian or Ubuntu with: apt-get install --no-install-recommends libegl1 libgl1-mesa-dri"
-)
-
-
-def choose_offscreen() -> None:
-    """Make VTK draw off-screen by what this machine has.
-
-    A choice that the user made by the environment is kept.
-
-    Raises
-    ------
-    InputError
-        There is nothing to draw with; names the packages.
-    """
-    if not sys.platform.startswith("linux") or os.environ.get(VARIABLE):
-        return
-    if egl_starts():
-        os.environ[VARIABLE] = "vtkEGLRenderWindow"
-    elif _has_osmesa():
-        os.environ[VARIABLE] = "vtkOSOpenGLRenderWindow"
-    else:
-        raise InputError(MISSING)
-
-
-def egl_starts() -> bool:
-    """Return whether VTK can draw by EGL; the library alone does not say so."""
-    from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
-
-    # Where EGL has no driver VTK says so in its own words, too.
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
-    starts = bool(vtkEGLRenderWindow().SupportsOpenGL())
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_INFO)
-    return starts
-
-
-def _has_osmesa() -> bool:
-    for name in OSMESA_NAMES:
-        with suppress(OSError):
-            ctypes.CDLL(name)
-            return True
-    return False
 
 
 class HiddenWindow:

@@ -14,11 +14,9 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from app import theme
-from app.scene3d import offscreen
 from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues, shade
 from skincal.mesh.surface import contact_point, entry_points, make_surface
-from skincal.model.errors import InputError
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.studies.figures import LOOKS
 from skincal.taxels.result import Method
@@ -222,27 +220,6 @@ def _read_png(path: Path) -> np.ndarray:
     image = QImage(str(path)).convertToFormat(QImage.Format.Format_RGB888)
     rows = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.bytesPerLine())
     return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
-
-
-def test_where_nothing_can_draw_the_packages_are_named_before_vtk_is_asked(monkeypatch):
-    monkeypatch.setattr(offscreen.sys, "platform", "linux")
-    monkeypatch.delenv(offscreen.VARIABLE, raising=False)
-    monkeypatch.setattr(offscreen, "egl_starts", lambda: False)
-    monkeypatch.setattr(offscreen, "OSMESA_NAMES", ())
-    with pytest.raises(InputError, match=r"apt-get install .*libegl1 libgl1-mesa-dri"):
-        offscreen.choose_offscreen()
-
-
-def test_osmesa_serves_where_egl_does_not_start(monkeypatch):
-    monkeypatch.setattr(offscreen.sys, "platform", "linux")
-    monkeypatch.setenv(offscreen.VARIABLE, "")
-    monkeypatch.setattr(offscreen, "egl_starts", lambda: False)
-    monkeypatch.setattr(offscreen.ctypes, "CDLL", lambda _: object())
-    offscreen.choose_offscreen()
-    assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow"
-    monkeypatch.setattr(offscreen, "egl_starts", lambda: True)
-    offscreen.choose_offscreen()
-    assert offscreen.os.environ[offscreen.VARIABLE] == "vtkOSOpenGLRenderWindow", "a choice that is made is kept"
 
 
 def test_skin_has_a_far_side_only_where_it_is_laid_on_a_surface():

@@ -1,0 +1,82 @@
+"""Whether VTK draws here is found out in a child process, which a missing driver may end."""
+
+import os
+import signal
+import sys
+
+import pytest
+
+from app import headless
+from app.__main__ import main
+from app.scene3d import drawing_probe
+from app.scene3d.drawing_probe import EGL, OSMESA, PROBE_OPTION, VARIABLE, choose_offscreen
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
+
+CRASH = f"import os; os.kill(os.getpid(), {int(signal.SIGSEGV)})"
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere the system brings what draws")
+
+
+@pytest.fixture
+def trials(monkeypatch):
+    """Let each trial run a piece of Python in place of VTK, by window class; the default crashes."""
+    programs = {}
+    start = drawing_probe.subprocess.Popen
+
+    def popen(command, **options):
+        assert command[-2] == PROBE_OPTION
+        return start([sys.executable, "-c", programs.get(command[-1], CRASH)], **options)
+
+    monkeypatch.setattr(drawing_probe.subprocess, "Popen", popen)
+    monkeypatch.setenv(VARIABLE, "")
+    return programs
+
+
+@pytest.mark.parametrize(
+    ("programs", "chosen"),
+    [({EGL: "", OSMESA: ""}, EGL), ({OSMESA: ""}, OSMESA), ({EGL: "raise SystemExit(1)", OSMESA: ""}, OSMESA)],
+)
+def test_the_first_window_class_that_draws_is_used(trials, programs, chosen):
+    trials.update(programs)
+    choose_offscreen()
+    assert os.environ[VARIABLE] == chosen
+
+
+def test_a_crash_of_every_trial_names_the_packages(trials):
+    trials[OSMESA] = "raise SystemExit(1)"
+    with pytest.raises(InputError, match=r"SIGSEGV.*not start.*apt-get install .*libegl1 libgl1-mesa-dri"):
+        choose_offscreen()
+    assert not os.environ[VARIABLE]
+
+
+def test_a_trial_that_hangs_is_ended(trials, monkeypatch):
+    monkeypatch.setattr(drawing_probe, "PROBE_TIMEOUT_S", 0.3)
+    trials.update(dict.fromkeys((EGL, OSMESA), "import time; time.sleep(60)"))
+    with pytest.raises(InputError, match="gave no picture"):
+        choose_offscreen()
+
+
+@pytest.mark.usefixtures("trials")
+def test_a_choice_of_the_user_is_kept(monkeypatch):
+    monkeypatch.setenv(VARIABLE, OSMESA)
+    choose_offscreen()
+    assert os.environ[VARIABLE] == OSMESA
+
+
+@pytest.mark.usefixtures("trials")
+def test_headless_without_graphics_leaves_the_calibration_and_says_what_is_missing(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(headless, "POKES", 6)
+    scene = resource("scenes/flat-patch/scene.toml")
+    assert main(["--headless", "--scene", str(scene), "--new", str(tmp_path / "new")]) == 2
+    said = capsys.readouterr()
+    assert (tmp_path / "new" / "positions.txt").is_file()
+    assert "calibration file:" in said.out
+    assert "SIGSEGV" in said.err
+    assert "apt-get install" in said.err
+    assert not (tmp_path / "new" / "picture.png").exists()
+
+
+def test_the_real_trial_answers_by_its_exit_code():
+    assert not drawing_probe.DrawingProbe(EGL).failure()
+    assert "does not start" in drawing_probe.DrawingProbe("vtkNoSuchWindow").failure()
