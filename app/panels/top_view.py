@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.scene3d.camera import Eye
+from app.scene3d.camera import CameraPose
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Coaching, Guidance, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings
@@ -32,7 +32,7 @@ BLUR = 0.18
 """How far what a push is worth is taken to hold around it, in sines of the tilt: half the way to the next that is tried."""
 
 
-def axes_on(normal: FloatArray, eye: Eye) -> FloatArray:
+def axes_on(normal: FloatArray, eye: CameraPose) -> FloatArray:
     """Return (2, 3) float: right and up along the skin, unit, seen from outside, as nearly as they stand on the screen.
 
     Parameters
@@ -68,7 +68,7 @@ class TopView:
     """The tool is held as asked."""
 
 
-def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leeway: float, eye: Eye) -> TopView:
+def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leeway: float, eye: CameraPose) -> TopView:
     """Return the picture of a target and of the tool that presses, which may be off the wanted push by `leeway`, rad."""
     axes = axes_on(target.normal, eye)
     # What is asked of the tool's upper end is asked above its tip, wherever that is.
@@ -114,7 +114,7 @@ class AxisDiversityView:
     """(g, g) float, 0 to 1: how much a next one would help there, rows from the top; all 0 where nothing is to be said."""
 
 
-def diversity_view(diversity: AxisDiversity, method: Method, eye: Eye) -> AxisDiversityView:
+def diversity_view(diversity: AxisDiversity, method: Method, eye: CameraPose) -> AxisDiversityView:
     """Return the picture of what a method needs of a taxel: sides for the free one, places for the others."""
     axes = axes_on(diversity.normal, eye)
     if method is Method.FREE:

@@ -1,5 +1,5 @@
-"""The 3D view: the only drawing code, and the only place that imports VTK and pyvistaqt.
+"""The 3D view: the only code that draws in 3D, and the only place that imports VTK, pyvista and pyvistaqt.
 
-`view` is what the window uses, and importing it loads neither library; `offscreen` is what the headless commands use. A `stage`
-holds the layers of a scene and `camera` says from where they are seen; what they draw from is in `scene_state`.
+The window uses `view`; importing it loads none of these libraries. The headless commands use `offscreen`. A `SceneRenderer`
+holds the layers of one scene, `camera` computes where the camera is, `scene_state` holds the values that layers draw.
 """

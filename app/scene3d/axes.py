@@ -5,18 +5,19 @@ from __future__ import annotations
 from itertools import islice
 
 import numpy as np
+import pyvista as pv
 
-from app.scene3d.scene_state import Look, StaticScene, View3DState
-from app.scene3d.shapes import Balls, Layer, Segments
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segments
+from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.guide.guidance import PRESSING
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
-MOST_AXES = 30
+MAX_AXES = 30
 """Axes of the selected taxel: more are a tangle, and the newest count most."""
-OUTSIDE, INSIDE = 0.035, 0.012
+LENGTH_BEFORE, LENGTH_BEYOND = 0.035, 0.012
 """m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
 
 
@@ -25,25 +26,18 @@ class AxesLayer(Layer):
 
     name = "axes"
 
-    def __init__(self, static: StaticScene) -> None:
-        super().__init__()
-        self.static = static
-        self.past = Segments(pixels=1.5)
-        self.current = Segments(pixels=5.0)
-        self.contact = Balls(pixels=13.0)
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.past, self.current = Segments(plotter, PART, 1.5), Segments(plotter, PART, 5.0)
+        self.contact = Dots(plotter, FRONT, 13.0)
         self._middle = static.extent.mean(axis=0) if len(static.extent) else np.zeros(3)
         self._past_key: object = None
-        self._axis: bytes = b""
+        self._axis: bytes | None = b""
 
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self.look = look
-        self._past_key = None
-        # The key of no axis, nor of none: the next moment is drawn anew.
-        self._axis = b"\0"
+    def set_colours(self, colours: SceneColours) -> None:
+        self.colours, self._past_key, self._axis = colours, None, None
 
     def show(self, state: View3DState) -> bool:
-        """Show the axes of a moment; return whether anything changed."""
         changed = self._show_current(state)
         key = (state.snapshot.generation, state.method, state.selected)
         if key == self._past_key:
@@ -58,44 +52,38 @@ class AxesLayer(Layer):
         if axis == self._axis:
             return False
         self._axis = axis
-        if progress is None or not axis:
-            self.current.clear()
-            self.contact.clear()
-            return True
-        direction = progress.force / np.linalg.norm(progress.force)
-        at = contact_point(self.static.surface, progress.axis_point, direction, self._near(state, progress))
-        self.current.join(_span(at[None], direction[None]), np.array(self.look.ink, np.uint8))
-        self.contact.set(at[None], np.array(self.look.ink, np.uint8))
+        ends = at = NO_POINTS
+        if progress is not None and axis:
+            direction = progress.force / np.linalg.norm(progress.force)
+            at = contact_point(self.static.surface, progress.axis_point, direction, self._near(state, progress))[None]
+            ends = _span(at, direction[None])
+        self.current.show(ends, self.colours.ink)
+        self.contact.show(at, self.colours.ink)
         return True
 
     def _near(self, state: View3DState, progress: Progress) -> FloatArray:
-        """Return the mean place of the taxels that answer now; the middle of the part where none is known."""
+        """Return the mean position of the taxels that answer now; the middle of the part if none is known."""
         places = [place for c in progress.channels.tolist() if (place := self._place_of(state, c)) is not None]
         return np.mean(places, axis=0) if places else self._middle
 
     def _show_past(self, state: View3DState) -> None:
         if state.selected is None or state.selected not in self.static.row:
-            self.past.clear()
+            self.past.show(NO_POINTS, self.colours.ink)
             return
         place = self._place_of(state, state.selected)
-        ends = _passing(_touching(state.snapshot, state.selected), self._middle if place is None else place)
-        self.past.join(ends, np.array(self.look.ink, np.uint8))
+        lines = [_axis_of(contact) for contact in _contacts_of(state.snapshot, state.selected)]
+        points = np.array([point for point, _ in lines]).reshape(-1, 3)
+        directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
+        along = np.einsum("ix,ix->i", (self._middle if place is None else place) - points, directions)
+        self.past.show(_span(points + directions * along[:, None], directions), self.colours.ink)
 
     def _place_of(self, state: View3DState, channel: int) -> FloatArray | None:
-        """Return where a taxel is by its estimate, else by the plan; None where neither says it."""
+        """Return the position of a taxel by its estimate, else by the plan; `None` if neither is known."""
         row, estimates = self.static.row.get(channel), state.estimates()
         if row is None:
             return None
         position = estimates[row].position if row < len(estimates) else None
         return self.static.places[row] if position is None and np.isfinite(self.static.places[row, 0]) else position
-
-
-def _passing(contacts: list[Contact], near: FloatArray) -> FloatArray:
-    """Return the drawn part of each force axis, (n, 2, 3) float, metres, where it passes `near`, (3,)."""
-    lines = [_axis_of(contact) for contact in contacts]
-    points = np.array([point for point, _ in lines]).reshape(-1, 3)
-    directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
-    return _span(points + directions * np.einsum("ix,ix->i", near - points, directions)[:, None], directions)
 
 
 def _key(progress: Progress) -> bytes:
@@ -107,7 +95,8 @@ def _key(progress: Progress) -> bytes:
 
 
 def _span(at: FloatArray, directions: FloatArray) -> FloatArray:
-    return np.stack([at - OUTSIDE * directions, at + INSIDE * directions], axis=1)
+    """Return the drawn parts of force axes through points, (n, 2, 3) float, metres."""
+    return np.stack([at - LENGTH_BEFORE * directions, at + LENGTH_BEYOND * directions], axis=1)
 
 
 def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
@@ -116,7 +105,7 @@ def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
     return axis_point(force, moment), force / np.linalg.norm(force)
 
 
-def _touching(snapshot: Snapshot, channel: int) -> list[Contact]:
+def _contacts_of(snapshot: Snapshot, channel: int) -> list[Contact]:
     """Return the newest contacts in which a channel answered and that are not excluded."""
     counting = (record.outcome for record in reversed(snapshot.pokes) if not record.excluded)
-    return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MOST_AXES))
+    return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MAX_AXES))

@@ -1,8 +1,8 @@
-"""The widget that shows the picture, drawn by a graphics card or by software, and what can be made beside the window's thread.
+"""The widget that shows the picture, drawn by a graphics card or by software.
 
-Importing VTK takes longer than a window may stand still, and so does the first picture, in which software OpenGL compiles
-its shaders. `load` runs beside the window; with EGL or OSMesa, which know no threads of their own, it also draws that picture.
-`mount` runs in the window's thread and makes the widget.
+Importing pyvista takes longer than a window may stand still, and so does the first picture, in which software OpenGL compiles
+its shaders. `load` runs in a thread; with EGL or OSMesa, which are not bound to a thread, it also draws that picture. `mount`
+runs in the window's thread and makes the widget.
 """
 
 from __future__ import annotations
@@ -20,21 +20,19 @@ from app.scene3d.drawing_probe import start_egl_probe
 from app.text_size import text_scale
 
 if TYPE_CHECKING:
+    import pyvista as pv
     from pyvistaqt import QtInteractor
 
-    from app.scene3d.offscreen import HiddenWindow
-    from app.scene3d.scene_state import Look, StaticScene, View3DState
-    from app.scene3d.stage import Stage
+    from app.scene3d.scene_renderer import SceneRenderer
+    from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 
     AnyCanvas: TypeAlias = "QtInteractor | RasterCanvas"
 
-
 GL_RENDERER = 0x1F01
-SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "gdi generic", "basic render")
-"""Names by which software says what it is."""
+SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader", "gdi generic", "basic render")
 CARD_SAMPLES = 4
 """Samples a pixel on a graphics card, where they cost little."""
-FIRST_SIZE = (640, 400)
+DEFAULT_SIZE = (640, 400)
 """Pixels of a first picture while the widget has no size yet."""
 
 
@@ -55,82 +53,80 @@ def best_canvas() -> Canvas:
     name = str(context.functions().glGetString(GL_RENDERER)).lower()
     context.doneCurrent()
     surface.destroy()
-    return Canvas.RASTER if any(word in name for word in SOFTWARE) else Canvas.OPENGL
+    return Canvas.RASTER if any(word in name for word in SOFTWARE_RENDERERS) else Canvas.OPENGL
 
 
 class RasterCanvas(QWidget):
-    """Shows the picture of a `HiddenWindow`, drawn again when asked and when its size changes; used as a `QtInteractor` is.
+    """Shows the picture of an off-screen plotter, drawn again on request and when the size changes.
 
     On software OpenGL a picture takes two thirds of the time of a `QOpenGLWidget`, the rest of the window stays out of
     OpenGL, and it works where Qt has none.
     """
 
-    def __init__(self, window: HiddenWindow, parent: QWidget) -> None:
+    def __init__(self, plotter: pv.BasePlotter, parent: QWidget) -> None:
         super().__init__(parent)
-        self._window: HiddenWindow | None = window
+        self._plotter: pv.BasePlotter | None = plotter
         self._image = QImage()
-        self._stale = True
-        self._looks = (0, 0, 0.0)
-        """Its size in pixels, and that of its letters."""
-        self.setMouseTracking(False)
+        self._is_stale = True
+        self._drawn_as: tuple[float, ...] = ()
+        """Size in pixels, pixel ratio and text scale of the picture."""
 
     def update(self, *part: Any) -> None:
         """Ask for one new picture; many requests before it is painted make one, and a hidden canvas makes none."""
-        self._stale = True
+        self._is_stale = True
         super().update(*part)
 
     def grabFramebuffer(self) -> QImage:  # noqa: N802 - as of a QOpenGLWidget
-        """Return the picture as it stands, drawn now if it is stale."""
+        """Return the picture, drawn now if it is stale."""
         self._refresh()
         return self._image
 
     def close(self) -> bool:
-        """Close the window behind; the last picture stays."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        """Close the plotter; the last picture stays."""
+        if self._plotter is not None:
+            self._plotter.close()
+            self._plotter = None
         return super().close()
 
     def paintEvent(self, event: QPaintEvent) -> None:  # noqa: ARG002
-        """Paint the picture; only a stale one is drawn by VTK."""
         self._refresh()
         painter = QPainter(self)
         painter.drawImage(0, 0, self._image)
         painter.end()
 
     def _refresh(self) -> None:
-        density = self.devicePixelRatioF()
-        size = max(1, round(self.width() * density)), max(1, round(self.height() * density))
-        looks = *size, density * text_scale()
-        if self._window is None or not (self._stale or looks != self._looks):
+        from app.scene3d.offscreen import draw
+
+        ratio = self.devicePixelRatioF()
+        size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
+        draw_as = (*size, ratio, text_scale())
+        if self._plotter is None or not (self._is_stale or draw_as != self._drawn_as):
             return
-        if looks != self._looks:
-            self._window.resize(size, density * text_scale())
-            self._looks = looks
-        self._stale = False
-        pixels = self._window.draw()
+        self._is_stale, self._drawn_as = False, draw_as
+        self._plotter.window_size = list(size)
+        pixels = draw(self._plotter)
         # VTK's first row is the lowest; the flipped copy is the image's own, so the next picture cannot tear it.
         image = QImage(pixels[::-1].tobytes(), size[0], size[1], QImage.Format.Format_RGBX8888)
         self._image = image.convertToFormat(QImage.Format.Format_RGB32)
-        self._image.setDevicePixelRatio(density)
+        self._image.setDevicePixelRatio(ratio)
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """What was made beside the window; None where that must wait for the window's thread."""
+    """Result of `load`; `None` for what the window's thread must make."""
 
-    window: HiddenWindow | None
-    stage: Stage | None
+    renderer: SceneRenderer | None
 
     def close(self) -> None:
-        """Give back what was made and never shown."""
-        if self.stage is not None:
-            self.stage.close()
-        if self.window is not None:
-            self.window.close()
+        """Release what was made and never shown."""
+        if self.renderer is not None:
+            self.renderer.close()
+            self.renderer.plotter.close()
 
 
-def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int], state: View3DState | None) -> Loaded:
+def load(
+    canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: View3DState | None
+) -> Loaded:
     """Import what the canvas needs and make what needs no widget, for a first picture of so many pixels.
 
     Raises
@@ -138,51 +134,58 @@ def load(canvas: Canvas, static: StaticScene, look: Look, size: tuple[int, int],
     InputError
         There is nothing to draw with here.
     """
-    _ = static.shaded
     if static.surface is not None:
-        # The ring on the skin asks for these first: worked out when they are asked for, they would hold the window.
+        # The ring on the skin asks for these first: computed on demand, they would block the window.
         _ = static.surface.centres, static.surface.radii
     if canvas is Canvas.OPENGL:
-        # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they stop nothing.
+        # pyvista imports the widgets only as it makes an interactor, in the window's thread: here they block nothing.
         import pyvistaqt  # noqa: F401
         import vtkmodules.vtkInteractionWidgets  # noqa: F401
 
-        import app.scene3d.stage  # noqa: F401
+        import app.scene3d.scene_renderer  # noqa: F401
 
-        return Loaded(None, None)
+        return Loaded(None)
     egl_probe = start_egl_probe()
-    from app.scene3d.offscreen import HiddenWindow, choose_offscreen
-    from app.scene3d.stage import Stage
+    from app.scene3d.mesh_actors import window_of
+    from app.scene3d.offscreen import choose_offscreen, make_plotter
+    from app.scene3d.scene_renderer import SceneRenderer
 
     choose_offscreen(egl_probe)
-    # EGL and OSMesa alone know no threads of their own: elsewhere the window's thread draws the first picture.
+    # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
-        return Loaded(None, None)
-    window = HiddenWindow(size if min(size) > 1 else FIRST_SIZE)
-    stage = Stage(window.renderer, static, look)
-    stage.warm(window.draw)
+        return Loaded(None)
+    plotter = make_plotter(size if min(size) > 1 else DEFAULT_SIZE)
+    renderer = SceneRenderer(plotter, static, colours)
+    renderer.compile_shaders()
     if state is not None:
-        stage.show(state)
-    stage.fit()
-    window.draw()
-    # Or the window's thread could not draw: a context belongs to the thread that drew last.
-    window.release()
-    return Loaded(window, stage)
+        renderer.show(state)
+    renderer.fit()
+    window_of(plotter).Render()
+    # A context belongs to the thread that drew last: let the window's thread draw.
+    window_of(plotter).ReleaseCurrent()
+    return Loaded(renderer)
 
 
-def mount(canvas: Canvas, loaded: Loaded, static: StaticScene, look: Look, parent: QWidget) -> tuple[AnyCanvas, Stage]:
-    """Make the widget, and the stage where `load` could not."""
-    from app.scene3d.stage import Stage
+def mount(
+    canvas: Canvas, loaded: Loaded, static: StaticScene, colours: SceneColours, parent: QWidget
+) -> tuple[AnyCanvas, SceneRenderer]:
+    """Make the widget, and the renderer where `load` could not."""
+    from app.scene3d.scene_renderer import GRID, SceneRenderer
 
     if canvas is Canvas.OPENGL:
         from pyvistaqt import QtInteractor
 
         # Drawn when Qt asks for it and never by itself; its `render` would draw each picture twice.
-        interactor = QtInteractor(parent, auto_update=False, multi_samples=CARD_SAMPLES)
+        widget = QtInteractor(
+            parent, auto_update=False, multi_samples=CARD_SAMPLES, shape=GRID, border=False, lighting="none"
+        )  # fmt: skip
         # pyvistaqt would load a mesh that is dropped on it.
-        interactor.setAcceptDrops(False)
-        return interactor, Stage(interactor.renderer, static, look)
-    from app.scene3d.offscreen import HiddenWindow
+        widget.setAcceptDrops(False)
+        renderer = SceneRenderer(widget, static, colours)
+    else:
+        from app.scene3d.offscreen import make_plotter
 
-    window = loaded.window or HiddenWindow(FIRST_SIZE)
-    return RasterCanvas(window, parent), loaded.stage or Stage(window.renderer, static, look)
+        renderer = loaded.renderer or SceneRenderer(make_plotter(DEFAULT_SIZE), static, colours)
+        widget = RasterCanvas(renderer.plotter, parent)
+    renderer.scales = lambda: (widget.devicePixelRatioF(), text_scale())
+    return widget, renderer

@@ -1,182 +1,164 @@
-"""The taxels as estimated: balls in their module's hue, marks for the states that have no position, and how uncertain they are.
+"""The estimated taxels, their uncertainty, and sets of positions that are compared.
 
-State is shape, never hue: a ball is estimated, and has a hole where it lies below the skin; an open circle at the planned place
-was touched but is not determined yet, a cross is dead. A ring lies around what the last poke changed, two around the selected
-taxel.
+Shape tells the state, hue the module. A ball is estimated. An open circle at the planned position was touched but is not
+determined yet, a cross is dead. One ring surrounds each taxel that the last poke changed, two the selected taxel.
 
-Sets of places over each other: a dot for each taxel and set, and arrows from one set to another.
-
-What lies below the skin is drawn before the near wall, and the sets of places before the whole part: a difference that goes
-into the part must be seen along its whole length. What lies on the part's far side is left out instead.
+All of it is drawn before the part, so that an estimate inside the part is seen. Taxels on the far side are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import NDArray
-from vtkmodules.vtkRenderingCore import vtkRenderer
+from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 
-from app.scene3d.camera import Sight, project
-from app.scene3d.names import boxes_around
-from app.scene3d.scene_state import BALL, ColourArray, Comparison, Look, StaticScene, Tint, View3DState
-from app.scene3d.shapes import Balls, Dots, Layer, Segments, crosses, heads, rings
-from app.scene3d.wall import Walls, facing
+from app.scene3d.camera import facing
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments, crosses, rings
+from app.scene3d.scene_state import BALL_DIAMETER, ColourArray, Comparison, SceneColours, StaticScene, Tint, View3DState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
-BALL_PIXELS = (5.0, 34.0)
-"""Smallest and largest ball on the screen: below it a hue cannot be made out, above it balls hide each other."""
-RING = 2.6e-3
-"""m. Radius of the ring around a ball."""
-MARK = 1.3e-3
-"""m. Radius of an open circle or a cross."""
-HOLE = 0.5
-"""Width of the hole of a ball below the skin, in widths of the ball."""
-HOLE_LIFT = 1.1
-"""How far before its ball's middle the hole lies, in radii of the ball: just before where that bulges most."""
-BLIND_REACH = 0.05
-"""m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
-LIFT = 4e-4
+BALL_PX = (5.0, 34.0)
+"""Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other."""
+CLICK_REACH_PX = 14.0
+"""A click this near to a ball means it: half a finger's width on a common screen."""
+RING_RADIUS = 2.6e-3  # m
+MARK_RADIUS = 1.3e-3
+"""m, of an open circle or a cross."""
+MARK_LIFT = 4e-4
 """m. Marks float this far above the part."""
-SPACE_95 = 2.7955
-"""sqrt of the 95 % quantile of chi-square with 3 degrees of freedom."""
-SURFACE_95 = 2.4477
-"""sqrt of the 95 % quantile of chi-square with 2 degrees of freedom."""
-LARGEST = 0.15
-"""m. Half axes are cut here in the picture: beyond it an ellipsoid is a line across the view anyhow."""
-DISC_LIFT = 6e-4
-"""m. Discs float this far above the part."""
-
-BESIDE = (Method.SURFACE, Method.FREE, Method.MODULES)
-"""Lines lead to the first of these that there is beside the method that is shown; without a mesh there is no surface method."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Strokes:
-    """Line segments of marks, and which way the skin faces that they lie on."""
-
-    ends: FloatArray
-    """(n, 2, 3) float, metres."""
-    colours: ColourArray
-    """(n, 3) uint8."""
-    sides: FloatArray
-    """(n, 3) float, unit, outward; NaN where the skin has no far side."""
-
-    @classmethod
-    def none(cls) -> Strokes:
-        """Return no strokes."""
-        return cls(np.empty((0, 2, 3)), np.empty((0, 3), np.uint8), np.empty((0, 3)))
-
-    def seen(self, sight: Sight) -> Strokes:
-        """Return those that are turned to the camera."""
-        near = ~(facing(self.sides, self.ends[:, 0], sight) < 0.0)
-        return Strokes(self.ends[near], self.colours[near], self.sides[near])
+BLIND_HALF_LENGTH = 0.05
+"""m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
+CHI_3DOF_95 = 2.7955
+"""Square root of the 95 % quantile of chi-square with 3 degrees of freedom."""
+CHI_2DOF_95 = 2.4477
+"""The same with 2 degrees of freedom."""
+MAX_HALF_AXIS = 0.15
+"""m. Half axes are cut here: beyond it an ellipsoid is a line across the view anyhow."""
+OTHER_METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
+"""Lines lead to the first of these that exists and is not the shown method."""
 
 
 class EstimatesLayer(Layer):
-    """Balls, marks, and where wanted a line from each estimate to another method's."""
+    """Balls, marks, and lines from each estimate to another method's."""
 
     name = "estimates"
 
-    def __init__(self, static: StaticScene) -> None:
-        super().__init__()
-        self.static = static
-        self.balls = Balls(pixels=12.0)
-        self.holes = Dots(pixels=6.0, render_points_as_spheres=True)
-        self.marks = Segments(pixels=2.0)
-        self.differences = Segments(pixels=1.5)
-        self.alternative = Segments(pixels=1.5)
-        """Where else the selected taxel may lie."""
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.balls = Dots(plotter, FRONT, 12.0)
+        self.marks = Segments(plotter, FRONT, 2.0)
+        self.differences = Segments(plotter, PART, 1.5)
+        self.alternative = Segments(plotter, PART, 1.5)
+        """Other possible positions of the selected taxel."""
         self.shown: IntArray = np.empty(0, dtype=np.int64)
         """(k,) channels that have a ball, in the order of `places`."""
-        self.places: FloatArray = np.empty((0, 3))
+        self.places = NO_POINTS
         self.near: NDArray[np.bool_] = np.empty(0, dtype=bool)
         """(k,) whether each is drawn: not on the far side of the part."""
         self._hues: ColourArray = np.empty((0, 3), dtype=np.uint8)
-        self._walls = Walls(static)
-        self._wall = self._walls.beside(self.shown, self.places)
-        self._strokes = Strokes.none()
-        """The marks where they are."""
+        self._sides = NO_POINTS
+        self._marks: tuple[FloatArray, ColourArray, FloatArray] = (np.empty((0, 2, 3)), self._hues, NO_POINTS)
+        """(n, 2, 3) segments, (n, 3) colours, (n, 3) outward normals of the skin below them."""
         self._key: object = None
-        self._compared = False
+        self._is_compared = False
 
-    def set_colours(self, look: Look) -> None:
-        """Take the colours of a theme."""
-        self.look = look
-        self._key = None
+    def set_colours(self, colours: SceneColours) -> None:
+        self.colours, self._key = colours, None
 
     def draw(self) -> None:
-        """Keep the balls' size on the part when the camera comes nearer, and see to what lies below the skin or behind it."""
-        sight = self.sight
-        if sight is None:
+        """Keep the balls' size on the part when the camera moves, and leave out the far side."""
+        if self.viewpoint is None:
             return
-        pixels = float(np.clip(BALL * sight.scale, *BALL_PIXELS))
-        radius = pixels / 2.0 / sight.scale
-        self.balls.actor.GetProperty().SetPointSize(pixels)
-        self.holes.actor.GetProperty().SetPointSize(HOLE * pixels)
-        self.near = self._wall.seen(self.places, sight)
-        # Balls would hide the places that are compared; a click still finds the taxels.
-        drawn = np.zeros_like(self.near) if self._compared else self.near
-        before, hollow = self._wall.before(self.places, sight, radius), drawn & self._wall.below
-        self.balls.set(before[drawn], self._hues[drawn])
-        # A hole lies where its ball bulges most.
-        self.holes.set(sight.lift(before[hollow], HOLE_LIFT * radius), np.array(self.look.background, np.uint8))
-        marks = self._strokes.seen(sight)
-        self.marks.join(sight.bring_before(marks.ends, self.static.extent), marks.colours)
+        position = self.viewpoint.pose.position
+        self.balls.pixels = float(np.clip(BALL_DIAMETER / self.viewpoint.pixel, *BALL_PX))
+        self.balls.set_pixel_ratio(self.viewpoint.ratio)
+        # Negated, since a cosine is NaN where nothing has a far side.
+        self.near = ~(facing(self._sides, self.places, position) < 0.0)
+        # Balls would hide the positions that are compared.
+        drawn = self.near & (not self._is_compared)
+        self.balls.show(self.places[drawn], self._hues[drawn])
+        ends, colours, sides = self._marks
+        near = ~(facing(sides, ends[:, 0], position) < 0.0)
+        self.marks.show(ends[near], np.repeat(colours[near], 2, axis=0))
 
     def show(self, state: View3DState) -> bool:
-        """Show a session's estimates by one method; return whether anything changed."""
         key = (state.snapshot.generation, state.method, state.selected, state.difference, state.comparison is None)
         if key == self._key:
             return False
         self._key = key
         estimates = state.estimates()
         rows = [row for row, e in enumerate(estimates) if e.state is State.ESTIMATED and e.position is not None]
-        self.shown = self.static.channels[rows]
+        self.shown, self._hues = self.static.channels[rows], self.static.hues[rows]
         self.places = _positions([estimates[row] for row in rows])
-        self._wall = self._walls.beside(np.array(rows, dtype=np.int64), self.places)
-        self._hues = self.static.hues[rows]
-        self.near = np.ones(len(rows), dtype=bool)
-        self._compared = state.comparison is not None
-        self._strokes = self._marks_of(state, estimates)
+        self._sides = self._outward(rows, estimates)
+        self._is_compared = state.comparison is not None
+        self._marks = self._marks_of(state, estimates)
         self._show_differences(state, rows)
         self._show_alternative(state, estimates)
         self.draw()
         return True
 
-    def boxes(self, renderer: vtkRenderer) -> FloatArray:
-        """Return what the balls cover of the picture, (n, 4) float; see `names`."""
-        at = project(renderer, self.places[self.near])[:, :2]
-        return boxes_around(at[np.isfinite(at[:, 0])], self.balls.actor.GetProperty().GetPointSize() / 2.0)
+    def obstacles(self) -> FloatArray:
+        return self.places[self.near]
 
-    def _show_alternative(self, state: View3DState, estimates: tuple[Estimate, ...]) -> None:
+    def pick(self, x: float, y: float, renderer: vtkRenderer) -> int | None:
+        """Return the channel of the foremost ball at a pixel, else of one within `CLICK_REACH_PX`."""
+        if self.viewpoint is None or self.balls.hidden or not self.near.any():
+            return None
+        self.balls.show(self.places[self.near], self._hues[self.near])
+        picker = vtkPointPicker()
+        picker.PickFromListOn()
+        picker.AddPickList(self.balls.actor)
+        found = -1
+        for reach in (self.balls.pixels / 2.0, CLICK_REACH_PX):
+            picker.SetTolerance(reach * self.viewpoint.ratio / float(np.hypot(*self.viewpoint.size)))
+            if found < 0 and picker.Pick(x, y, 0.0, renderer):
+                found = picker.GetPointId()
+        self.draw()
+        return None if found < 0 else int(self.shown[self.near][found])
+
+    def _outward(self, rows: list[int], estimates: Sequence[Estimate]) -> FloatArray:
+        """Return the skin's outward normal at each taxel, (n, 3): by the layout, else of its estimate; NaN without a part."""
+        normals = self.static.skin_normals[rows]
+        if self.static.surface is not None and self.static.laid is None:
+            own = [estimates[row].normal for row in rows]
+            return np.array([np.full(3, np.nan) if normal is None else normal for normal in own]).reshape(-1, 3)
+        return normals
+
+    def _show_alternative(self, state: View3DState, estimates: Sequence[Estimate]) -> None:
         """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
-        ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else np.empty((0, 2, 3))
-        self.alternative.join(ends, np.array(self.look.ink, np.uint8))
+        ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else NO_POINTS
+        self.alternative.show(ends, self.colours.ink)
 
-    def _marks_of(self, state: View3DState, estimates: tuple[Estimate, ...]) -> Strokes:
-        row, hues, ink = self.static.row, self.static.hues, np.array(self.look.ink, np.uint8)
+    def _marks_of(self, state: View3DState, estimates: Sequence[Estimate]) -> tuple[FloatArray, ColourArray, FloatArray]:
+        row, hues, ink = self.static.row, self.static.hues, np.array(self.colours.ink, np.uint8)
         touched = [row[channel] for channel in state.snapshot.touched.tolist() if channel in row]
         selected = [row[state.selected]] if state.selected in row else []
         blind, dead = ([at for at, e in enumerate(estimates) if e.state is kind] for kind in (State.BLIND, State.DEAD))
-        around = [(touched, RING), (selected, RING), (selected, 1.5 * RING)]
-        drawn = [(rows, rings(*self._places(rows, estimates), radius), ink) for rows, radius in around]
-        drawn.insert(1, (blind, rings(*self._places(blind), MARK, sides=12), hues[blind][:, None]))
-        drawn.insert(2, (dead, crosses(*self._places(dead), MARK), ink))
+        drawn = [
+            (blind, rings(*self._places_of(blind), MARK_RADIUS, sides=12), hues[blind][:, None]),
+            (dead, crosses(*self._places_of(dead), MARK_RADIUS), ink),
+            *(
+                (rows, rings(*self._places_of(rows, estimates), radius), ink)
+                for rows, radius in ((touched, RING_RADIUS), (selected, RING_RADIUS), (selected, 1.5 * RING_RADIUS))
+            ),
+        ]
         ends = np.concatenate([lines.reshape(-1, 2, 3) for _, lines, _ in drawn])
         colours = [np.broadcast_to(colour, (*lines.shape[:2], 3)).reshape(-1, 3) for _, lines, colour in drawn]
-        sides = [np.repeat(self.static.skin_normals[rows], lines.shape[1], axis=0) for rows, lines, _ in drawn]
+        sides = [np.repeat(self._outward(rows, estimates), lines.shape[1], axis=0) for rows, lines, _ in drawn]
         known = np.isfinite(ends[:, 0, 0])
-        return Strokes(ends[known], np.concatenate(colours)[known], np.concatenate(sides)[known])
+        return ends[known], np.concatenate(colours)[known], np.concatenate(sides)[known]
 
-    def _places(self, rows: list[int], estimates: Sequence[Estimate] = ()) -> tuple[FloatArray, FloatArray]:
-        """Return the places of taxels, metres, NaN where unknown, and their normals: by `estimates`, else as planned."""
+    def _places_of(self, rows: list[int], estimates: Sequence[Estimate] = ()) -> tuple[FloatArray, FloatArray]:
+        """Return positions, metres, NaN where unknown, and normals of taxels: by `estimates`, else as planned."""
         normals = self.static.normals[rows]
-        centres = self.static.places[rows] + LIFT * normals
+        centres = self.static.places[rows] + MARK_LIFT * normals
         for at, row in enumerate(rows):
             estimate = estimates[row] if row < len(estimates) else None
             if estimate is not None and estimate.position is not None:
@@ -186,34 +168,35 @@ class EstimatesLayer(Layer):
 
     def _show_differences(self, state: View3DState, rows: list[int]) -> None:
         found = state.snapshot.estimates
-        beside = next((method for method in BESIDE if method is not state.method and method in found), None)
-        others = found[beside] if beside is not None and state.difference else ()
+        other = next((method for method in OTHER_METHODS if method is not state.method and method in found), None)
+        others = found[other] if other is not None and state.difference else ()
         paired = [i for i, row in enumerate(rows) if row < len(others) and others[row].position is not None]
         there = _positions([others[rows[i]] for i in paired])
-        self.differences.join(np.stack([self.places[paired], there], axis=1), np.array(self.look.faint, np.uint8))
+        self.differences.show(np.stack([self.places[paired], there], axis=1), self.colours.faint)
 
 
 def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
-    """Return the segments that show where else a taxel may lie, (n, 2, 3) float, metres; none where nowhere.
+    """Return segments to other possible positions of a taxel, (n, 2, 3) float, metres; n = 0 if there are none.
 
-    `planned` is its place by the layout, (3,) float, NaN where unknown.
+    `planned` is its position by the layout, (3,) float, NaN where unknown.
     """
     if estimate.rival is not None and estimate.position is not None:
         there = estimate.rival.position[None]
         up = np.array([[0.0, 0.0, 1.0] if estimate.normal is None else estimate.normal])
-        return np.concatenate([np.stack([estimate.position[None], there], axis=1), rings(there, up, RING).reshape(-1, 2, 3)])
+        line = np.stack([estimate.position[None], there], axis=1)
+        return np.concatenate([line, rings(there, up, RING_RADIUS).reshape(-1, 2, 3)])
     if estimate.foot is not None and estimate.weakest is not None:
         along = (planned - estimate.foot) @ estimate.weakest if np.isfinite(planned).all() else 0.0
-        middle, half = estimate.foot + along * estimate.weakest, BLIND_REACH * estimate.weakest
+        middle, half = estimate.foot + along * estimate.weakest, BLIND_HALF_LENGTH * estimate.weakest
         return np.stack([middle - half, middle + half])[None]
-    return np.empty((0, 2, 3))
+    return NO_POINTS
 
 
 def _positions(estimates: list[Estimate]) -> FloatArray:
     return np.array([e.position for e in estimates], dtype=float).reshape(-1, 3)
 
 
-CIRCLES = rings(np.zeros((3, 3)), np.eye(3), 1.0, sides=48)
+UNIT_CIRCLES = rings(np.zeros((3, 3)), np.eye(3), 1.0, sides=48)
 """(3, 48, 2, 3) float: unit circles across the three axes, as segments."""
 
 
@@ -221,32 +204,31 @@ class UncertaintyLayer(Layer):
     """The 95 % regions of the worst estimate and of the selected one: three circles an ellipsoid, one a disc on a surface.
 
     A region is {p + L u : |u| <= s} with L L' the covariance; s = 2.80 = sqrt(chi2(3, 0.95)) in space and
-    2.45 = sqrt(chi2(2, 0.95)) on a surface, where the covariance has no part along the normal. It leaves out what
-    `Estimate` leaves out.
+    2.45 = sqrt(chi2(2, 0.95)) on a surface, where the covariance has no part along the normal. The region covers sensor noise
+    only; see `Estimate` for the errors that it does not cover.
     """
 
     name = "uncertainty"
 
-    def __init__(self, static: StaticScene) -> None:
-        super().__init__()
-        self.static = static
-        self.lines = Segments(pixels=1.5)
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.lines = Segments(plotter, FRONT, 1.5)
         self._key: object = None
 
     def show(self, state: View3DState) -> bool:
-        """Show the regions of a moment; return whether anything changed."""
-        key = (state.snapshot.generation, state.method, state.selected)
+        key = (state.snapshot.generation, state.method, state.selected, state.comparison is None)
         if key == self._key:
             return False
         self._key = key
         rows, estimates = self.rows(state), state.estimates()
-        # The empty head keeps the shape where no region is drawn.
-        parts = [np.empty((0, 2, 3)), *(region(estimates[row]).reshape(-1, 2, 3) for row in rows)]
-        self.lines.join(np.concatenate(parts), np.repeat(self.static.hues[rows], [len(part) for part in parts[1:]], axis=0))
+        parts = [NO_POINTS, *(region(estimates[row]).reshape(-1, 3) for row in rows)]
+        self.lines.show(np.concatenate(parts), np.repeat(self.static.hues[rows], [len(part) for part in parts[1:]], axis=0))
         return True
 
     def rows(self, state: View3DState) -> list[int]:
-        """Return whose regions are drawn: more would hide the taxels that they are about."""
+        """Return the rows whose regions are drawn: more would hide the taxels, and any the compared positions."""
+        if state.comparison is not None:
+            return []
         known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
         worst = sorted(known, key=lambda row: (-known[row], row))[:1]
         selected = self.static.row.get(-1 if state.selected is None else state.selected)
@@ -258,63 +240,85 @@ def region(estimate: Estimate) -> FloatArray:
     if estimate.position is None or estimate.covariance is None:
         return np.empty((0, 1, 2, 3))
     variances, axes = np.linalg.eigh(estimate.covariance)
-    flat = estimate.method is Method.SURFACE or estimate.triangle is not None
-    half = np.minimum((SURFACE_95 if flat else SPACE_95) * np.sqrt(np.maximum(variances, 0.0)), LARGEST)
-    if not flat:
-        return estimate.position + (CIRCLES * half) @ axes.T
-    # eigh sorts upwards: the first axis is the normal, and the disc is the circle across it.
-    disc = estimate.position + (CIRCLES[:1] * half) @ axes.T
-    return disc if estimate.normal is None else disc + DISC_LIFT * estimate.normal
+    is_flat = estimate.method is Method.SURFACE or estimate.triangle is not None
+    half = np.minimum((CHI_2DOF_95 if is_flat else CHI_3DOF_95) * np.sqrt(np.maximum(variances, 0.0)), MAX_HALF_AXIS)
+    # eigh sorts upwards: on a surface the first axis is the normal, and the disc is the circle across it.
+    return estimate.position + (UNIT_CIRCLES[: 1 if is_flat else 3] * half) @ axes.T
 
 
-DOT = 1.5e-3
-"""m. Diameter of a dot: half of an estimate's ball, so that dots of several sets are seen beside each other."""
-DOT_PIXELS = (4.0, 9.0)
-"""Smallest and largest dot on the screen."""
-HEAD = 2.4e-3
-"""m. Length of each of the two strokes of an arrow's head at most."""
+DOT_DIAMETER = 1.5e-3
+"""m: half of an estimate's ball, so that the dots of several sets are seen next to each other."""
+DOT_PX = (4.0, 9.0)
+"""Smallest and largest dot."""
+MAX_HEAD = 2.4e-3
+"""m. Length of an arrow's head at most."""
+MAX_HEAD_SHARE = 0.4
+"""Of an arrow's length in its head at most, so that a short arrow is not all head."""
+
+
+class Heads(MeshActor):
+    """Heads of arrows, flat coloured; each three points in turn are the tail, the tip and the head's back."""
+
+    def __init__(self, plotter: pv.BasePlotter, renderer: int) -> None:
+        super().__init__(plotter, renderer, 1.0, lighting=False)
+
+    def connect(self, points: FloatArray) -> pv.PolyData:
+        return pv.PolyData(points.copy())
+
+    def show_heads(self, shafts: FloatArray, colour: ColourArray) -> None:
+        """Show a cone at the tip of each shaft, (n, 2, 3) float, metres."""
+        ways = shafts[:, 1] - shafts[:, 0]
+        lengths = np.linalg.norm(ways, axis=1)
+        shafts, ways, lengths = shafts[lengths > 0.0], ways[lengths > 0.0], lengths[lengths > 0.0]
+        self.is_empty = len(shafts) == 0
+        if not self.is_empty:
+            size = np.minimum(MAX_HEAD, MAX_HEAD_SHARE * lengths)
+            tips = pv.PolyData(shafts[:, 1] - (size / lengths / 2)[:, None] * ways)
+            tips["way"], tips["size"] = ways, size
+            cone = pv.Cone(height=1.0, radius=0.45, resolution=8)
+            cones = cast("pv.PolyData", tips.glyph(orient="way", scale="size", geom=cone))
+            cones.clear_data()
+            cones["rgb"] = np.tile(colour, (cones.n_points, 1))
+            self.mesh.shallow_copy(cones)
+        self.update_visibility()
 
 
 class CompareLayer(Layer):
-    """The dots and the arrows of a comparison; nothing while nothing is compared."""
+    """Dots and arrows of a comparison; nothing while nothing is compared."""
 
     name = "compare"
 
-    def __init__(self, static: StaticScene) -> None:
-        super().__init__()
-        self.arrows = Segments(pixels=2.0)
-        self.dots = Dots(pixels=DOT_PIXELS[1], render_points_as_spheres=True)
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.shafts, self.heads = Segments(plotter, FRONT, 2.0), Heads(plotter, FRONT)
+        self.dots = Dots(plotter, FRONT, DOT_PX[1], is_lit=False)
         self._shown: Comparison | None = None
-        self._part = static.extent
-        self._planned, self._normals = static.places, static.skin_normals
 
     def show(self, state: View3DState) -> bool:
-        """Show what is compared in a moment; return whether anything changed."""
         if state.comparison is self._shown:
             return False
         self._shown = state.comparison
-        if self._shown is None:
-            self.dots.clear()
-            self.arrows.clear()
         self.draw()
         return True
 
     def draw(self) -> None:
-        """Keep the dots' size on the part, all before it, and the arrows' heads flat to the camera; leave out the far side."""
-        shown, sight = self._shown, self.sight
-        if shown is None or sight is None:
+        """Keep the dots' size on the part, and leave out the far side."""
+        if self._shown is None or self.viewpoint is None:
+            for actor in (self.shafts, self.heads, self.dots):
+                actor.show(NO_POINTS, self.colours.ink)
             return
-        self.dots.actor.GetProperty().SetPointSize(float(np.clip(DOT * sight.scale, *DOT_PIXELS)))
-        near = ~(facing(self._normals, self._planned, sight) < 0.0)
-        dots = [_known(cloud.places, near) for cloud in shown.clouds]
-        tints = [np.tile(self._colour(cloud.tint), (len(places), 1)) for cloud, places in zip(shown.clouds, dots, strict=True)]
-        self.dots.set(sight.bring_before(np.concatenate(dots), self._part), np.concatenate(tints))
-        shafts = _known(shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
-        strokes = np.concatenate([shafts, heads(shafts, sight.towards, HEAD)])
-        self.arrows.join(sight.bring_before(strokes, self._part), self._colour(Tint.TO))
-
-    def _colour(self, tint: Tint) -> ColourArray:
-        return np.array(self.look.tints[tint], np.uint8)
+        self.dots.pixels = float(np.clip(DOT_DIAMETER / self.viewpoint.pixel, *DOT_PX))
+        self.dots.set_pixel_ratio(self.viewpoint.ratio)
+        near = ~(facing(self.static.skin_normals, self.static.places, self.viewpoint.pose.position) < 0.0)
+        dots = [_known(cloud.places, near) for cloud in self._shown.clouds]
+        tints = [
+            np.tile(np.array(self.colours.tints[cloud.tint], np.uint8), (len(places), 1))
+            for cloud, places in zip(self._shown.clouds, dots, strict=True)
+        ]
+        self.dots.show(np.concatenate(dots), np.concatenate(tints))
+        shafts = _known(self._shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
+        self.shafts.show(shafts, self.colours.tints[Tint.TO])
+        self.heads.show_heads(shafts, np.array(self.colours.tints[Tint.TO], np.uint8))
 
 
 def _known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:

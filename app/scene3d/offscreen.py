@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
+import pyvista as pv
 from numpy.typing import NDArray
+from PIL import Image
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
-from vtkmodules.vtkIOImage import vtkPNGWriter
-from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkWindowToImageFilter
 
 from app.scene3d.drawing_probe import choose_offscreen
+from app.scene3d.mesh_actors import window_of
+from app.scene3d.scene_renderer import GRID, SceneRenderer
 from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
-from app.scene3d.stage import Stage
 from skincal.files.atomic import write_atomically
 from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface
@@ -21,52 +23,25 @@ from skincal.model.scene import Scene
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 
-NO_SAMPLES = 0
-"""Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long."""
+
+def make_plotter(size: tuple[int, int]) -> pv.Plotter:
+    """Make a plotter that is never on a screen, for a `SceneRenderer`; `size` is in pixels."""
+    plotter = pv.Plotter(off_screen=True, shape=GRID, border=False, lighting="none", window_size=list(size))
+    # Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long.
+    window_of(plotter).SetMultiSamples(0)
+    return plotter
 
 
-class HiddenWindow:
-    """A VTK window that is never on a screen: draws one renderer of `size` pixels into an array.
+def draw(plotter: pv.BasePlotter) -> NDArray[np.uint8]:
+    """Return a new picture, (height, width, 4) uint8, first row lowest; valid until the next call.
 
-    Its context belongs to the thread that drew last; `release` lets another thread draw. VTK's `Render` leaves Python's other
-    threads alone.
+    The context belongs to the thread that drew last. VTK's `Render` leaves Python's other threads alone.
     """
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        self.renderer = vtkRenderer()
-        self._window = vtkRenderWindow(multi_samples=NO_SAMPLES, show_window=False, off_screen_rendering=True, size=size)
-        self._window.AddRenderer(self.renderer)
-        self._pixels = vtkUnsignedCharArray()
-
-    def resize(self, size: tuple[int, int], density: float) -> None:
-        """Take another size in pixels; `density` is the screen's pixels per unit of text size."""
-        self._window.SetSize(*size)
-        self._window.SetDPI(round(72 * density))
-
-    def draw(self) -> NDArray[np.uint8]:
-        """Return a new picture, (height, width, 4) uint8, first row lowest; valid until the next call."""
-        self._window.Render()
-        width, height = self._window.GetSize()
-        self._window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 0, self._pixels)  # pyright: ignore[reportArgumentType]
-        return vtk_to_numpy(self._pixels).reshape(height, width, 4)
-
-    def png(self) -> bytes:
-        """Return a new picture as the content of a PNG file."""
-        self._window.Render()
-        # By default it would draw the picture a second time, and read a front buffer that a hidden window lacks.
-        grabber = vtkWindowToImageFilter(input=self._window, should_rerender=False, read_front_buffer=False)
-        writer = vtkPNGWriter(input_connection=grabber.GetOutputPort(), write_to_memory=True)
-        writer.Write()
-        return vtk_to_numpy(writer.GetResult()).tobytes()
-
-    def release(self) -> None:
-        """Give the context up, so that another thread can draw."""
-        self._window.ReleaseCurrent()
-
-    def close(self) -> None:
-        """Give everything back; the window cannot be used again."""
-        self._window.RemoveRenderer(self.renderer)
-        self._window.Finalize()
+    window, pixels = window_of(plotter), vtkUnsignedCharArray()
+    window.Render()
+    width, height = window.GetSize()
+    window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 0, pixels)  # pyright: ignore[reportArgumentType]
+    return vtk_to_numpy(pixels).reshape(height, width, 4)
 
 
 def picture(
@@ -87,12 +62,14 @@ def picture(
     """
     choose_offscreen()
     channels = [estimate.channel for estimate in snapshot.estimates.get(method, ())]
-    window = HiddenWindow(size)
-    stage = Stage(window.renderer, StaticScene(scene, surface, laid, channels), LIGHT)
+    plotter = make_plotter(size)
+    renderer = SceneRenderer(plotter, StaticScene(scene, surface, laid, channels), LIGHT)
     try:
-        stage.show(View3DState(snapshot, None, method, None))
-        stage.fit()
-        write_atomically(path, window.png())
+        renderer.show(View3DState(snapshot, None, method, None))
+        renderer.fit()
+        content = io.BytesIO()
+        Image.fromarray(draw(plotter)[::-1, :, :3]).save(content, "png")
+        write_atomically(path, content.getvalue())
     finally:
-        stage.close()
-        window.close()
+        renderer.close()
+        plotter.close()

@@ -1,9 +1,9 @@
 """What all layers draw from.
 
-`StaticScene` is the part and its layout, which a session does not change; `View3DState` is what one picture shows of a moment;
-`Look` is the colours of a theme.
+`StaticScene` is the part and its layout, which a session does not change. `View3DState` is the content of one picture.
+`SceneColours` are the colours of a theme.
 
-Hue names the module, light and dark follow the window. Colours are (3,) uint8, red green blue.
+A module has a hue, light and dark follow the window. Colours are (3,) uint8, red green blue.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,18 +32,16 @@ ColourArray: TypeAlias = NDArray[np.uint8]
 
 HUES = np.array([list(bytes.fromhex(hue[1:])) for hue in theme.HUES], dtype=np.uint8)
 """(7, 3) the modules' hues: seven that colour-blind people tell apart."""
-CREASE = float(np.cos(np.radians(40.0)))
-"""Cosine. A triangle more than 40 degrees off the mean of a vertex is beyond an edge; below it the part is smooth."""
-BALL = 3.2e-3
+BALL_DIAMETER = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
 DEFAULT_RADIUS = 0.06
-"""m. Half the size of the view while nothing is known of the part: about a forearm's width."""
-ONE_SIDED = 0.3
-"""Length of the mean normal from which skin has a side to look at: evenly around a tube it is 0, around half of it 0.64."""
+"""m. Half the height of the view while the part's size is unknown: about a forearm's width."""
+MIN_MEAN_NORMAL = 0.3
+"""Length of the mean normal from which skin has one side to look at: evenly around a tube it is 0, around half of it 0.64."""
 
 
 class Tint(Enum):
-    """Whose places are drawn, where several sets lie over each other."""
+    """Colour of a set of positions in a comparison."""
 
     FROM = "from"
     TO = "to"
@@ -54,20 +52,20 @@ class Tint(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """What is not a module's hue."""
+class SceneColours:
+    """Colours of a theme, except the modules' hues."""
 
     background: Colour
     front: Colour
     """Outer side of the part."""
     back: Colour
-    """Inner side of the part: what is seen through it or through its opening."""
+    """Inner side of the part."""
     ink: Colour
-    """Axes, rings, numbers: what must be read."""
+    """Axes, rings, words."""
     faint: Colour
-    """Axes of the past and the laid taxels: what must not be in the way."""
+    """Lines to another method, and planned taxels."""
     tints: Mapping[Tint, Colour]
-    """Sets of places over each other; the methods as in the course of errors."""
+    """Colours of compared sets; a method has the same colour in the Errors tab."""
 
 
 def _rgb(colour: str) -> Colour:
@@ -75,11 +73,10 @@ def _rgb(colour: str) -> Colour:
     return red, green, blue
 
 
-def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> Look:
-    """Return the look of a theme: its own window and methods, and what only the 3D view has."""
+def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> SceneColours:
     tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
     tints |= {Tint(name): _rgb(hue) for name, hue in of.methods.items()}
-    return Look(_rgb(of.window), front, back, ink, faint, tints)
+    return SceneColours(_rgb(of.window), front, back, ink, faint, tints)
 
 
 DARK = _look(
@@ -97,48 +94,9 @@ def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
     return HUES[layout.module_of[channels] % len(HUES)]
 
 
-def unit(colour: Colour | ColourArray) -> tuple[float, float, float]:
-    """Return a colour as VTK takes it, 0 to 1."""
-    return float(colour[0]) / 255, float(colour[1]) / 255, float(colour[2]) / 255
-
-
-class Shaded(NamedTuple):
-    """A mesh with one normal a point."""
-
-    points: FloatArray
-    """(k, 3) float, metres; the mesh's vertices come first."""
-    normals: FloatArray
-    """(k, 3) float, unit."""
-    triangles: IntArray
-    """(nt, 3) int."""
-
-
-def shade(vertices: FloatArray, triangles: IntArray, normals: FloatArray) -> Shaded:
-    """Give every corner the normal to shade it with: smooth, but sharp along edges.
-
-    A corner takes the mean normal of its vertex, weighted by area. Where that is more than `CREASE` off one of the
-    vertex's triangles, every corner there gets a point of its own with its triangle's normal. `normals` are (nt, 3), unit.
-    """
-    corners = vertices[triangles]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    weighted = np.repeat(normals * areas[:, None], 3, axis=0)
-    owner = triangles.ravel()
-    mean = np.stack([np.bincount(owner, weighted[:, axis], len(vertices)) for axis in range(3)], axis=1)
-    # A vertex of no triangle has no mean, and stays 0.
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), np.finfo(float).tiny)
-    own = np.repeat(normals, 3, axis=0)
-    on_edge = np.zeros(len(vertices), dtype=bool)
-    on_edge[owner[np.einsum("ix,ix->i", mean[owner], own) < CREASE]] = True
-    sharp = np.flatnonzero(on_edge[owner])
-    split = owner.copy()
-    split[sharp] = len(vertices) + np.arange(len(sharp))
-    points = np.concatenate([vertices, vertices[owner[sharp]]])
-    return Shaded(points, np.concatenate([mean, own[sharp]]), split.reshape(-1, 3))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """One set of places."""
+    """One set of positions."""
 
     tint: Tint
     places: FloatArray
@@ -147,7 +105,7 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Sets of places over each other, in place of the estimates' balls."""
+    """Sets of positions that are compared; they replace the estimates' balls."""
 
     clouds: tuple[Cloud, ...]
     arrows: FloatArray
@@ -156,7 +114,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View3DState:
-    """One picture's content."""
+    """Content of one picture."""
 
     snapshot: Snapshot
     live: LiveView | None
@@ -164,16 +122,16 @@ class View3DState:
     selected: int | None
     """Channel."""
     difference: bool = False
-    """Also draw a line from each estimate to another method's."""
+    """Draw a line from each estimate to another method's."""
     target: Target | None = None
-    """The poke that is asked for."""
+    """The requested poke."""
     leeway: float = 0.0
-    """rad, how far its push may be off; 0 where that is not said."""
+    """rad, accepted deviation of its push; 0 to draw no cone."""
     comparison: Comparison | None = None
-    """None while nothing is compared."""
+    """`None` while nothing is compared."""
 
     def estimates(self) -> tuple[Estimate, ...]:
-        """Return the chosen method's estimates; empty where the scene has no such method."""
+        """Return the chosen method's estimates; empty if the scene has no such method."""
         return self.snapshot.estimates.get(self.method, ())
 
 
@@ -188,7 +146,7 @@ class StaticScene:
         self.laid = laid
         self.channels: IntArray = np.asarray(channels, dtype=np.int64)
         self.row = {int(channel): row for row, channel in enumerate(self.channels)}
-        """Channel to its place in `channels`."""
+        """Row in `channels` by channel."""
 
     @cached_property
     def hues(self) -> ColourArray:
@@ -197,7 +155,7 @@ class StaticScene:
 
     @cached_property
     def places(self) -> FloatArray:
-        """(n, 3) float, metres: where each of `channels` lies by the layout; NaN where unknown."""
+        """(n, 3) float, metres: position of each of `channels` by the layout; NaN where unknown."""
         return np.full((len(self.channels), 3), np.nan) if self.laid is None else self.laid.places[self.channels]
 
     @cached_property
@@ -211,15 +169,9 @@ class StaticScene:
 
     @cached_property
     def skin_normals(self) -> FloatArray:
-        """(n, 3) float: as `normals`; NaN where no skin is laid on a surface, and so nothing has a far side."""
+        """(n, 3) float: as `normals`; NaN unless skin is laid on a surface: nothing else has a far side."""
         known = self.surface is not None and self.laid is not None
         return self.normals if known else np.full((len(self.channels), 3), np.nan)
-
-    @cached_property
-    def shaded(self) -> Shaded | None:
-        """The surface with the normals to shade it by; None without a surface."""
-        surface = self.surface
-        return None if surface is None else shade(surface.vertices, surface.triangles, surface.normals)
 
     @cached_property
     def extent(self) -> FloatArray:
@@ -235,4 +187,4 @@ class StaticScene:
         known = np.isfinite(self.places[:, 0])
         mean = self.normals[known].sum(axis=0) / max(1, int(known.sum()))
         length = float(np.linalg.norm(mean))
-        return None if length < ONE_SIDED else mean / length
+        return None if length < MIN_MEAN_NORMAL else mean / length

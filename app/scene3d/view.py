@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera
 
     from app.scene3d.canvas import AnyCanvas
-    from app.scene3d.stage import Stage
+    from app.scene3d.scene_renderer import SceneRenderer
 
 LOG = logging.getLogger(__name__)
 CLOSE_S = 60.0
@@ -56,10 +56,10 @@ class Pointer(QObject):
     """
 
     def __init__(
-        self, canvas: QWidget, stage: Stage, moved: Callable[[], None], clicked: Callable[[float, float], None]
+        self, canvas: QWidget, renderer: SceneRenderer, moved: Callable[[], None], clicked: Callable[[float, float], None]
     ) -> None:
         super().__init__(canvas)
-        self._canvas, self._stage = canvas, stage
+        self._canvas, self._renderer = canvas, renderer
         self._moved, self._clicked = moved, clicked
         self._start = self._last = QPointF()
         self._dragged = False
@@ -70,12 +70,12 @@ class Pointer(QObject):
         """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
-            camera.approach(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
+            camera.zoom(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
             self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
-            self._stage.hold(True)
+            self._renderer.auto_camera.held = True
         elif kind == QEvent.Type.MouseMove and isinstance(event, QMouseEvent):
             self._drag(event)
         elif kind == QEvent.Type.MouseButtonRelease and isinstance(event, QMouseEvent):
@@ -97,25 +97,25 @@ class Pointer(QObject):
         size = max(1, min(self._canvas.width(), self._canvas.height()))
         if buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
             height = max(1, self._canvas.height())
-            camera.shift(self._camera(), step.x() / height, -step.y() / height)
+            camera.pan(self._camera(), step.x() / height, -step.y() / height)
         elif buttons & Qt.MouseButton.LeftButton:
-            camera.orbit(self._camera(), step.x() * DEGREES_PER_WIDTH / size, -step.y() * DEGREES_PER_WIDTH / size)
+            camera.rotate(self._camera(), step.x() * DEGREES_PER_WIDTH / size, -step.y() * DEGREES_PER_WIDTH / size)
         else:
-            camera.approach(self._camera(), WHEEL_STEP ** (-step.y() / 20))
+            camera.zoom(self._camera(), WHEEL_STEP ** (-step.y() / 20))
         self._note_move()
 
     def _release(self, event: QMouseEvent) -> None:
-        self._stage.hold(event.buttons() != Qt.MouseButton.NoButton)
+        self._renderer.auto_camera.held = event.buttons() != Qt.MouseButton.NoButton
         if self._dragged or event.button() != Qt.MouseButton.LeftButton:
             return
         density = self._canvas.devicePixelRatioF()
         self._clicked(event.position().x() * density, (self._canvas.height() - event.position().y()) * density)
 
     def _camera(self) -> vtkCamera:
-        return self._stage.renderer.GetActiveCamera()
+        return self._renderer.camera
 
     def _note_move(self) -> None:
-        self._stage.touch(time.monotonic())
+        self._renderer.note_manual_move(time.monotonic())
         self._moved()
 
 
@@ -134,7 +134,7 @@ class View3D(QWidget):
         self.setAccessibleName("3D view")
         self.setMinimumSize(240, 180)
         self._choice = canvas
-        self._look = DARK
+        self._colours = DARK
         self._static: StaticScene | None = None
         self._state: View3DState | None = None
         self._difference = False
@@ -143,7 +143,7 @@ class View3D(QWidget):
         self._covered = 0.0
         self._hidden: frozenset[str] = frozenset()
         self._picking = False
-        self._stage: Stage | None = None
+        self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
         self._threads: ThreadService | None = None
         """Loads the picture; one for each `begin`."""
@@ -163,11 +163,11 @@ class View3D(QWidget):
         self._choice = choice = self._choice or best_canvas()
         density = self.devicePixelRatioF()
         size = round(self.width() * density), round(self.height() * density)
-        look, state = self._look, self._state
+        colours, state = self._colours, self._state
 
         def work() -> Loaded:
             try:
-                return load(choice, static, look, size, state)
+                return load(choice, static, colours, size, state)
             except Exception as error:
                 LOG.exception("the 3D view cannot be made")
                 # Whatever a driver or a library raises here: the session goes on without the picture.
@@ -211,28 +211,28 @@ class View3D(QWidget):
     def set_turning(self, wanted: bool) -> None:
         """Turn the camera to the target between pokes, or leave it where it is."""
         self._turning = wanted
-        if self._stage is not None:
-            self._stage.turner.wanted = wanted
+        if self._renderer is not None:
+            self._renderer.auto_camera.wanted = wanted
             self._show_state()
 
     def cover(self, width: int) -> None:
         """Turn the camera so that no target is brought under what lies over so many pixels of the view, from its left edge."""
         # Half of the picture is for the target, whatever the view's size.
         self._covered = min(width / max(1, self.width()), 0.5)
-        if self._stage is not None:
-            self._stage.turner.covered = self._covered
+        if self._renderer is not None:
+            self._renderer.set_left_overlay(self._covered)
 
     def hide_layers(self, names: frozenset[str]) -> None:
         """Leave these layers out of the picture, and show all others; one of them is the target's `cone`."""
         self._hidden = names
-        if self._stage is not None:
-            self._stage.hide(names)
+        if self._renderer is not None:
+            self._renderer.hide(names)
             self._request()
 
     @property
     def can_pick(self) -> bool:
         """Whether there is a part to click on, and a picture of it."""
-        return self._stage is not None and self._stage.static.surface is not None
+        return self._renderer is not None and self._renderer.static.surface is not None
 
     @property
     def picking(self) -> bool:
@@ -250,26 +250,26 @@ class View3D(QWidget):
 
     def set_dark(self, dark: bool) -> None:
         """Take the dark or the light theme."""
-        self._look = DARK if dark else LIGHT
-        if self._stage is not None:
-            self._stage.set_colours(self._look)
+        self._colours = DARK if dark else LIGHT
+        if self._renderer is not None:
+            self._renderer.set_colours(self._colours)
             self._show_state()
             self._request()
 
     def reset_camera(self) -> None:
         """Bring the whole part into the picture, seen from the skin's side."""
-        if self._stage is not None:
-            self._stage.touch(time.monotonic())
-            self._stage.fit()
+        if self._renderer is not None:
+            self._renderer.note_manual_move(time.monotonic())
+            self._renderer.fit()
             self._request()
 
-    def eye(self) -> camera.Eye:
+    def eye(self) -> camera.CameraPose:
         """Return how the camera stands; plain while there is no picture."""
-        return camera.PLAIN if self._stage is None else camera.eye_of(self._stage.renderer.GetActiveCamera())
+        return camera.PLAIN if self._renderer is None else camera.pose_of(self._renderer.camera)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that exist; empty while the view is not built."""
-        return () if self._stage is None else self._stage.list_layers()
+        return () if self._renderer is None else self._renderer.list_layers()
 
     def screenshot(self, path: Path) -> None:
         """Write the picture as it stands to an image file, of the kind that the name's ending says.
@@ -289,13 +289,13 @@ class View3D(QWidget):
         if self._threads is not None:
             self._threads.close(CLOSE_S)
             self._threads = None
-        if self._stage is not None:
-            self._stage.close()
+        if self._renderer is not None:
+            self._renderer.close()
         if self._canvas is not None:
             self._stack.removeWidget(self._canvas)
             self._canvas.close()
             self._canvas.deleteLater()
-        self._stage = self._canvas = None
+        self._renderer = self._canvas = None
 
     def showEvent(self, event: QShowEvent) -> None:
         """Show the newest moment, which was only kept while the view was hidden."""
@@ -303,10 +303,10 @@ class View3D(QWidget):
         self._show_state()
 
     def _show_state(self) -> bool:
-        if self._stage is None or self._state is None:
+        if self._renderer is None or self._state is None:
             return False
-        changed = self._stage.show(self._state)
-        turned = not self._picking and self._stage.turn(self._state, time.monotonic())
+        changed = self._renderer.show(self._state)
+        turned = not self._picking and self._renderer.turn(self._state, time.monotonic())
         if not turned and not changed:
             return False
         self._request()
@@ -320,15 +320,15 @@ class View3D(QWidget):
         """Make the widget of what was loaded."""
         if self._choice is None or self._static is None:
             return
-        self._canvas, self._stage = mount(self._choice, loaded, self._static, self._look, self)
-        Pointer(self._canvas, self._stage, self._request, self._pick)
+        self._canvas, self._renderer = mount(self._choice, loaded, self._static, self._colours, self)
+        Pointer(self._canvas, self._renderer, self._request, self._pick)
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
         # Theme, size and what is shown may have changed since the loading began.
-        self._stage.set_colours(self._look)
-        self._stage.hide(self._hidden)
-        self._stage.fit()
-        self._stage.turner.covered = self._covered
+        self._renderer.set_colours(self._colours)
+        self._renderer.hide(self._hidden)
+        self._renderer.fit()
+        self._renderer.set_left_overlay(self._covered)
         self.set_turning(self._turning)
         self.set_picking(self._picking)
         self._show_state()
@@ -336,15 +336,15 @@ class View3D(QWidget):
         self.ready.emit()
 
     def _pick(self, x: float, y: float) -> None:
-        if self._stage is None:
+        if self._renderer is None:
             return
         if not self._picking:
-            channel = self._stage.pick(x, y)
+            channel = self._renderer.pick(x, y)
             if channel is not None:
                 self.taxel_picked.emit(channel)
             return
         # A pixel's place is that of its upper left corner: what is meant is its middle.
-        place = self._stage.pick_surface(x + 0.5, y - 0.5)
+        place = self._renderer.pick_surface(x + 0.5, y - 0.5)
         if place is not None:
             self.set_picking(False)
             self.surface_picked.emit(place)

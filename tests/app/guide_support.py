@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from app.scene3d.camera import CameraPose
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.guide.guidance import Coaching, Guidance, GuidePhase, Target, coach, smooth
 from skincal.guide.progress import Need
@@ -30,6 +31,11 @@ def target(channel: int = 3, tilt: float = 0.0, lean: Sequence[float] = (1.0, 0.
     place, up = laid(PLAN).places[channel], np.array([0.0, 0.0, 1.0])
     push = -np.cos(tilt) * up - np.sin(tilt) * np.array(lean)
     return replace(Target(channel, place, up, push, tilt, 0.0124, 0.0061), **changes)
+
+
+def eye_of(right: np.ndarray, up: np.ndarray) -> CameraPose:
+    """A camera with these axes on the screen."""
+    return CameraPose(np.stack([right, up, np.cross(right, up)]), np.zeros(3), 1.0)
 
 
 def guidance(

@@ -15,11 +15,7 @@ from PySide6.QtWidgets import QApplication, QMainWindow
 from app.panels.inspect_panel import InspectPanel
 from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import FittedLabel
-from app.scene3d.camera import PLAIN, Sight
 from app.scene3d.canvas import Canvas
-from app.scene3d.estimates import EstimatesLayer
-from app.scene3d.scene_state import StaticScene, View3DState
-from app.scene3d.target import CORE_LIFT, HEAD, LEAST_PIXELS, RING, TOOL, TargetLayer, arrow
 from app.scene3d.view import View3D
 from app.session.opening import OpenRequest
 from app.theme import DARK, Choice
@@ -28,111 +24,10 @@ from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import box, estimate, laid
-from tests.app.view3d_on_screen import canvas_of, drag, points_of, screen_place, stage_of, wheel
+from tests.app.view3d_on_screen import canvas_of, drag, points_of, renderer_of, screen_place, wheel
 from tests.app.whole_window import Bench, Paints
 from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, is_elided, pixels, reading, session, show_in
 from tests.approved import approved
-
-TILT = float(np.radians(28.0))
-
-
-@pytest.fixture
-def layer():
-    from app.scene3d.offscreen import choose_offscreen
-
-    choose_offscreen()
-    from app.scene3d.offscreen import HiddenWindow
-
-    static = StaticScene(SCENE, box(), laid(PLAN), PLAN.channels.tolist())
-    window = HiddenWindow((640, 480))
-    yield TargetLayer(window.renderer, static, EstimatesLayer(static))
-    window.close()
-
-
-def moment(asked: Target | None, generation: int = 1) -> View3DState:
-    return View3DState(session(generation), None, Method.FREE, None, target=asked)
-
-
-def strokes(layer: TargetLayer) -> np.ndarray:
-    return points_of(layer.core).reshape(-1, 2, 3)
-
-
-def test_the_ring_lies_on_the_skin_and_the_arrow_pushes_to_its_middle(layer):
-    # The place that is believed lies 5 mm inside the box; its skin is at z = 0.
-    place = laid(PLAN).places[3] - np.array([0.0, 0.0, 0.005])
-    asked = target(3, TILT, place=place)
-    assert layer.show(moment(asked))
-    ring, shaft, head = strokes(layer)[:36], strokes(layer)[36], strokes(layer)[37:]
-    middle = place * [1, 1, 0]
-    np.testing.assert_allclose(np.linalg.norm(ring - middle, axis=2), RING, rtol=1e-4)
-    np.testing.assert_allclose(ring[..., 2], 0.0, atol=1e-9)
-    np.testing.assert_allclose(shaft, [middle - TOOL * asked.push, middle], atol=1e-7)
-    np.testing.assert_allclose(head[:, 1], np.tile(middle, (2, 1)), atol=1e-7)
-    np.testing.assert_array_equal(points_of(layer.rim), points_of(layer.core))
-
-
-def test_the_cone_holds_the_pushes_that_are_as_good(layer):
-    asked, room = target(3, TILT), float(np.radians(10.0))
-    assert layer.show(replace(moment(asked), leeway=room))
-    sides = points_of(layer.cone).reshape(-1, 2, 3)
-    away = sides - laid(PLAN).places[3]
-    size = np.linalg.norm(away, axis=2)
-    rim, spokes = away[:36], away[36:]
-    np.testing.assert_allclose(size[:36], TOOL, rtol=1e-5)
-    np.testing.assert_allclose(-(rim @ asked.push) / TOOL, np.cos(room), atol=1e-5)
-    np.testing.assert_allclose(spokes[:, 0], 0.0, atol=1e-8)
-    np.testing.assert_allclose(-(spokes[:, 1] @ asked.push) / TOOL, np.cos(room), atol=1e-5)
-    assert not layer.show(replace(moment(asked, 2), leeway=room))
-    assert layer.show(replace(moment(asked, 2), leeway=2 * room))
-    assert layer.show(moment(None, 3))
-    assert not layer.cone.actor.GetVisibility()
-
-
-def test_the_target_keeps_its_size_on_the_part_until_it_would_not_be_found(layer):
-    above = np.array([0.0, 0.6, 0.8])
-
-    def seen_at(scale: float) -> Sight:
-        return Sight(PLAIN, 1e6 * above, above, (640, 480), scale)  # so far away that lines of sight are parallel
-
-    layer.fit_to(seen_at(4000.0))
-    layer.show(moment(target(3)))
-    own, middle = strokes(layer).copy(), laid(PLAN).places[3]
-    layer.fit_to(seen_at(LEAST_PIXELS / RING))
-    np.testing.assert_array_equal(strokes(layer), own)
-    layer.fit_to(seen_at(LEAST_PIXELS / RING / 3.0))
-    np.testing.assert_allclose(strokes(layer) - middle, 3.0 * (own - middle), atol=1e-7)
-    layer.show(moment(None))
-    layer.fit_to(seen_at(4000.0))
-    assert not layer.core.actor.GetVisibility()
-
-
-@pytest.mark.parametrize("towards", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.0, -1.0, 0.0), (0.0, 0.0, 0.0)])
-def test_an_arrow_shows_its_head_to_the_camera_wherever_that_is(towards):
-    for push in np.eye(3):
-        shaft, *head = arrow(push, np.array(towards))
-        np.testing.assert_allclose(shaft, [-TOOL * push, np.zeros(3)])
-        for stroke in head:
-            assert np.linalg.norm(stroke[0]) == pytest.approx(HEAD)
-            assert stroke[0] @ push < 0
-        # Both strokes are as far off the arrow, and no part of that is along the line of sight.
-        aside = head[0][0] - head[1][0]
-        assert np.linalg.norm(aside) > 0.9 * HEAD
-        if np.linalg.norm(np.cross(push, towards)) > 0:
-            assert aside @ np.array(towards) == pytest.approx(0.0)
-
-
-def test_the_target_layer_changes_its_arrays_and_never_its_actors(layer):
-    assert not layer.show(moment(None)), "nobody guides"
-    assert layer.show(moment(target(3, TILT)))
-    held, actors = layer.core.data.GetPoints(), layer.rim.actor
-    assert not layer.show(moment(target(3, TILT), 2)), "the same poke is asked for again"
-    assert layer.show(moment(target(7, TILT), 2))
-    assert layer.core.data.GetPoints() is held
-    assert layer.show(moment(None, 3))
-    assert not layer.core.actor.GetVisibility()
-    assert layer.show(moment(target(7), 4))
-    assert layer.rim.actor is actors
-    assert layer.rim.actor.GetVisibility()
 
 
 @pytest.fixture
@@ -185,7 +80,7 @@ def test_the_target_is_black_and_white_in_both_themes_and_goes_without_a_trace(v
 
 def test_the_same_target_asks_for_no_picture(view):
     drawn = []
-    stage_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    renderer_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
     assert view.show_moment(session(1), None, Method.FREE, None, target(3))
     settle()
     count = len(drawn)
@@ -211,7 +106,7 @@ def ticks(view, at, seconds: float, view_of=None) -> int:
 
 
 def camera_of(view) -> np.ndarray:
-    return np.array(stage_of(view).renderer.GetActiveCamera().GetPosition())
+    return np.array(renderer_of(view).renderer.GetActiveCamera().GetPosition())
 
 
 def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
@@ -221,7 +116,7 @@ def test_the_view_turns_to_a_target_that_nobody_sees_and_then_rests(view):
     assert ticks(view, at, 0.5) > 3
     assert camera_of(view)[2] < 0
     drawn = []
-    stage_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
+    renderer_of(view).renderer.AddObserver("EndEvent", lambda *_: drawn.append(1))
     assert ticks(view, at, 0.2) == 0
     assert not drawn
     # The whole part again: this target turns it no more.
@@ -261,9 +156,9 @@ def test_the_view_turns_neither_in_contact_nor_under_the_mouse_nor_where_it_is_s
 
 def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
     ticks(view, session(1), 0.1)
-    layer = stage_of(view).target
+    layer = renderer_of(view).target
     assert layer is not None
-    np.testing.assert_allclose(strokes(layer)[:36].mean(axis=(0, 1))[2], -0.02, atol=CORE_LIFT)
+    np.testing.assert_allclose(points_of(layer.ring).mean(axis=0)[2], -0.02, atol=1e-6)
 
 
 @pytest.fixture
@@ -407,9 +302,9 @@ def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, 
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     assert bench.window.commands.actions["turn"].isChecked()
-    assert stage_of(bench.window.session_view.workspace.view).turner.wanted
+    assert renderer_of(bench.window.session_view.workspace.view).auto_camera.wanted
     bench.key(Qt.Key.Key_T)
-    assert not stage_of(bench.window.session_view.workspace.view).turner.wanted
+    assert not renderer_of(bench.window.session_view.workspace.view).auto_camera.wanted
     bench.key(Qt.Key.Key_4, Qt.KeyboardModifier.ControlModifier)
     assert ellipses_drawn(bench) == 0
     bench.window.close()
@@ -418,7 +313,7 @@ def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, 
     other.open(OpenRequest(session=recorded))
     other.until_all_is_there()
     assert not other.window.commands.actions["turn"].isChecked()
-    assert not stage_of(other.window.session_view.workspace.view).turner.wanted
+    assert not renderer_of(other.window.session_view.workspace.view).auto_camera.wanted
     assert ellipses_drawn(other) == 0
     other.key(Qt.Key.Key_4, Qt.KeyboardModifier.ControlModifier)
     assert ellipses_drawn(other) == 1
@@ -440,10 +335,10 @@ def test_lines_to_another_method_stay_when_another_session_is_opened(bench, reco
 
 
 def ellipses_drawn(bench):
-    """How many shapes of ellipses are in the picture."""
-    stage = stage_of(bench.window.session_view.workspace.view)
-    (layer,) = (layer for layer in stage.layers if layer.name == "uncertainty")
-    return sum(stage.renderer.HasViewProp(prop) for prop in layer.props())
+    """How many meshes of regions are in the picture."""
+    renderer = renderer_of(bench.window.session_view.workspace.view)
+    (layer,) = (layer for layer in renderer.layers if layer.name == "uncertainty")
+    return int(layer.lines.actor.visibility)
 
 
 def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):

@@ -8,12 +8,11 @@ import numpy as np
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtGui import QImage, QMouseEvent, QWheelEvent
 from PySide6.QtWidgets import QApplication, QMainWindow, QWidget
-from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from app.scene3d import camera
 from app.scene3d.canvas import Canvas
-from app.scene3d.shapes import DrawnShape
-from app.scene3d.stage import Stage
+from app.scene3d.mesh_actors import MeshActor
+from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.view import View3D
 from tests.app.scene3d_support import box, laid, layout, scene
 
@@ -43,9 +42,9 @@ def view_of(qtbot, canvas, of, surface, skin):
     return view
 
 
-def stage_of(view: View3D) -> Stage | None:
+def renderer_of(view: View3D) -> SceneRenderer | None:
     """What VTK draws, layer by layer: what pixels cannot show, tests ask of VTK's own objects."""
-    return view._stage
+    return view._renderer
 
 
 def canvas_of(view: View3D) -> QWidget | None:
@@ -53,9 +52,17 @@ def canvas_of(view: View3D) -> QWidget | None:
     return view.childAt(view.rect().center())
 
 
-def points_of(shape: DrawnShape) -> np.ndarray:
-    """The points of a shape as VTK draws them, (n, 3) metres."""
-    return vtk_to_numpy(shape.data.GetPoints().GetData())
+def points_of(actor: MeshActor) -> np.ndarray:
+    """The points of a mesh as VTK draws them, (n, 3) metres; none while it is not seen."""
+    return np.array(actor.mesh.points) if actor.actor.visibility else np.empty((0, 3))
+
+
+def make_plotter(size=(640, 480)):
+    """A plotter that is never on a screen, for layers without a view."""
+    from app.scene3d import offscreen
+
+    offscreen.choose_offscreen()
+    return offscreen.make_plotter(size)
 
 
 def settle():
@@ -79,19 +86,18 @@ def around(picture, place, reach=6):
 
 def turn(view: View3D, right_deg: float, up_deg: float) -> None:
     """Turn the part under the camera, as a drag of the mouse does."""
-    camera.orbit(stage_of(view).renderer.GetActiveCamera(), right_deg, up_deg)
-    stage_of(view).touch(time.monotonic())
+    camera.rotate(renderer_of(view).renderer.GetActiveCamera(), right_deg, up_deg)
+    renderer_of(view).note_manual_move(time.monotonic())
     canvas_of(view).update()
 
 
 def screen_place(view: View3D, channel: int) -> tuple[float, float] | None:
     """Where a taxel's estimate appears, in the widget's coordinates; None where it does not."""
-    shown = stage_of(view).estimates
+    shown = renderer_of(view).estimates
     if channel not in shown.shown:
         return None
-    x, y = (
-        camera.project(stage_of(view).renderer, shown.places)[list(shown.shown).index(channel), :2] / view.devicePixelRatioF()
-    )
+    at = camera.project(renderer_of(view).renderer, shown.places)[list(shown.shown).index(channel), :2]
+    x, y = at / view.devicePixelRatioF()
     return float(x), float(view.height() - y)
 
 
@@ -100,7 +106,7 @@ class Drawn:
 
     def __init__(self, view):
         self.count = 0
-        stage_of(view).renderer.AddObserver("EndEvent", self._note)
+        renderer_of(view).renderer.AddObserver("EndEvent", self._note)
 
     def _note(self, *_):
         self.count += 1

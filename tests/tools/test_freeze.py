@@ -60,9 +60,9 @@ from skincal.model.scene import load_scene, resource
 static = StaticScene(load_scene(resource("scenes/flat-patch/scene.toml")), None, None, range(64))
 parent = QWidget()
 parent.show()
-canvas, stage = mount(Canvas.OPENGL, load(Canvas.OPENGL, static, DARK, (300, 200), None), static, DARK, parent)
+canvas, renderer = mount(Canvas.OPENGL, load(Canvas.OPENGL, static, DARK, (300, 200), None), static, DARK, parent)
 canvas.render()
-stage.close()
+renderer.close()
 canvas.close()
 """
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import guidance, target
+from guide_support import eye_of, guidance, target
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from whole_window import Paints
@@ -14,7 +14,7 @@ from window_support import NAMES, changed, frame, pixels, session
 
 from app.panels.inspect_panel import LEGENDS, PLOT_PX, AxisDiversityPanel, InspectPanel
 from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, diversity_view
-from app.scene3d.camera import PLAIN, Eye
+from app.scene3d.camera import PLAIN
 from app.session.opening import OpenRequest
 from app.text.guidance_text import FOLLOWS, WHAT, diversity_words
 from app.text.outcomes import METHOD_NAMES
@@ -57,7 +57,7 @@ def test_a_contact_is_where_the_tools_upper_end_stood():
     np.testing.assert_allclose(view.dots, [[0, 0], [reach, 0], [0, reach], [-1, 0]], atol=1e-12)
     assert view.limit == pytest.approx(reach)
     assert view.middle is None
-    turned = diversity_view(diversity([push(28, 0)]), Method.FREE, Eye(PLAIN.up, -PLAIN.right))
+    turned = diversity_view(diversity([push(28, 0)]), Method.FREE, eye_of(PLAIN.up, -PLAIN.right))
     np.testing.assert_allclose(turned.dots, [[0, -reach]], atol=1e-12)
 
 
@@ -178,10 +178,10 @@ def test_the_same_sky_is_not_drawn_again(panel, qtbot):
     qtbot.wait(30)
     paints = Paints(panel.plot)
     for _ in range(4):
-        panel.show_state(replace(at, now_ns=at.now_ns + 1, eye=Eye(PLAIN.right + 1e-4, PLAIN.up)))
+        panel.show_state(replace(at, now_ns=at.now_ns + 1, eye=eye_of(PLAIN.right + 1e-4, PLAIN.up)))
     qtbot.wait(30)
     assert paints.count == 0
-    turned = replace(at, eye=Eye(PLAIN.up, -PLAIN.right))
+    turned = replace(at, eye=eye_of(PLAIN.up, -PLAIN.right))
     panel.show_state(turned)
     qtbot.wait(30)
     assert paints.count == 1

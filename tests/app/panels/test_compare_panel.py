@@ -14,7 +14,6 @@ from app.panels.compare_panel import ComparePanel
 from app.scene3d.scene_state import DARK as DARK_LOOK
 from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
 from app.scene3d.scene_state import Cloud, Comparison, Tint
-from app.scene3d.shapes import heads
 from app.session.opening import OpenRequest
 from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, other_source, sources_of
 from app.text.compare_text import (
@@ -42,7 +41,7 @@ from skincal.taxels.result import Method
 from skincal.words.layout_words import left_sentences, misfit_sentence
 from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import box, estimate, laid, scene
-from tests.app.view3d_on_screen import KEPT, make_view, stage_of, turn
+from tests.app.view3d_on_screen import KEPT, make_view, renderer_of, turn
 from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench, Paints
 from tests.app.window_support import NAMES, PLAN, SCENE, frame, session, show_in
@@ -425,8 +424,8 @@ def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
     view.set_comparison(comparison())
     after = picture(view)
     assert tinted(after, look, Tint.TO) > tinted(before, look, Tint.TO) + 400
-    layer = stage_of(view).compare
-    assert (layer.dots.actor.GetVisibility(), stage_of(view).estimates.balls.actor.GetVisibility()) == (1, 0)
+    layer = renderer_of(view).compare
+    assert (layer.dots.actor.visibility, renderer_of(view).estimates.balls.actor.visibility) == (True, False)
     longer = replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows)
     view.set_comparison(longer)
     assert tinted(picture(view), look, Tint.TO) > tinted(after, look, Tint.TO) + 300
@@ -441,10 +440,10 @@ def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
     shown = picture(view)
     assert not view.show_moment(session(1, known()), None, Method.FREE, None)
     np.testing.assert_array_equal(picture(view), shown)
-    points = stage_of(view).compare.dots.data.GetPoints()
+    points = renderer_of(view).compare.dots.mesh.GetPoints()
     view.set_comparison(comparison((0.0, 0.0, 0.009)))
     picture(view)
-    assert stage_of(view).compare.dots.data.GetPoints() is points, "arrays are changed in place"
+    assert renderer_of(view).compare.dots.mesh.GetPoints() is points, "arrays are changed in place"
 
 
 def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_side_is_left_out(qtbot):
@@ -455,16 +454,6 @@ def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_s
     assert seen > 400
     turn(view, 0.0, -179.0)
     assert tinted(picture(view), DARK_LOOK, Tint.TO) < 0.1 * seen
-
-
-def test_heads_end_at_the_tips_and_one_seen_end_on_has_none():
-    shafts = np.array([[[0, 0, 0], [0.01, 0, 0]], [[0, 0, 0], [0, 0, 0.01]], [[0, 0, 0], [0, 0, 0]]], dtype=float)
-    found = heads(shafts, np.array([0.0, 0.0, 1.0]), 2.4e-3)
-    assert found.shape == (2, 2, 3)
-    np.testing.assert_allclose(found[:, 1], [[0.01, 0, 0]] * 2)
-    assert (found[:, 0, 0] < 0.01).all()
-    assert found[0, 0, 1] == pytest.approx(-found[1, 0, 1])
-    assert heads(np.empty((0, 2, 3)), np.array([0.0, 0.0, 1.0]), 2.4e-3).shape == (0, 2, 3)
 
 
 # The whole window
@@ -494,7 +483,7 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
     panel.worst.itemClicked.emit(worst)
     assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
     bench.key(Qt.Key.Key_1)
-    assert not stage_of(workspace.view).compare.dots.actor.GetVisibility()
+    assert not renderer_of(workspace.view).compare.dots.actor.GetVisibility()
 
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):

@@ -12,14 +12,14 @@ from app.panels.inspect_panel import InspectPanel, poke_cells
 from app.panels.pokes_panel import PokesPanel
 from app.panels.taxel_map import TaxelMap
 from app.scene3d import scene_state
-from app.scene3d.estimates import BLIND_REACH, EstimatesLayer
+from app.scene3d.estimates import BLIND_HALF_LENGTH, EstimatesLayer
 from app.scene3d.scene_state import StaticScene, View3DState
 from app.text.errors_text import LISTED, doubt_mark, doubt_words, doubting, miss_of, rival_words, taxel_pokes, weight_of
 from app.theme import DARK
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State
 from tests.app.scene3d_support import contact, estimate
-from tests.app.view3d_on_screen import points_of
+from tests.app.view3d_on_screen import make_plotter, points_of
 from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, session, show_in, touch
 from tests.approved import approved
 
@@ -151,9 +151,11 @@ def test_the_map_marks_an_ambiguous_taxel_by_a_shape_of_its_own(qtbot, size):
 
 @pytest.fixture
 def layer():
-    made = EstimatesLayer(StaticScene(SCENE, None, None, PLAN.channels.tolist()))
+    plotter = make_plotter()
+    made = EstimatesLayer(plotter, StaticScene(SCENE, None, None, PLAN.channels.tolist()))
     made.set_colours(scene_state.DARK)
-    return made
+    yield made
+    plotter.close()
 
 
 def moment(known: Estimate, generation: int, selected: int | None = 3) -> View3DState:
@@ -166,20 +168,20 @@ def ends(layer: EstimatesLayer) -> np.ndarray:
 
 def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
     layer.show(moment(estimate(3, (0, 0, 0)), 1))
-    assert not layer.alternative.actor.GetVisibility()
+    assert not layer.alternative.actor.visibility
     layer.show(moment(ambiguous(), 2, selected=None))
-    assert not layer.alternative.actor.GetVisibility()
+    assert not layer.alternative.actor.visibility
     layer.show(moment(ambiguous(), 2))
     made = layer.alternative
-    assert made.actor.GetVisibility()
+    assert made.actor.visibility
     assert np.allclose(ends(layer)[0], [(0, 0, 0), (0.034, 0, 0)])
     assert np.allclose(
         np.linalg.norm(ends(layer)[1:] - [0.034, 0, 0], axis=2), np.linalg.norm(ends(layer)[1, 0] - [0.034, 0, 0])
     )
     layer.show(moment(ambiguous(), 3, selected=4))
-    assert not made.actor.GetVisibility()
+    assert not made.actor.visibility
     layer.show(moment(ambiguous(), 4))
-    assert made.actor.GetVisibility()
+    assert made.actor.visibility
 
 
 def test_the_line_of_a_taxel_that_is_blind_is_drawn_where_it_is_selected(layer):
@@ -187,6 +189,6 @@ def test_the_line_of_a_taxel_that_is_blind_is_drawn_where_it_is_selected(layer):
     foot = np.array([0.01, 0.0, 0.0])
     blind = Estimate(3, Method.FREE, State.BLIND, 2, weakest=weakest, foot=foot)
     layer.show(moment(blind, 1))
-    assert np.allclose(ends(layer)[0], [foot - BLIND_REACH * weakest, foot + BLIND_REACH * weakest])
+    assert np.allclose(ends(layer)[0], [foot - BLIND_HALF_LENGTH * weakest, foot + BLIND_HALF_LENGTH * weakest])
     layer.show(moment(blind, 1, selected=None))
-    assert not layer.alternative.actor.GetVisibility()
+    assert not layer.alternative.actor.visibility

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QApplication, QSizePolicy
 
 from app.panels.now_panel import DIAL_PX, NowPanel
 from app.panels.top_view import AROUND, TOOL, axes_on, top_view
-from app.scene3d.camera import PLAIN, Eye
+from app.scene3d.camera import PLAIN
 from app.state.press_coach import Ask, Hint, Lean
 from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Said, Tone, now_line
@@ -19,7 +19,7 @@ from app.text.outcomes import verdict_words
 from app.theme import DARK, HEADLINE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
-from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
+from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, eye_of, guidance, held, target
 from tests.app.whole_window import Paints
 from tests.app.window_support import NAMES, PLAN, changed, frame, is_elided, pixels, reading, session, show_in, slip, touch
 from tests.approved import approved
@@ -163,7 +163,7 @@ def inside(point, corners) -> bool:
 def test_up_in_the_picture_is_up_in_the_3d_view(seed):
     rng = np.random.default_rng(seed)
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    normal, eye = turn[2], Eye(turn[0], turn[1])
+    normal, eye = turn[2], eye_of(turn[0], turn[1])
     np.testing.assert_allclose(axes_on(normal, eye), turn[:2], atol=1e-12)
     for slant in (30.0, 80.0, 90.0, 130.0):
         c, s = np.cos(np.radians(slant)), np.sin(np.radians(slant))
@@ -214,7 +214,7 @@ def test_a_tip_outside_the_picture_is_a_wedge_at_the_rim_on_its_side(panel):
 def test_the_dial_turns_with_the_3d_view(panel):
     pressed(panel)
     one = pixels(panel.dial)
-    pressed(panel, eye=Eye(PLAIN.up, -PLAIN.right))
+    pressed(panel, eye=eye_of(PLAIN.up, -PLAIN.right))
     assert changed(one, pixels(panel.dial)) > 100
 
 

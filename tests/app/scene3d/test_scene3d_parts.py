@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from app import theme
-from app.scene3d.camera import PLAIN, Sight
-from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues, shade
+from app.scene3d.part_layers import SurfaceLayer
+from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.studies.figures import LOOKS
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene
+from tests.app.view3d_on_screen import make_plotter
 
 
 def test_a_line_enters_a_ball_where_the_pencil_says():
@@ -72,17 +74,15 @@ def test_the_contact_is_the_entry_near_the_taxels_or_else_the_axis_itself():
     np.testing.assert_allclose(contact_point(None, np.array([0.01, 0.0, 0.3]), down, np.zeros(3)), [0.01, 0.0, 0.0], atol=1e-12)
 
 
-def test_edges_of_a_box_are_shaded_sharp_and_a_ball_smooth():
-    cube = box()
-    shaded = shade(cube.vertices, cube.triangles, cube.normals)
-    corners = shaded.normals[shaded.triangles]
-    np.testing.assert_allclose(corners, np.repeat(cube.normals[:, None], 3, axis=1), atol=1e-12)
-    np.testing.assert_allclose(shaded.points[shaded.triangles], cube.vertices[cube.triangles])
-    ball = trimesh.creation.icosphere(subdivisions=3)
-    round_ = make_surface(ball.vertices, ball.faces)
-    smooth = shade(round_.vertices, round_.triangles, round_.normals)
-    assert len(smooth.points) == len(ball.vertices)
-    np.testing.assert_allclose(smooth.normals, ball.vertices, atol=0.02)
+def test_edges_of_a_box_are_shaded_sharp():
+    plotter, static = make_plotter(), StaticScene(scene(layout()), box(), None, range(24))
+    with closing(plotter):
+        mesh = SurfaceLayer(plotter, static, box()).outside.mapper.dataset
+        corners = mesh.points[mesh.regular_faces]
+        np.testing.assert_allclose(corners, box().vertices[box().triangles], atol=1e-9)
+        np.testing.assert_allclose(
+            mesh.point_normals[mesh.regular_faces], np.repeat(box().normals[:, None], 3, axis=1), atol=1e-6
+        )
 
 
 def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
@@ -97,13 +97,13 @@ def test_an_ellipsoid_is_drawn_where_chi_square_says(rng):
 
 
 def test_on_a_surface_the_region_is_a_disc_across_the_normal(rng):
-    from app.scene3d.estimates import DISC_LIFT, region
+    from app.scene3d.estimates import region
 
     normal = np.array([0.0, 0.6, 0.8])
     flat = np.eye(3) - np.outer(normal, normal)
     root = flat @ rng.normal(size=(3, 3)) * 1e-3
     about = _with(estimate(3, (0.01, 0.02, 0.03)), root @ root.T, Method.SURFACE, normal)
-    drawn = region(about).reshape(-1, 3) - about.position - DISC_LIFT * normal
+    drawn = region(about).reshape(-1, 3) - about.position
     np.testing.assert_allclose(drawn @ normal, 0.0, atol=1e-9)
     squares = np.einsum("ix,xy,iy->i", drawn, np.linalg.pinv(root @ root.T), drawn)
     np.testing.assert_allclose(squares, chi2(2).ppf(0.95), rtol=2e-3)
@@ -117,43 +117,13 @@ def _with(about, covariance, method, normal=None):
 
 @given(st.floats(1e-4, 1e5))
 def test_a_scale_bar_has_a_round_length_and_fills_its_place(value):
-    from app.scene3d.stage import round_below
+    from app.scene3d.hints import round_below
 
     length = round_below(value)
     assert value / 2.5 < length <= value * (1 + 1e-9)
     digits = f"{length:.6e}"
     assert digits[0] in "125"
     assert float(digits[: digits.index("e")]) in (1.0, 2.0, 5.0)
-
-
-def test_a_click_means_the_foremost_ball_that_it_hits():
-    from app.scene3d.stage import nearest_at
-
-    screen = np.array([(100, 100, 0.9), (103, 100, 0.2), (200, 50, 0.5), (200, 52, 3.0), (np.nan, np.nan, np.nan)])
-    assert nearest_at(screen, 100.0, 100.0, ball=6.0) == 1
-    assert nearest_at(screen, 96.0, 100.0, ball=6.0) == 0
-    assert nearest_at(screen, 200.0, 60.0, ball=6.0) == 2
-    assert nearest_at(screen, 150.0, 100.0, ball=6.0) is None
-    assert nearest_at(screen[:0], 0.0, 0.0, ball=6.0) is None
-
-
-def test_what_is_lifted_stays_where_it_appears_and_comes_nearer(rng):
-    towards = np.array([0.6, 0.0, 0.8])
-    sight, points = (
-        Sight(PLAIN, 0.5 * towards, towards, (640, 480), 1000.0),
-        rng.uniform((-0.04, -0.04, -0.02), (0.04, 0.04, 0.0), (20, 2, 3)),
-    )
-    for moved in (sight.lift(points, 3e-3), sight.bring_before(points, box().vertices)):
-        ways, lengths = sight.place - points, np.linalg.norm(sight.place - points, axis=-1)
-        shorter = np.linalg.norm(sight.place - moved, axis=-1) / lengths
-        np.testing.assert_allclose(sight.place - moved, ways * shorter[..., None], atol=1e-12)
-        assert (shorter < 1.0).all()
-    np.testing.assert_allclose(np.linalg.norm(sight.lift(points, 3e-3) - points, axis=-1), 3e-3)
-    before = (sight.place - sight.bring_before(points, box().vertices)) @ towards
-    assert before.max() < ((sight.place - box().vertices) @ towards).min()
-    assert sight.bring_before(points, np.empty((0, 3))) is points
-    behind = sight.place + 0.1 * towards
-    np.testing.assert_array_equal(sight.bring_before(behind, box().vertices), behind)
 
 
 def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():
@@ -191,12 +161,12 @@ plan = layout()
 session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})
 surface = box() if {surface} else None
 picture(scene(plan), surface, laid(plan), session, Method.FREE, Path({out!r}), (400, 300))
-print([n for n in ("PySide6", "pyvista", "matplotlib") if n in sys.modules])
+print([n for n in ("PySide6", "pyvistaqt") if n in sys.modules])
 """
 
 
 @pytest.mark.parametrize("surface", [True, False])
-def test_a_picture_is_drawn_without_display_qt_or_pyvista(tmp_path: Path, surface: bool):
+def test_a_picture_is_drawn_without_display_or_qt(tmp_path: Path, surface: bool):
     if not sys.platform.startswith("linux"):
         pytest.skip("without a display: a matter of Linux")
     out = tmp_path / "picture.png"

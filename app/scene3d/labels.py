@@ -1,0 +1,88 @@
+"""All words in the picture, in one label mapper, so that no two of them cover each other.
+
+They stand on plates of the background's colour, where they cover least. A label that would cover one of higher priority is left
+out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkRenderingLabel import vtkLabelPlacementMapper, vtkPointSetToLabelHierarchy
+
+from app.scene3d.camera import Viewpoint
+from app.scene3d.mesh_actors import FRONT, Label
+from app.scene3d.scene_state import SceneColours
+from skincal.geometry import FloatArray
+
+FONT_POINTS = 14
+LETTER_PX = np.array([8.5, 20.0])
+"""Width of a letter and height of a line with its plate, at most."""
+DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
+"""Right and up: where words are tried, in this order."""
+OBSTACLE_PX = 7.0
+"""Half the width of what labels should not cover."""
+PLATE_OPACITY = 0.85
+"""Words on such a plate have a contrast of 4.5:1 on whatever lies below."""
+
+
+class Labels:
+    """The labels of all layers that are shown."""
+
+    def __init__(self, plotter: pv.BasePlotter) -> None:
+        self.mesh = _mesh_of([Label("0", np.zeros(3))], np.zeros((1, 3)))
+        plotter.subplot(0, FRONT)
+        self.actor = plotter.add_point_labels(
+            self.mesh, "labels", always_visible=True, show_points=False, shape="rect", reset_camera=False, render=False,
+            font_size=FONT_POINTS, shape_opacity=PLATE_OPACITY,
+        )  # fmt: skip
+        self._mapper = cast("vtkLabelPlacementMapper", self.actor.GetMapper())
+        self._mapper.SetMaximumLabelFraction(1.0)
+        self._hierarchy = cast("vtkPointSetToLabelHierarchy", self._mapper.GetInputAlgorithm())
+        self._hierarchy.SetPriorityArrayName("priority")
+        self._scale = 1.0
+        self.shown: tuple[str, ...] = ()
+
+    def set_colours(self, colours: SceneColours) -> None:
+        self._mapper.SetBackgroundColor(pv.Color(colours.background).float_rgb)
+        self._hierarchy.GetTextProperty().SetColor(pv.Color(colours.ink).float_rgb)
+
+    def set_font_scale(self, scale: float) -> None:
+        """Write with letters `scale` times as large as usual."""
+        self._scale = scale
+        self._hierarchy.GetTextProperty().SetFontSize(round(FONT_POINTS * scale))
+        self._hierarchy.Modified()
+
+    def show(self, labels: Sequence[Label], obstacles: FloatArray, viewpoint: Viewpoint) -> None:
+        """Show these labels and no others, where they cover least of the obstacles, (n, 3) float, metres."""
+        labels = sorted(labels, key=lambda label: -label.priority)
+        self.shown = tuple(label.text for label in labels)
+        self.actor.SetVisibility(bool(labels))
+        if labels:
+            self.mesh.shallow_copy(_mesh_of(labels, self._corners(labels, viewpoint.on_screen(obstacles), viewpoint)))
+
+    def _corners(self, labels: Sequence[Label], obstacles: FloatArray, viewpoint: Viewpoint) -> FloatArray:
+        """Return the lower left corner of each label, (n, 3) float, metres."""
+        at = np.array([label.at for label in labels])
+        middles, halves = viewpoint.on_screen(at), np.array([[len(label.text), 1.0] for label in labels]) * LETTER_PX / 2.0
+        halves *= self._scale
+        edge = np.array(viewpoint.size) / viewpoint.ratio / 2.0
+        taken = np.concatenate([obstacles - OBSTACLE_PX, obstacles + OBSTACLE_PX], axis=1)
+        for row, (label, half) in enumerate(zip(labels, halves, strict=True)):
+            places = middles[row] + (DIRECTIONS * (label.gap + half) if label.gap else np.zeros((1, 2)))
+            sides = np.minimum((places + half)[:, None], taken[:, 2:]) - np.maximum((places - half)[:, None], taken[:, :2])
+            outside = np.maximum(np.abs(places) + half - edge, 0.0).sum(axis=1)
+            middles[row] = places[np.argmin(np.prod(np.maximum(sides, 0.0), axis=-1).sum(axis=1).round() + 100.0 * outside)]
+            taken = np.concatenate([taken, [[*middles[row] - half, *middles[row] + half]]])
+        moved = middles - halves - viewpoint.on_screen(at)
+        return at + viewpoint.pixel_at(at)[:, None] * moved @ viewpoint.pose.axes[:2]
+
+
+def _mesh_of(labels: Sequence[Label], points: FloatArray) -> pv.PolyData:
+    mesh = pv.PolyData(points)
+    mesh["labels"] = np.array([label.text for label in labels])
+    mesh["priority"] = np.array([label.priority for label in labels], dtype=float)
+    return mesh

@@ -1,0 +1,213 @@
+"""The picture of one scene: its layers in a pyvista plotter of any kind, on the screen or not, and the camera.
+
+Only the layers that the scene supports are built: without a mesh no surface layer, without a laid layout no outlines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkCommand
+from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+from app.scene3d import camera
+from app.scene3d.axes import AxesLayer
+from app.scene3d.camera import AutoCamera, Viewpoint, long_axis, place, pose_of
+from app.scene3d.estimates import CompareLayer, EstimatesLayer, UncertaintyLayer
+from app.scene3d.hints import HintsLayer
+from app.scene3d.labels import Labels
+from app.scene3d.landmarks import LandmarksLayer
+from app.scene3d.mesh_actors import FRONT, PART, Layer, window_of
+from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
+from app.scene3d.scene_state import DEFAULT_RADIUS, SceneColours, StaticScene, View3DState
+from app.scene3d.target import TargetLayer
+from skincal.geometry import FloatArray
+
+MIN_HALF_HEIGHT = 0.015
+"""m, of the view: half a module."""
+FIRST_LEAN_DEG = (-14.0, -10.0)
+"""The first view is this far off straight, so that depth can be seen."""
+GRID = (1, 2)
+"""Shape of the plotter's grid: a renderer for the part and one before it, both as large as the picture."""
+POINTS_PER_INCH = 72.0
+
+
+class SceneRenderer:
+    """Layers, light and camera of a scene in a plotter of shape `GRID`."""
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene, colours: SceneColours) -> None:
+        self.plotter, self.static, self.window = plotter, static, window_of(plotter)
+        self.is_moved = False
+        """The operator moved the camera."""
+        self.scales: Callable[[], tuple[float, float]] = lambda: (1.0, 1.0)
+        """Device pixels a pixel of the desktop, and size of the text in sizes of the desktop's."""
+        self.renderer, front = plotter.renderers[PART], plotter.renderers[FRONT]
+        self.window.SetNumberOfLayers(2)
+        front.SetLayer(1)
+        for renderer in (self.renderer, front):
+            renderer.SetViewport(0.0, 0.0, 1.0, 1.0)
+            # One light at the camera: on software OpenGL a second one costs as much as the mesh.
+            renderer.add_light(pv.Light(light_type="headlight"))
+            # Blending without sorting: the part's two sides are ordered by culling, at half the time.
+            renderer.SetUseOIT(False)
+        self.camera = self.renderer.camera
+        plotter.link_views()
+        self.estimates, self.target = EstimatesLayer(plotter, static), TargetLayer(plotter, static)
+        self.landmarks, self.compare = LandmarksLayer(plotter, static), CompareLayer(plotter, static)
+        self.layers = self._build_layers()
+        self.labels = Labels(plotter)
+        self._labels_key: list[tuple[str, bytes, float]] | None = None
+        self._hidden: frozenset[str] = frozenset()
+        self._surface_actor = next((layer.outside for layer in self.layers if isinstance(layer, SurfaceLayer)), None)
+        self.auto_camera = AutoCamera(static.surface, long_axis(static.extent))
+        self._viewpoint: Viewpoint | None = None
+        self._scales = (0.0, 0.0)
+        self.left_overlay = 0.0
+        """Share of the picture's width, from the left, that something covers."""
+        self._known_reach = (np.zeros(3), DEFAULT_RADIUS)
+        # At the start of every picture, no matter who asked for it.
+        self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
+        self.set_colours(colours)
+
+    def _build_layers(self) -> tuple[Layer, ...]:
+        plotter, static, layout = self.plotter, self.static, self.static.scene.skin.layout
+        layers: list[Layer] = []
+        if static.surface is not None:
+            layers.append(SurfaceLayer(plotter, static, static.surface))
+        if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
+            layers.append(ModulesLayer(plotter, static, layout, static.laid))
+        others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
+        return (*layers, *others, self.compare, HintsLayer(plotter, static))
+
+    def list_layers(self) -> tuple[str, ...]:
+        """Return the names of the layers that this scene has."""
+        return tuple(layer.name for layer in self.layers)
+
+    def set_colours(self, colours: SceneColours) -> None:
+        """Take the colours of a theme."""
+        self.renderer.SetBackground(*pv.Color(colours.background).float_rgb)
+        self.labels.set_colours(colours)
+        for layer in self.layers:
+            layer.set_colours(colours)
+
+    def hide(self, names: frozenset[str]) -> None:
+        """Leave these out of the picture, and show all others; names are those of `Layer.parts`."""
+        self._hidden, self._viewpoint = names, None
+        for layer in self.layers:
+            if isinstance(layer, SurfaceLayer):
+                layer.inside.visibility = layer.outside.visibility = layer.name not in names
+            for name, actors in layer.parts().items():
+                for actor in actors:
+                    actor.hidden = name in names
+                    actor.update_visibility()
+
+    def show(self, state: View3DState) -> bool:
+        """Update all layers; return whether the picture changes."""
+        changed = [layer.name for layer in self.layers if layer.show(state)]
+        places, (middle, reach) = self._known_places(), self._known_reach
+        # Nothing else says where the part is.
+        is_followed = len(places) and not len(self.static.extent) and not self.is_moved
+        if is_followed and np.linalg.norm(places - middle, axis=1).max() > reach:
+            self.fit()
+        return not self._hidden.issuperset(changed)
+
+    def turn(self, state: View3DState, now_s: float) -> bool:
+        """Turn the camera to the target if needed; return whether it moved."""
+        height = self.window.GetSize()[1] / self.scales()[0]
+        return self.auto_camera.step(self.camera, self._free_aspect(), height, state, now_s)
+
+    def note_manual_move(self, now_s: float) -> None:
+        self.is_moved = True
+        self.auto_camera.note_manual_move(now_s)
+
+    def set_left_overlay(self, share: float) -> None:
+        """Look at things in the middle of the free part of the picture: something covers its left, a share of the width."""
+        if share != self.left_overlay:
+            self.left_overlay = share
+            self.camera.SetWindowCenter(-share, 0.0)
+            if not self.is_moved:
+                self.fit()
+
+    def fit(self) -> None:
+        """Bring the whole part into the picture."""
+        self.is_moved = False
+        has_extent = len(self.static.extent) > 0
+        points = self.static.extent if has_extent else self._known_places()
+        pose = camera.fit(
+            points, self.static.facing, self._free_aspect(), MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS
+        )  # fmt: skip
+        place(self.camera, pose)
+        self._known_reach = pose.focus, camera.SLOPE * pose.distance
+        if has_extent:
+            camera.rotate(self.camera, *FIRST_LEAN_DEG)
+
+    def compile_shaders(self) -> None:
+        """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""
+        actors = [actor for layer in self.layers for own in layer.parts().values() for actor in own]
+        for actor in actors:
+            actor.actor.visibility = True
+        self.fit()
+        self.window.Render()
+        for actor in actors:
+            actor.update_visibility()
+
+    def pick(self, x: float, y: float) -> int | None:
+        """Return the channel whose estimate is at a pixel, counted from the lower left; `None` if there is none."""
+        return self.estimates.pick(x, y, self.plotter.renderers[FRONT])
+
+    def pick_surface(self, x: float, y: float) -> FloatArray | None:
+        """Return the point of the part that is seen at a pixel, (3,) float, metres; `None` next to the part."""
+        if self._surface_actor is None or self.static.surface is None:
+            return None
+        picker = vtkCellPicker()
+        picker.SetTolerance(0.0)
+        picker.PickFromListOn()
+        picker.AddPickList(self._surface_actor)
+        if not picker.Pick(x, y, 0.0, self.renderer):
+            return None
+        at = np.array(picker.GetPickPosition())
+        # The inner side of the part is no place to poke.
+        outward = self.static.surface.normals[picker.GetCellId()]
+        return at if outward @ (pose_of(self.camera).position - at) > 0.0 else None
+
+    def close(self) -> None:
+        """Release the plotter."""
+        self.window.RemoveObserver(self._observer)
+        for renderer in self.plotter.renderers:
+            renderer.RemoveAllViewProps()
+
+    def _known_places(self) -> FloatArray:
+        """Return the positions of estimates and landmarks, (n, 3) float, metres."""
+        return np.concatenate([self.estimates.places, self.landmarks.places])
+
+    def _free_aspect(self) -> float:
+        width, height = self.window.GetSize()
+        return max(width, 1) * (1.0 - self.left_overlay) / max(height, 1)
+
+    def _before_picture(self, *_: object) -> None:
+        """Follow the camera and the screen; changes nothing else, so it asks for no further picture."""
+        scales, window = self.scales(), self.window
+        if scales != self._scales:
+            self._scales = scales
+            window.SetDPI(round(POINTS_PER_INCH * scales[0]))
+            self.labels.set_font_scale(scales[1])
+            for layer in self.layers:
+                for actors in layer.parts().values():
+                    for actor in actors:
+                        actor.set_pixel_ratio(scales[0])
+        viewpoint = Viewpoint(pose_of(self.camera), window.GetSize(), scales[0], self.left_overlay)
+        if not viewpoint.is_same(self._viewpoint):
+            self._viewpoint = viewpoint
+            for layer in self.layers:
+                layer.follow_camera(viewpoint)
+            self._labels_key = None
+        labels = [label for layer in self.layers if layer.name not in self._hidden for label in layer.labels]
+        key = [(label.text, label.at.tobytes(), label.gap) for label in labels]
+        if key != self._labels_key:
+            self._labels_key = key
+            obstacles = np.concatenate([layer.obstacles() for layer in self.layers])
+            self.labels.show(labels, obstacles, viewpoint)
+        bounds = np.array([renderer.ComputeVisiblePropBounds() for renderer in self.plotter.renderers[:2]]).reshape(2, 3, 2)
+        self.renderer.ResetCameraClippingRange(*np.stack([bounds[..., 0].min(0), bounds[..., 1].max(0)], axis=1).ravel())
