@@ -338,7 +338,7 @@ def ellipses_drawn(bench):
     """How many meshes of regions are in the picture."""
     renderer = renderer_of(bench.window.session_view.workspace.view)
     (layer,) = (layer for layer in renderer.layers if layer.name == "uncertainty")
-    return int(layer.lines.actor.visibility)
+    return int(not layer.lines.hidden)
 
 
 def test_the_guide_stays_off_where_it_was_switched_off(bench, qtbot, tmp_path, recorded):

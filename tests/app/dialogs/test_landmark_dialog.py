@@ -14,7 +14,7 @@ from app.session.opening import OpenRequest
 from app.text.message import Message
 from skincal.mesh.search import nearest_points
 from skincal.model.actions import AddLandmark
-from tests.app.view3d_on_screen import canvas_of, make_view, renderer_of
+from tests.app.view3d_on_screen import canvas_of, make_view, points_of, renderer_of
 
 Key = Qt.Key
 PLACE = np.array([0.01234, -0.0456, 0.0])
@@ -41,7 +41,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     bench.until_all_is_there()
     window, view = bench.window, bench.window.session_view.workspace.view
     before = bench.snapshot.landmarks
-    shown = renderer_of(view).landmarks.marks.data.GetNumberOfLines()
+    shown = len(points_of(renderer_of(view).landmarks.marks)) // 2
     bench.key(Key.Key_K)
     assert view.picking
     assert window.messages.isVisible()
@@ -62,12 +62,12 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     np.testing.assert_allclose(added.place, there, atol=1e-12)
     bench.until(lambda: not dialogs(), 5000)
     bench.qtbot.wait(50)
-    assert renderer_of(view).landmarks.marks.data.GetNumberOfLines() == shown + 6, "a diamond with a cross"
+    assert len(points_of(renderer_of(view).landmarks.marks)) // 2 == shown + 6, "a diamond with a cross"
     assert bench.snapshot.can_undo == "landmark screw 4"
     bench.key(Key.Key_Backspace)
     bench.until(lambda: bench.snapshot.landmarks == before, 5000)
     bench.qtbot.wait(50)
-    assert renderer_of(view).landmarks.marks.data.GetNumberOfLines() == shown
+    assert len(points_of(renderer_of(view).landmarks.marks)) // 2 == shown
 
 
 def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench, recorded):
