@@ -413,7 +413,7 @@ def test_closing_while_it_loads_waits_for_the_worker_and_draws_nothing(qtbot):
 
 
 def test_where_nothing_can_draw_the_view_says_so_and_the_window_lives_on(qtbot, monkeypatch):
-    def refuse():
+    def refuse(_probe):
         raise InputError("No picture can be drawn: install libegl1.")
 
     monkeypatch.setattr(offscreen, "choose_offscreen", refuse)
