@@ -63,8 +63,10 @@ UNUSED_VTK = (
 )  # fmt: skip
 """Of these rooms what the program never asks for."""
 
-WINDOW_S = 90.0
-"""s. The window has this long to show its first taxels; the simulated operator begins with the landmarks."""
+STALL_S = 300.0
+"""s. Longest time in which neither the picture changes nor the session grows. A busy machine is slow, a hung program stands."""
+MAX_POKES_WITHOUT_TAXEL = 60
+"""Accepted pokes that a session may hold before the first taxel is seen; the simulated operator begins with the landmarks."""
 BALL_PX = 7
 """px. A square of this side has room in a taxel's ball, and not in a line."""
 STARTS = 5
@@ -209,6 +211,30 @@ def _screen() -> Iterator[Callable[[], QImage]]:
         application.shutdown()
 
 
+class WindowProgress:
+    """Progress of a window towards its first taxel: its picture and the session that it records."""
+
+    def __init__(self, session: Path, grab: Callable[[], QImage]) -> None:
+        self._session, self._grab = session, grab
+        self._last: tuple[int, QImage | None] = 0, None
+        self._changed_s = time.monotonic()
+        self.pokes = 0
+        """Outcomes of contacts that the session's lines hold."""
+
+    def update(self) -> bool:
+        """Look again; return whether a taxel is seen."""
+        lines = b"".join(path.read_bytes() for path in sorted(self._session.glob("segment-*.jsonl")))
+        self.pokes = lines.count(b'"contact ')
+        picture = self._grab()
+        if self._last != (len(lines), picture):
+            self._last, self._changed_s = (len(lines), picture), time.monotonic()
+        return shows_taxels(picture)
+
+    def is_stuck(self) -> bool:
+        """Tell whether nothing happens any more, or pokes show no taxel."""
+        return time.monotonic() - self._changed_s > STALL_S or self.pokes > MAX_POKES_WITHOUT_TAXEL
+
+
 def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage]) -> float:
     """Open the window on the simulated rig; return the seconds until taxels are seen. Its session has to hold pokes."""
     folder.mkdir()
@@ -216,9 +242,13 @@ def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage
     begin = time.monotonic()
     with subprocess.Popen(command, cwd=folder, env=_environment(folder, command)) as window:
         try:
-            while not shows_taxels(grab()):
-                if time.monotonic() - begin > WINDOW_S or window.poll() is not None:
-                    raise StopError(f"{program[0]}: no taxel is seen in its window after {time.monotonic() - begin:.0f} s.")
+            progress = WindowProgress(folder / "session", grab)
+            while not progress.update():
+                if window.poll() is not None:
+                    raise StopError(f"{program[0]}: ended by itself with {window.returncode}.")
+                if progress.is_stuck():
+                    after = f"{time.monotonic() - begin:.0f} s and {progress.pokes} pokes"
+                    raise StopError(f"{program[0]}: no taxel is seen in its window after {after}.")
                 time.sleep(0.1)
             seconds = time.monotonic() - begin
         finally:

@@ -8,7 +8,8 @@ from PySide6.QtGui import QColor, QImage, QPainter
 from app.session.opening import server_command
 from app.theme import HUES
 from tests.app.test_window_start import python
-from tools.freeze import left_out, shows_taxels
+from tools import freeze
+from tools.freeze import WindowProgress, left_out, shows_taxels
 
 
 def picture():
@@ -38,6 +39,24 @@ def test_a_ball_on_the_map_beside_the_3d_view_is_none():
     painter.drawEllipse(1000, 100, 30, 30)
     painter.end()
     assert not shows_taxels(image)
+
+
+def test_a_slow_window_has_time_while_its_session_grows_and_a_hung_one_has_not(tmp_path, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(freeze.time, "monotonic", lambda: clock[0])
+    progress, lines = WindowProgress(tmp_path, picture), tmp_path / "segment-0001.jsonl"
+    for second in range(0, 3600, 60):
+        clock[0] = float(second)
+        lines.write_bytes(b'["00000000",1]\n' * (second + 1))
+        assert not progress.update()
+        assert not progress.is_stuck()
+    clock[0] += freeze.STALL_S + 1.0
+    progress.update()
+    assert progress.is_stuck()
+    lines.write_bytes(b'["00000000",1,"contact 1",{}]\n' * (freeze.MAX_POKES_WITHOUT_TAXEL + 1))
+    progress.update()
+    assert progress.pokes == freeze.MAX_POKES_WITHOUT_TAXEL + 1
+    assert progress.is_stuck()
 
 
 def test_a_frozen_program_is_its_own_child(monkeypatch):
