@@ -42,7 +42,7 @@ from app.sound.cues import CueMemory, due_cue
 from app.state.place_sets import PlaceOrigin, Source, other_source
 from app.state.policies import Allowed, RigReview, allowed
 from app.state.press_coach import PressCoach
-from app.state.view_state import ViewState, looked_at, same_results
+from app.state.view_state import ViewState, looked_at
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
 from app.text.guidance_text import NOTHING_TO_CHECK
@@ -264,7 +264,6 @@ class SessionView(QObject):
         self._commands = commands
         self._documents = documents
         self._tick: Tick | None = None
-        self._revision = 0
         self._opened_s, self._opened_unix_s = time.monotonic(), time.time()
         self._cues = CueMemory()
         self._rig = RigReview()
@@ -325,9 +324,6 @@ class SessionView(QObject):
 
     def take_tick(self, tick: Tick) -> None:
         """Follow what a tick found, then show it."""
-        before = None if self._tick is None else self._tick.snapshot
-        if before is None or not same_results(before, tick.snapshot):
-            self._revision += 1
         self._tick = tick
         self._follow()
         self.show()
@@ -339,13 +335,15 @@ class SessionView(QObject):
             return
         # What is shown is seen now, though readings may wait.
         seen_s = tick.now_ns * 1e-9 + tick.behind_s
-        self._guidance = self.guide.follow(tick.snapshot, self._revision, self.method, tick.evidence, seen_s)
+        self._guidance = self.guide.next_target(
+            tick.snapshot, (tick.live.pose, tick.live.link_from_sensor), self.method, tick.evidence, seen_s
+        )
         self._controller.follow_guide(self._guidance)
         self._coach.follow(tick.live.progress, None if self._guidance is None else self._guidance.target)
         if self.workspace.compare.isVisible():
-            self._modules_check.follow(tick.snapshot, self._revision)
+            self._modules_check.follow(tick.snapshot)
         if self.workspace.error_course.isVisible():
-            self.course.follow(tick.snapshot, self._revision)
+            self.course.follow(tick.snapshot)
 
     def _tab_opened(self, _index: int) -> None:
         # What these show is worked out only while they are seen, and not only from the next tick on.
@@ -387,7 +385,7 @@ class SessionView(QObject):
         snapshot, live, running, offers = tick.snapshot, tick.live, self._controller.running, self._rig.offers(tick.snapshot)
         pokes, taxel, guidance = self.workspace.pokes.selected(), self.selected, self._guidance
         carried = tuple(link.carries for link in live.links)
-        made_of = (self._revision, snapshot.can_undo, snapshot.can_redo, running, pokes, taxel, carried, guidance, offers)
+        made_of = (snapshot.generation, running, pokes, taxel, carried, guidance, offers)
         if self._may is None or made_of != self._may[0]:
             scene = self.workspace.part.scene
             self._may = made_of, allowed(snapshot, scene, live.links, running, pokes, taxel, guidance, offers)
@@ -407,7 +405,6 @@ class SessionView(QObject):
             now_ns=tick.now_ns,
             behind_s=tick.behind_s,
             clock_offset=self._opened_unix_s - self._opened_s,
-            revision=self._revision,
             guidance=self._guidance,
             diversity=self._diversity_of(tick),
             coaching=self._coach.coaching,
@@ -423,14 +420,14 @@ class SessionView(QObject):
 
     def _scene_now(self, snapshot: Snapshot) -> Scene:
         """Return the scene with the thresholds that hold; the same object until they change."""
-        if self._scene is None or self._scene.contacts != snapshot.thresholds:
-            self._scene = replace(self.workspace.part.scene, contacts=snapshot.thresholds)
+        if self._scene is None or self._scene.contacts != snapshot.decisions.thresholds:
+            self._scene = replace(self.workspace.part.scene, contacts=snapshot.decisions.thresholds)
         return self._scene
 
     def _diversity_of(self, tick: Tick) -> AxisDiversity | None:
         """Return what the contacts of the taxel that is looked at are like; the same object until something changes it."""
         channel = looked_at(self.selected, self._guidance)
-        made_of = self._revision, self.method, channel, self._guidance
+        made_of = tick.snapshot.generation, self.method, channel, self._guidance
         if made_of != self._diversity[0]:
             self._diversity = made_of, None if channel is None else self.guide.axis_diversity(channel, tick.evidence)
         return self._diversity[1]
@@ -446,7 +443,7 @@ class SessionView(QObject):
     def _announce_modules(self, state: ViewState) -> None:
         """Say that the modules method needs no more, until it is shown: an operator who pokes misses a message that passes."""
         is_news = self._modules_enough.is_news
-        if is_news(state.snapshot, state.revision, state.guidance, state.method, streaming=state.connected):
+        if is_news(state.snapshot, state.guidance, state.method, streaming=state.connected):
             self._enough_said = Message(modules_enough_words(), asks=True)
             self.said.emit(self._enough_said)
         elif self._enough_said is not None and state.method is Method.MODULES:
@@ -495,7 +492,7 @@ class SessionView(QObject):
 
     def check_again(self) -> None:
         """Make the closing check once more."""
-        again = None if self._tick is None else self.guide.check_again(self._tick.snapshot)
+        again = None if self._tick is None else self.guide.check_again(self._tick.snapshot, self._tick.live.pose)
         if again is None:
             self.said.emit(Message(NOTHING_TO_CHECK))
         else:
@@ -594,7 +591,7 @@ class SessionView(QObject):
             self.picking.ask(parent)
 
     def _landmark_names(self) -> set[str]:
-        return set() if self.state is None else {landmark.name for landmark in self.state.snapshot.landmarks}
+        return set() if self.state is None else {landmark.name for landmark in self.state.snapshot.decisions.landmarks}
 
     @property
     def ends(self) -> bool:
@@ -608,7 +605,7 @@ class SessionView(QObject):
             return
         found = None if state.review is None else state.review.rig
         verdict = self.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
-        rig = rig_state(state.offers, state.snapshot.corrections.values(), state.review)
+        rig = rig_state(state.offers, state.snapshot.decisions.corrections.values(), state.review)
         may, names, settled = state.may, self.workspace.names, not state.offers
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
         dialog.taxel_wanted.connect(self.select_taxel)

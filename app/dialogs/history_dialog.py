@@ -47,7 +47,7 @@ class HistoryDialog(QDialog):
     def show_state(self, state: ViewState) -> None:
         """Show what can be taken back or brought again; nothing where it is shown already, or nobody looks."""
         self._state, snapshot = state, state.snapshot
-        shown = snapshot.history, snapshot.undone, snapshot.pokes
+        shown = snapshot.history.entries, snapshot.history.undone, snapshot.pokes
         if not self.isVisible() or shown == self._shown:
             return
         self._shown, self._lines = shown, history_lines(snapshot, time.time())

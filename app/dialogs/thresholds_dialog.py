@@ -121,7 +121,7 @@ class ThresholdsDialog(QDialog):
         self._state = state
         if not self.isVisible():
             return
-        now = asdict(state.snapshot.thresholds)
+        now = asdict(state.snapshot.decisions.thresholds)
         if now != self._now:
             self._now = now
             self._show_fields()

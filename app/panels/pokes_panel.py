@@ -67,7 +67,7 @@ class PokeTable(QAbstractTableModel):
         """Show another snapshot's pokes; the view learns of what changed alone."""
         records = snapshot.pokes
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
-        self._missed = snapshot.missed_landmarks
+        self._missed = snapshot.decisions.missed_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
         # Pokes come at the end alone; anything else, as after an undo, is another list.

@@ -82,11 +82,11 @@ class ArmPanel(QWidget):
     def show_state(self, state: ViewState) -> None:
         """Show the current pose and how it is known."""
         streamed = any(Stream.JOINTS in link.carries for link in state.live.links)
-        shown = (state.revision, state.snapshot.pose, streamed)
+        shown = (state.revision, state.live.pose, streamed)
         if is_same(shown, self._shown):
             return
         self._shown = shown
-        pose = state.snapshot.pose
+        pose = state.live.pose
         self.current.setText(f"Arm pose {pose}" if pose else "Arm pose unknown")
         self.how.setText("The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
         self._streamed = streamed
@@ -159,7 +159,15 @@ class RigPanel(Panel):
 
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
         snapshot = state.snapshot
-        shown = state.revision, snapshot.pose, snapshot.landmarks, state.review, state.offers, state.guidance, state.method
+        shown = (
+            state.revision,
+            state.live.pose,
+            snapshot.decisions.landmarks,
+            state.review,
+            state.offers,
+            state.guidance,
+            state.method,
+        )
         return (*shown, None if state.target is None else state.target.landmark)
 
     def update_view(self, state: ViewState) -> None:
@@ -172,14 +180,14 @@ class RigPanel(Panel):
         self.said.setText(_words(state))
         self._offer = state.offers[0] if state.offers else None
         # The newest one goes first: it was found under the others.
-        self._used = next(reversed(tuple(state.snapshot.corrections)), "")
+        self._used = next(reversed(tuple(state.snapshot.decisions.corrections)), "")
         offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
         for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
             button.setVisible(bool(text))
             button.setText(text)
 
     def _list_points(self, state: ViewState) -> None:
-        rows = landmark_rows(state.snapshot, state.review)
+        rows = landmark_rows(state.snapshot, state.review, state.live.pose)
         self.points.setVisible(bool(rows))
         asked = "" if state.target is None else state.target.landmark
         sign = "\N{BLACK RIGHT-POINTING TRIANGLE} "
@@ -193,7 +201,7 @@ class RigPanel(Panel):
 
 
 def _words(state: ViewState) -> str:
-    if not state.snapshot.landmarks:
+    if not state.snapshot.decisions.landmarks:
         return NO_POINTS
     if state.review is None:
         return WAITING if state.snapshot.at_landmarks else NOT_YET

@@ -41,17 +41,19 @@ class LandmarksLayer(Layer):
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals = NO_POINTS
-        self._generation = -1
+        self._moment: tuple[int, str] = -1, ""
+        """Generation of the session and name of the arm pose that are drawn."""
 
     def show(self, state: View3DState) -> bool:
         snapshot = state.snapshot
-        if not (snapshot.landmarks or self._landmarks) or snapshot.generation == self._generation:
+        moment = snapshot.generation, "" if state.live is None else state.live.pose
+        if not (snapshot.decisions.landmarks or self._landmarks) or moment == self._moment:
             return False
-        self._generation = snapshot.generation
-        poked = poked_here(snapshot)
-        if snapshot.landmarks == self._landmarks and poked == self._poked:
+        self._moment = moment
+        poked = poked_here(snapshot, moment[1])
+        if snapshot.decisions.landmarks == self._landmarks and poked == self._poked:
             return False
-        self._poked, self._landmarks = poked, snapshot.landmarks
+        self._poked, self._landmarks = poked, snapshot.decisions.landmarks
         self.places = np.array([landmark.place for landmark in self._landmarks]).reshape(-1, 3)
         self._normals = normals_of(self._landmarks, self.static.surface)
         self.draw()
@@ -74,8 +76,8 @@ class LandmarksLayer(Layer):
         self.labels = [Label(mark.name, mark.place, gap, 1.0) for mark, seen in zip(named, near, strict=False) if seen]
 
 
-def poked_here(snapshot: Snapshot) -> frozenset[str]:
-    """Return the names of the landmarks that were poked in the present arm pose, by pokes that count."""
+def poked_here(snapshot: Snapshot, pose: str) -> frozenset[str]:
+    """Return the names of the landmarks that were poked in an arm pose, by pokes that count."""
     pokes = snapshot.pokes
     found: set[str] = set()
     for number, name in snapshot.at_landmarks.items():
@@ -83,7 +85,7 @@ def poked_here(snapshot: Snapshot) -> frozenset[str]:
         at = bisect_left(pokes, number, key=lambda record: record.outcome.poke)
         if at == len(pokes) or pokes[at].outcome.poke != number or pokes[at].excluded:
             continue
-        if pokes[at].outcome.pose == snapshot.pose:
+        if pokes[at].outcome.pose == pose:
             found.add(name)
     return frozenset(found)
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
     from skincal.session.snapshot import LiveView, Snapshot
-    from skincal.session.undo import Entry
+    from skincal.session.undo import HistoryEntry
     from skincal.streams.links import LinkSpec
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
@@ -98,9 +98,9 @@ def _make_folder(folder: Path) -> None:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
 
 
-def _had(pipeline: Pipeline) -> tuple[tuple[Entry, ...], int]:
+def _had(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
     """Return what was done in a session, and how many pokes it has, rejected ones as well."""
-    return pipeline.session.history, len(pipeline.snapshot().pokes)
+    return pipeline.session.history.entries, len(pipeline.snapshot().pokes)
 
 
 def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
@@ -214,7 +214,7 @@ class Controller(QObject):
     """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
     """Serves the simulated rig of a recorded session again."""
-    _opened_with: tuple[tuple[Entry, ...], int] = (), 0
+    _opened_with: tuple[tuple[HistoryEntry, ...], int] = (), 0
     """What had been done in the session when it was opened, and how many pokes it had."""
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
@@ -410,7 +410,8 @@ class Controller(QObject):
             act_on(guidance, recording.pipeline, now_ns)
         if self._targets is not None and self._asking is not None and self._shown is not None:
             measuring = streaming and recording.pipeline.measures(recording.seen_ns(now_ns))
-            lines = self._asking.follow(guidance, self._shown, now_ns * 1e-9, measuring=measuring)
+            pose = recording.pipeline.poses.current[0]
+            lines = self._asking.follow(guidance, self._shown, pose, now_ns * 1e-9, measuring=measuring)
             self._targets.send(lines)
 
     def _hear_robot(self) -> None:
@@ -523,7 +524,7 @@ class Controller(QObject):
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
         self._schedule.show(now_ns)
         self._shown, self._news = snapshot, False
-        if snapshot.landmarks:
+        if snapshot.decisions.landmarks:
             self._review(recording.pipeline.session, snapshot)
         reached_ns = recording.seen_ns(now_ns)
         live = recording.pipeline.live(reached_ns)

@@ -43,7 +43,7 @@ class Offer:
 
 def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
     """Return what could be put right: the sensor's frame first, since all else was found under it."""
-    if review is None or review.used is not snapshot.corrections:
+    if review is None or review.used is not snapshot.decisions.corrections:
         return ()
     frame, rig, pokes = review.frame, review.rig, len(review.pokes)
     action = offered(frame, rig, pokes, review.used)
@@ -51,7 +51,7 @@ def offers_of(review: Review | None, snapshot: Snapshot) -> tuple[Offer, ...]:
         return ()
     if action.of == FRAME and frame is not None:
         return (Offer(action, frame),)
-    used = snapshot.corrections.get(RIG)
+    used = snapshot.decisions.corrections.get(RIG)
     if used is not None and used.pokes == pokes:
         return ()
     return (Offer(action, anew=used is not None),)
@@ -70,13 +70,13 @@ class RigReview:
     def shown(self, snapshot: Snapshot) -> Review | None:
         """Return the review, unless the session uses other corrections than those that it was made under."""
         review = self.review
-        return review if review is not None and review.used is snapshot.corrections else None
+        return review if review is not None and review.used is snapshot.decisions.corrections else None
 
     def offers(self, snapshot: Snapshot) -> tuple[Offer, ...]:
         """Return what could be put right; the same objects until something changes."""
         review, used, _ = self._made
-        if review is not self.review or used is not snapshot.corrections:
-            self._made = self.review, snapshot.corrections, offers_of(self.review, snapshot)
+        if review is not self.review or used is not snapshot.decisions.corrections:
+            self._made = self.review, snapshot.decisions.corrections, offers_of(self.review, snapshot)
         return self._made[2]
 
     def news(self, snapshot: Snapshot) -> Offer | None:

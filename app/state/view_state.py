@@ -82,8 +82,6 @@ class ViewState:
     running: Running
     now_ns: int
     """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
-    revision: int
-    """Another number where pokes, estimates or dead taxels are others than in the state before; see `same_results`."""
     may: Allowed
     """What the operator may do now."""
     behind_s: float = 0.0
@@ -110,6 +108,11 @@ class ViewState:
     """About how many pokes each method takes from the first to enough; none where no layout says."""
     eye: CameraPose = PLAIN
     """How the 3D view's camera stands: small pictures stand upright beside it."""
+
+    @property
+    def revision(self) -> int:
+        """Counter that changes whenever pokes, estimates or decisions change."""
+        return self.snapshot.generation
 
     @property
     def now_s(self) -> float:
@@ -139,7 +142,7 @@ class ViewState:
     @property
     def lacks_pose(self) -> bool:
         """Whether the arm's pose is not known, so that no poke counts."""
-        return self.scene.arm is not None and self.snapshot.link_from_sensor is None
+        return self.scene.arm is not None and self.live.link_from_sensor is None
 
     def look(self, link: LinkHealth) -> LinkLook:
         """Return how one of `live.links` is doing."""
@@ -148,17 +151,3 @@ class ViewState:
     def by_channel(self) -> Mapping[int, Estimate]:
         """Return the shown method's estimates by their channel."""
         return {estimate.channel: estimate for estimate in self.estimates}
-
-
-OF_RESULTS = ("pokes", "estimates", "dead", "at_landmarks", "missed_landmarks")
-"""What a snapshot says of pokes and taxels."""
-
-
-def same_results(first: Snapshot, second: Snapshot) -> bool:
-    """Return whether two snapshots say the same of pokes and taxels.
-
-    Streamed joints make a new snapshot with every frame of the skin; tables and maps must not be made anew for that.
-    """
-    return first is second or (
-        first.generation == second.generation or all(getattr(first, name) == getattr(second, name) for name in OF_RESULTS)
-    )

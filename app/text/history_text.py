@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 
 from skincal.session.snapshot import Snapshot
-from skincal.session.undo import ActionEntry, Entry, words_of
+from skincal.session.undo import ActionEntry, HistoryEntry, describe_entry
 
 LISTED = 500
 """Lines, the newest: older ones are not read."""
@@ -34,7 +34,7 @@ def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
     ends = {record.outcome.poke: record.outcome.end_s for record in snapshot.pokes}
     out = {record.outcome.poke for record in snapshot.pokes if record.excluded}
 
-    def when(entry: Entry) -> str:
+    def when(entry: HistoryEntry) -> str:
         if isinstance(entry, ActionEntry):
             return _time_words(entry.at_s, now_s)
         clock = next((clock for before, clock in reversed(snapshot.clocks) if entry > before), None)
@@ -42,12 +42,12 @@ def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
 
     # The one that comes again last stands first.
     lines = [
-        HistoryLine(when(entry), f"{words_of(entry)} (taken back)", 0, len(snapshot.undone) - at)
-        for at, entry in enumerate(snapshot.undone)
+        HistoryLine(when(entry), f"{describe_entry(entry)} (taken back)", 0, len(snapshot.history.undone) - at)
+        for at, entry in enumerate(snapshot.history.undone)
     ]
     # A poke that was taken out by hand is passed over by undo: its exclusion is a line of its own.
-    counting = [entry for entry in reversed(snapshot.history) if isinstance(entry, ActionEntry) or entry not in out]
-    lines += [HistoryLine(when(entry), words_of(entry), at + 1, 0) for at, entry in enumerate(counting[:LISTED])]
+    counting = [entry for entry in reversed(snapshot.history.entries) if isinstance(entry, ActionEntry) or entry not in out]
+    lines += [HistoryLine(when(entry), describe_entry(entry), at + 1, 0) for at, entry in enumerate(counting[:LISTED])]
     return lines
 
 

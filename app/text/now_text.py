@@ -43,7 +43,7 @@ from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
-from skincal.session.undo import Deed, DeedKind
+from skincal.session.undo import LastOperation, OperationKind
 from skincal.words.poke_words import missed_words
 from skincal.words.units import count, newtons, number
 
@@ -114,14 +114,14 @@ class NowMemory:
     done: tuple[int, ...] = ()
     """Channels that became done with the newest poke, ascending."""
     coach: CoachMemory = SILENT
-    deed: Deed | None = None
+    deed: LastOperation | None = None
     """What the operator did last."""
     deed_until_s: float = -math.inf
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
         """Return a memory that does not announce what is there already: pokes, and what the operator did."""
-        return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.deed)
+        return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.history.last)
 
 
 def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
@@ -146,7 +146,7 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
 
 def _see_deed(memory: NowMemory, at: ViewState) -> NowMemory:
     """Notice what the operator did; a poke that ends after it is news again."""
-    deed = at.snapshot.deed
+    deed = at.snapshot.history.last
     if deed is None or deed == memory.deed:
         return memory
     return replace(memory, deed=deed, deed_until_s=at.now_s + DEED_S, verdict_until_s=-math.inf)
@@ -158,13 +158,13 @@ def _deed(memory: NowMemory, at: ViewState) -> Said | None:
     return Said(Tone.CALM, deed_words(memory.deed))
 
 
-def deed_words(deed: Deed) -> str:
+def deed_words(deed: LastOperation) -> str:
     """Return what the operator did, and what takes it back: `"poke 438 taken back; Ctrl+Y brings it again"`."""
-    if deed.kind is DeedKind.UNDONE:
-        return f"{deed.words} taken back; Ctrl+Y brings it again"
-    if deed.kind is DeedKind.REDONE:
-        return f"{deed.words} brought again; Backspace takes it back"
-    return f"{deed.words}: done; Backspace takes it back"
+    if deed.kind is OperationKind.UNDONE:
+        return f"{deed.name} taken back; Ctrl+Y brings it again"
+    if deed.kind is OperationKind.REDONE:
+        return f"{deed.name} brought again; Backspace takes it back"
+    return f"{deed.name}: done; Backspace takes it back"
 
 
 def _costs(at: ViewState) -> Said | None:
@@ -251,7 +251,7 @@ def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, st
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
         return Said(Tone.GOOD, f"{number} counts at the landmark {name}"), ""
-    missed = at.snapshot.missed_landmarks.get(outcome.poke)
+    missed = at.snapshot.decisions.missed_landmarks.get(outcome.poke)
     if missed is not None:
         lands = landed_words(outcome, at.names)
         tone = Tone.BAD if isinstance(outcome, Rejection) else Tone.GOOD

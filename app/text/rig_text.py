@@ -65,13 +65,13 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
     """Return what is said of the rig, most important first."""
     frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
     said = [] if frame is None else [frame_sentence(frame)]
-    said += [correction_sentence(used) for used in snapshot.corrections.values()]
-    if RIG not in snapshot.corrections:
+    said += [correction_sentence(used) for used in snapshot.decisions.corrections.values()]
+    if RIG not in snapshot.decisions.corrections:
         said += found[:1]
     elif not rig.used:
         said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
     moved = moved_words(review, method, estimates)
-    return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.distances))))
+    return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.tried_distances))))
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
@@ -98,16 +98,16 @@ class LandmarkRow:
     """How far its pokes pass it, mm, root mean square, as the rig reports them and under the correction that was found."""
 
 
-def landmark_rows(snapshot: Snapshot, review: Review | None) -> list[LandmarkRow]:
-    """Return one row for each landmark."""
+def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[LandmarkRow]:
+    """Make one row for each landmark; `pose` is the current arm pose."""
     outcomes = {record.outcome.poke: record for record in snapshot.pokes if record.outcome.poke in snapshot.at_landmarks}
     counting = {poke: record.outcome for poke, record in outcomes.items() if not record.excluded}
     of: dict[str, list[int]] = defaultdict(list)
     for poke in counting:
         of[snapshot.at_landmarks[poke]].append(poke)
     rows: list[LandmarkRow] = []
-    for name in (point.name for point in snapshot.landmarks):
-        here = sum(counting[poke].pose == snapshot.pose for poke in of[name])
+    for name in (point.name for point in snapshot.decisions.landmarks):
+        here = sum(counting[poke].pose == pose for poke in of[name])
         rows.append(LandmarkRow(name, here, len(of[name]), DASH if review is None else _off(of[name], review)))
     return rows
 

@@ -339,8 +339,10 @@ def import_job(request: ImportRequest, wanted: Wanted) -> Imported:
 SKIN = 10
 """Pokes on the skin after which the rig is reviewed anew: a single poke moves what is found by less than is shown."""
 
-OF_RIG = ("at_landmarks", "landmarks", "corrections", "dead")
-"""Fields of a snapshot that a review depends on, beside the pokes."""
+
+def _rig_facts(snapshot: Snapshot) -> tuple[object, ...]:
+    """Everything that a review depends on besides the pokes."""
+    return snapshot.at_landmarks, snapshot.decisions.landmarks, snapshot.decisions.corrections, snapshot.dead
 
 
 class ReviewClient(QObject):
@@ -372,7 +374,7 @@ class ReviewClient(QObject):
     def follow(self, snapshot: Snapshot) -> None:
         """Ask for a review of the session where its newest snapshot has enough that is new since the last."""
         seen, self._seen = self._seen, snapshot
-        if self._stopped or not (self._shown or snapshot.at_landmarks) or (seen is not None and _same(seen, snapshot)):
+        if self._stopped or not (self._shown or snapshot.at_landmarks) or seen is snapshot:
             return
         if self._shown is None or _due(self._shown, snapshot):
             self._ask(snapshot)
@@ -433,14 +435,9 @@ def _review(
         raise InputError(f"The rig is not reviewed any more: {error!r}; details are in the log.") from error
 
 
-def _same(first: Snapshot, second: Snapshot) -> bool:
-    """Return whether two snapshots agree in all that is reviewed; most do, since streamed joints make one a frame."""
-    return first is second or all(getattr(first, name) == getattr(second, name) for name in ("pokes", *OF_RIG))
-
-
 def _due(asked: Snapshot, now: Snapshot) -> bool:
     """Return whether a session is to be reviewed anew: at once where landmark pokes, corrections or taken out pokes changed."""
-    if any(getattr(asked, name) != getattr(now, name) for name in OF_RIG) or len(now.pokes) >= len(asked.pokes) + SKIN:
+    if _rig_facts(asked) != _rig_facts(now) or len(now.pokes) >= len(asked.pokes) + SKIN:
         return True
     return any(_changed(before, after, now) for before, after in zip(asked.pokes, now.pokes, strict=False))
 

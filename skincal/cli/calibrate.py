@@ -139,7 +139,7 @@ def _solved(pipeline: Pipeline, known: Mapping[int, FloatArray] | None, *, per_p
         "verdict": verdict,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
-        "distances": [_distance(tried) for tried in snapshot.distances],
+        "distances": [_distance(tried) for tried in snapshot.tried_distances],
         "dead": {str(channel): why for channel, why in snapshot.dead.items()},
     }
     return result, text
@@ -207,7 +207,7 @@ def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
 
     closings = closings_of(snapshot, scene.noise)
     told = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
-    return [*distance_sentences(snapshot.distances), *told]
+    return [*distance_sentences(snapshot.tried_distances), *told]
 
 
 def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
@@ -244,7 +244,8 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     frame, answer = landmark_findings(session)
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
-        {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3} for used in session.corrections.values()
+        {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3}
+        for used in session.decisions.corrections.values()
     ]
     if frame is not None:
         words = frame_sentence(frame)
@@ -254,7 +255,7 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         rig["held_out_over_predicted"] = answer.ratio
         rig["noise_over_scene"] = answer.noisier
         rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
-    if answer.used and answer.correction is not None and RIG not in session.corrections:
+    if answer.used and answer.correction is not None and RIG not in session.decisions.corrections:
         contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
         noise, surface, model = session.scene.noise, session.surface, session.module_model
         shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in contacts}.__getitem__)
@@ -264,8 +265,8 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
         found = {method: tuple(estimates.values()) for method, estimates in solved.items()}
         rig["methods"] = report.method_summaries(found, known, session.scene.skin.layout, "-corrected")
     lines = [] if frame is None else [frame_sentence(frame)]
-    lines += [correction_sentence(used) for used in session.corrections.values()]
-    lines += rig_sentences(answer)[1 if RIG in session.corrections else 0 :]
+    lines += [correction_sentence(used) for used in session.decisions.corrections.values()]
+    lines += rig_sentences(answer)[1 if RIG in session.decisions.corrections else 0 :]
     unchecked_lines, unchecked = _unchecked(session, answer)
     return rig, [*lines, *unchecked_lines], unchecked
 
@@ -286,7 +287,7 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
     from skincal.words.taxel_words import unchecked_sentence
 
     known = session.snapshot().estimates
-    used, estimates = session.corrections.get(RIG), known[leading_method(known) or session.methods[-1]]
+    used, estimates = session.decisions.corrections.get(RIG), known[leading_method(known) or session.methods[-1]]
     landmarks, noise = landmark_agreement(answer, used), session.scene.noise
     off = unchecked_of(used, landmarks, estimates, session.contacts, session.landmark_pokes, noise)
     return ([] if off is None else [unchecked_sentence(off, len(session.landmark_pokes))]), off

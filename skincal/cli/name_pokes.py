@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from skincal.model.actions import Action, AddLandmark, AtLandmark
     from skincal.session.landmark_pokes import NearestLandmark
     from skincal.session.session import Session
-    from skincal.session.undo import Entry
+    from skincal.session.undo import HistoryEntry
 
 NOWHERE = "-"
 """Stands for no landmark, as an empty name does."""
@@ -109,7 +109,7 @@ def landmarks(
     text = text or [_landmark_line(known), *map(_row_line, rows)]
     result = {
         "session": session,
-        "landmarks": [{"name": mark.name, "place_mm": (mark.place * 1e3).tolist()} for mark in known.landmarks],
+        "landmarks": [{"name": mark.name, "place_mm": (mark.place * 1e3).tolist()} for mark in known.decisions.landmarks],
         "pokes": rows,
         "said": text if undo or named else [],
         "findings": list(pipeline.findings),
@@ -235,7 +235,7 @@ def _write(folder: Path, known: Session, said: Iterable[Names], *, find: bool, a
         if names.setdefault(poke, name) != name:
             both = f"{names[poke] or 'none'} and at {name or 'none'}"
             raise InputError(f"Poke {poke} is said to be at {both}; leave out one of them.")
-    nearest, before = _nearest(known), known.at_landmarks
+    nearest, before = _nearest(known), known.snapshot().at_landmarks
     unsure: list[str] = []
     if find:
         names |= {poke: near.name for poke, near in nearest.items() if near.sure and poke not in {**names, **before}}
@@ -276,7 +276,7 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
         else:
             passed = f", which its axis passes at {misses[action.poke] * 1e3:.1f} mm" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
-    nothing = ["nothing new, nothing was written"] if known.landmarks else [_landmark_line(known)]
+    nothing = ["nothing new, nothing was written"] if known.decisions.landmarks else [_landmark_line(known)]
     return [*(lines or nothing), f"{plural(len(known.landmark_pokes), 'poke')} at landmarks; {_use_words(folder, known)}"]
 
 
@@ -305,20 +305,20 @@ def _take_back(folder: Path, known: Session) -> list[str]:
     """Undo what the last call wrote; return it in lines."""
     from skincal.model.actions import Undo
 
-    count = _last_call(known.history)
+    count = _last_call(known.history.entries)
     if not count:
         raise InputError(
-            f"{folder}: what was done last is {known.can_undo or 'nothing'}, not a landmark; nothing to take back."
+            f"{folder}: what was done last is {known.snapshot().can_undo or 'nothing'}, not a landmark; nothing to take back."
         )
     lines: list[str] = []
     for _ in range(count):
-        lines.append(f"took back {known.can_undo}")
+        lines.append(f"took back {known.snapshot().can_undo}")
         known.act(Undo())
     _append(folder, [Undo()] * count)
     return lines
 
 
-def _last_call(history: Sequence[Entry]) -> int:
+def _last_call(history: Sequence[HistoryEntry]) -> int:
     """Return how many of the last entries of a session's history name landmarks and were written at one moment."""
     from skincal.model.actions import AddLandmark, AtLandmark
     from skincal.session.undo import ActionEntry
@@ -338,13 +338,16 @@ def _last_call(history: Sequence[Entry]) -> int:
 
 def _outcomes(known: Session) -> Iterator[Outcome]:
     """Give every poke that was not taken out, in order."""
-    yield from known.framed().values()
+    excluded = known.decisions.excluded
+    yield from known.frame_corrected(
+        record.outcome.poke for record in known.snapshot().pokes if record.outcome.poke not in excluded
+    )
 
 
 def _nearest(known: Session) -> dict[int, NearestLandmark]:
     from skincal.session.landmark_pokes import nearest_landmarks
 
-    return nearest_landmarks(_outcomes(known), known.landmarks, known.surface)
+    return nearest_landmarks(_outcomes(known), known.decisions.landmarks, known.surface)
 
 
 def _begin_s(folder: Path) -> float:
@@ -360,7 +363,7 @@ def _rows(known: Session, begin_s: float) -> list[dict[str, Any]]:
     """Return what is known of each poke, as JSON."""
     from skincal.contacts.outcome import Contact
 
-    nearest, names = _nearest(known), known.at_landmarks
+    nearest, names = _nearest(known), known.snapshot().at_landmarks
     misses = {poke.poke: poke.miss * 1e3 for poke in known.landmark_pokes}
     return [
         {
@@ -393,7 +396,9 @@ def _near_words(near: NearestLandmark | None) -> str:
 
 
 def _landmark_line(known: Session) -> str:
-    places = [f"{mark.name} ({', '.join(f'{length * 1e3:.1f}' for length in mark.place)})" for mark in known.landmarks]
+    places = [
+        f"{mark.name} ({', '.join(f'{length * 1e3:.1f}' for length in mark.place)})" for mark in known.decisions.landmarks
+    ]
     return f"landmarks, mm: {'; '.join(places)}" if places else "the scene has no landmarks; --add NAME X Y Z names one"
 
 

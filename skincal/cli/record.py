@@ -329,8 +329,8 @@ def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
             say(f"poke {outcome.poke}: accepted, channels {', '.join(map(str, outcome.channels))}", err=True)
         else:
             say(f"poke {outcome.poke}: rejected, {rejection_words(outcome)}", err=True)
-        if outcome.poke in snapshot.missed_landmarks:
-            say(f"poke {outcome.poke}: {missed_words(snapshot.missed_landmarks[outcome.poke])}", err=True)
+        if outcome.poke in snapshot.decisions.missed_landmarks:
+            say(f"poke {outcome.poke}: {missed_words(snapshot.decisions.missed_landmarks[outcome.poke])}", err=True)
         reported += 1
     return reported
 
@@ -366,7 +366,7 @@ def finish(
     losses = report.loss_counts(live.links, live.losses_unpaired)
     methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
     silent = silent_links(live.links)
-    unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.thresholds)] if not (snapshot.pokes or silent) else []
+    unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)] if not (snapshot.pokes or silent) else []
     found = [*unpoked, *findings, *report.link_notes(live.links)]
     text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
     # Without a byte of one of its devices no poke can ever be found in a recording.

@@ -61,6 +61,11 @@ class Contact:
     final: bool
     """The tare after the poke is in, or will not come."""
 
+    @property
+    def strongest_channel(self) -> int:
+        """The channel that answered most."""
+        return int(self.channels[self.responses.argmax()])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rejection:

@@ -29,14 +29,12 @@ from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 
-A_POSE = 3
+LANDMARK_POKES_PER_POSE = 3
 """Landmark pokes in each arm pose but the first: with three in each of seven the modules' error on the paper's rig falls to a
 tenth (`skincal study paper`)."""
-ALIKE_TURN, ALIKE_SHIFT = float(np.cos(np.radians(5.0))), 0.010
-"""Cosine, and m: arm poses that differ by less count as the same. A rig's errors change little over that."""
-USUAL = 1.3863
+CHI2_2DOF_MEDIAN = 1.3863
 """Median of chi-square with two degrees of freedom."""
-ASTRAY = 0.015
+LANDMARK_POKE_MAX_OFFSET_M = 0.015
 """m. A poke whose answers have their middle farther from the landmark was on the skin: a taxel is felt from 8 mm away, and its
 place is known to 6 mm (sd) by the plan."""
 
@@ -57,50 +55,36 @@ class LandmarkTarget:
         return self.wanted - self.done
 
 
-class LandmarkRound:
-    """Follows the landmark pokes of a session."""
+def landmark_targets(
+    landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str, skips: Iterable[tuple[str, str]] = ()
+) -> list[LandmarkTarget]:
+    """List all landmarks that are asked for in an arm pose, in order.
 
-    def __init__(self) -> None:
-        # Pose and name.
-        self._skipped = set[tuple[str, str]]()
-        # Poses in which none is asked for.
-        self._left_out = set[str]()
+    The first pose gets as many pokes as a correction takes: perhaps there is no other. Too few landmarks correct nothing, but
+    three pokes show whether the frame is right.
 
-    def plan(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> list[LandmarkTarget]:
-        """Return all landmarks that are asked for in an arm pose, in order; see `next`."""
-        every, targets = list(poked), list[LandmarkTarget]()
-        while (target := self.next(landmarks, every, pose)) is not None:
-            targets.append(target)
-            every.append((pose, target.landmark.name))
-        return targets
-
-    def next(self, landmarks: Sequence[Landmark], poked: Iterable[tuple[str, str]], pose: str) -> LandmarkTarget | None:
-        """Return the landmark to poke now in an arm pose; None where none is asked for.
-
-        `poked` holds the pose and the landmark's name of each landmark poke that counts.
-        """
-        every = list(poked)
-        here = Counter(name for there, name in every if there == pose)
-        open_ = [landmark for landmark in landmarks if (pose, landmark.name) not in self._skipped]
-        elsewhere = len(every) - here.total()
-        # The first pose gets as many as a correction takes: perhaps there is no other. Too few landmarks correct nothing,
-        # but three pokes show whether the frame is right.
-        wanted = max(A_POSE, FEWEST - elsewhere) if len(landmarks) >= FEWEST_POINTS else A_POSE - elsewhere
-        if pose in self._left_out or not open_ or here.total() >= wanted:
-            return None
-        total = Counter(name for _, name in every)
-        known = {landmark.name: landmark.place for landmark in landmarks}
-        done = [known[name] for name in here if name in known]
+    Parameters
+    ----------
+    poked : arm pose and landmark of each landmark poke that counts
+    skips : arm pose and landmark that are skipped; an empty landmark skips all in that pose
+    """
+    every, skipped = list(poked), {name for there, name in skips if there == pose}
+    known = {landmark.name: landmark for landmark in landmarks}
+    here = Counter(name for there, name in every if there == pose)
+    total = Counter(name for _, name in every)
+    elsewhere = len(every) - here.total()
+    wanted = LANDMARK_POKES_PER_POSE - elsewhere
+    if len(landmarks) >= FEWEST_POINTS:
+        wanted = max(LANDMARK_POKES_PER_POSE, FEWEST - elsewhere)
+    targets = list[LandmarkTarget]()
+    open_ = [] if "" in skipped else [landmark for landmark in landmarks if landmark.name not in skipped]
+    while open_ and here.total() < wanted:
+        done = [known[name].place for name in here if name in known]
         chosen = min(open_, key=lambda mark: (here[mark.name], total[mark.name], -_apart(mark.place, done)))
-        return LandmarkTarget(chosen, here.total(), wanted)
-
-    def skip(self, name: str, pose: str) -> None:
-        """Ask for that landmark no more in this pose."""
-        self._skipped.add((pose, name))
-
-    def leave_out(self, pose: str) -> None:
-        """Ask for no landmark in this pose."""
-        self._left_out.add(pose)
+        targets.append(LandmarkTarget(chosen, here.total(), wanted))
+        here[chosen.name] += 1
+        total[chosen.name] += 1
+    return targets
 
 
 def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
@@ -109,38 +93,15 @@ def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     The median of how far landmark pokes pass their landmark, which a single poke at another point does not change, less the
     parts of the sensor's noise and of the hand (`RigPrior.landmark`). The pokes are as the corrections in use have them.
     """
-    if len(pokes) < A_POSE:
+    if len(pokes) < LANDMARK_POKES_PER_POSE:
         return 0.0
     levers = [float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3])) for poke in pokes]
     forces = [float(np.linalg.norm(poke.force)) for poke in pokes]
     own = [
         (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2 for force, lever in zip(forces, levers, strict=True)
     ]
-    square = float(np.median([poke.miss**2 for poke in pokes])) / USUAL
+    square = float(np.median([poke.miss**2 for poke in pokes])) / CHI2_2DOF_MEDIAN
     return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
-
-
-class Stances:
-    """Groups arm poses that are nearly the same: streamed joints name a pose by degrees, and an arm is never quite still."""
-
-    def __init__(self) -> None:
-        self._first: dict[str, FloatArray] = {}
-
-    def key(self, name: str, link_from_sensor: FloatArray | None) -> str:
-        """Return the name of the first pose that is nearly this one; `link_from_sensor` is (4, 4) or None while unknown."""
-        if link_from_sensor is None:
-            return name
-        for first, there in self._first.items():
-            if _alike(there, link_from_sensor):
-                return first
-        self._first[name] = link_from_sensor
-        return name
-
-
-def _alike(first: FloatArray, second: FloatArray) -> bool:
-    # The sum is the trace of the rotation between them, 1 + 2 cos of its angle.
-    cosine = (float(np.sum(first[:3, :3] * second[:3, :3])) - 1.0) / 2.0
-    return cosine >= ALIKE_TURN and float(np.linalg.norm(first[:3, 3] - second[:3, 3])) <= ALIKE_SHIFT
 
 
 def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
@@ -160,7 +121,7 @@ def was_there(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatAr
     if not known:
         return True
     middle = np.average([place for place, _ in known], axis=0, weights=[response for _, response in known])
-    return float(np.linalg.norm(middle - landmark.place)) <= ASTRAY
+    return float(np.linalg.norm(middle - landmark.place)) <= LANDMARK_POKE_MAX_OFFSET_M
 
 
 class GuidePhase(Enum):

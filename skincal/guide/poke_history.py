@@ -217,7 +217,7 @@ class PokeHistory:
 
     def _count_asked(self, contact: Contact, meant: Target | None) -> None:
         """Count which taxel a new poke was meant for: the target, if there was one, else the taxel that answered most."""
-        peak = int(contact.channels[contact.responses.argmax()])
+        peak = contact.strongest_channel
         self._count_one(contact.poke, self.asked, peak if meant is None or meant.channel is None else meant.channel)
 
     def _slid(self, poke: Rejection, axis: PokeAxis, meant: Target | None, normals: FloatArray) -> None:

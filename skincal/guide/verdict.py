@@ -106,7 +106,7 @@ def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
     """Return number and strongest channel of the contacts that are held out, in the order of their numbers."""
     step = max(1, min(ONE_IN, len(contacts) // HELD_OUT))
-    return [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts[step - 1 :: step]]
+    return [(contact.poke, contact.strongest_channel) for contact in contacts[step - 1 :: step]]
 
 
 def check(

@@ -56,9 +56,11 @@ _HEAD = 12
 LINES_MOST = 64 << 20
 """Bytes of the lines of a segment, which lasts five minutes: ten thousand pokes have 15 MB."""
 _TOTALS, _NO_KEY, _CLOSED = b'"totals"', b'""', b'"closed"'
-FORMAT = 3
-"""Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments."""
+FORMAT = 4
+"""Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments, and up to 3 each
+streamed arm pose was named by its rounded angles."""
 FORMAT_WITH_NOTES = 2
+FORMAT_WITH_GROUPED_POSES = 4
 _INTEGERS = ("channels",)
 """Arrays of whole numbers; all others are float."""
 _MISSING = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")

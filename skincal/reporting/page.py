@@ -320,16 +320,16 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
 
 
 def _rig(facts: SessionFacts) -> ReportSection:
-    used = facts.snapshot.corrections
+    used = facts.snapshot.decisions.corrections
     said = [] if facts.frame is None else [frame_sentence(facts.frame)]
     said += [correction_sentence(each) for each in used.values()]
     said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
     said += [] if off is None else [unchecked_sentence(off, poked)]
-    said += distance_sentences(facts.snapshot.distances)
+    said += distance_sentences(facts.snapshot.tried_distances)
     rows = [
         (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
-        for mark in facts.snapshot.landmarks
+        for mark in facts.snapshot.decisions.landmarks
     ]
     headings = ("Landmark", "x, mm", "y, mm", "z, mm", "Pokes", "They pass it at, mm")
     tables = (ReportTable(headings, rows, "Landmarks, as the rig reports their pokes"),) if rows else ()
@@ -391,10 +391,11 @@ def _settings(facts: SessionFacts) -> ReportSection:
         ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),
     ]  # fmt: skip
     tables = [ReportTable(("", ""), what, "Scene")]
-    changed = facts.snapshot.thresholds != scene.contacts
+    changed = facts.snapshot.decisions.thresholds != scene.contacts
     thresholds = "Thresholds of a poke" + (", as they were changed in the session" if changed else "")
     for caption, settings, units in (
-        (thresholds, facts.snapshot.thresholds, CONTACT_UNITS), ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
+        (thresholds, facts.snapshot.decisions.thresholds, CONTACT_UNITS),
+        ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
         ("What the guide wants", GuideSettings(), GUIDE_UNITS),
     ):  # fmt: skip
         tables.append(ReportTable(("Setting", "Value", "Unit"), list(_setting_rows(settings, units)), caption))

@@ -207,7 +207,7 @@ def _series(part: Part, snapshot: Snapshot, truth: Reference | None) -> ErrorSer
 
 def _misses(session: Session) -> dict[str, tuple[float, ...]]:
     pokes = session.landmark_pokes
-    return {mark.name: tuple(poke.miss for poke in pokes if poke.name == mark.name) for mark in session.landmarks}
+    return {mark.name: tuple(poke.miss for poke in pokes if poke.name == mark.name) for mark in session.decisions.landmarks}
 
 
 def _modules(session: Session, snapshot: Snapshot) -> tuple[LayoutMend | None, int]:

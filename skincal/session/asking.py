@@ -60,7 +60,7 @@ def act_on(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -> None:
         pipeline.act(asked, now_ns)
     # What is shown may be older than the session, in which it began meanwhile.
     closing = None if guidance is None else guidance.closing
-    if closing is not None and len(pipeline.session.closings) < closing.number:
+    if closing is not None and len(pipeline.session.decisions.closings) < closing.number:
         pipeline.act(BeginClosing(), now_ns)
 
 
@@ -97,7 +97,7 @@ class PokeAsking:
     """Turns what the guide wants into lines for a robot, and its answers into what they mean."""
 
     def __init__(self, scene: Scene) -> None:
-        self._frame, self._has_arm = scene.link, scene.arm is not None
+        self._frame = scene.link
         self._asked: deque[_Asked] = deque(maxlen=REMEMBERED)
         self._said: NoTarget | None = None
         """What was said last, where that was no target."""
@@ -107,18 +107,21 @@ class PokeAsking:
         """Number of the newest poke of the session that is judged, or that was there before."""
         self._number = 0
 
-    def follow(self, guidance: Guidance | None, snapshot: Snapshot, now_s: float, *, measuring: bool) -> list[AskedLine]:
-        """Return what is to be said now.
+    def follow(
+        self, guidance: Guidance | None, snapshot: Snapshot, pose: str, now_s: float, *, measuring: bool
+    ) -> list[AskedLine]:
+        """Give the lines to send now.
 
         Parameters
         ----------
-        guidance : None where nobody guides
+        guidance : `None` while guidance is off
+        pose : name of the current arm pose
         now_s : host's monotonic clock, seconds
         measuring : a poke would be measured; else nobody is asked to press
         """
         lines: list[AskedLine] = []
         waiting = self._judge(snapshot, now_s, lines)
-        wanted = self._wanted(guidance, snapshot, measuring=measuring)
+        wanted = self._wanted(guidance, snapshot, pose, measuring=measuring)
         if waiting and wanted is not NoTarget.WAIT:
             return lines
         if isinstance(wanted, NoTarget):
@@ -163,7 +166,7 @@ class PokeAsking:
             "or for another once it skips this one."
         )
 
-    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, *, measuring: bool) -> PokeTarget | NoTarget:
+    def _wanted(self, guidance: Guidance | None, snapshot: Snapshot, pose: str, *, measuring: bool) -> PokeTarget | NoTarget:
         """Return what somebody who looks at the guide would do."""
         if not measuring or self._held:
             return NoTarget.WAIT
@@ -172,7 +175,7 @@ class PokeAsking:
         target = guidance.target
         if target is None:
             return NoTarget.ENOUGH if guidance.enough else NoTarget.WAIT
-        pose, limits = snapshot.pose if self._has_arm else "", snapshot.thresholds
+        limits = snapshot.decisions.thresholds
         force, hold = (limits.force_min + limits.force_max) / 2.0, HOLDS * limits.still_s
         known = bool(target.landmark)
         return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, force, hold)
@@ -219,8 +222,8 @@ def _newer(pokes: Sequence[PokeRecord], than: int) -> list[PokeRecord]:
 def _why_not(record: PokeRecord, snapshot: Snapshot) -> str:
     """Return why a poke does not count; empty where it does, on the skin or at a landmark."""
     outcome = record.outcome
-    if outcome.poke in snapshot.missed_landmarks:
-        return missed_words(snapshot.missed_landmarks[outcome.poke])
+    if outcome.poke in snapshot.decisions.missed_landmarks:
+        return missed_words(snapshot.decisions.missed_landmarks[outcome.poke])
     if isinstance(outcome, Contact) or outcome.poke in snapshot.at_landmarks:
         return ""
     return rejection_words(outcome)
@@ -275,9 +278,10 @@ class RobotGuide:
                 pipeline.act(skip, now_ns)
         snapshot = pipeline.snapshot()
         evidence = pipeline.session.evidence
-        guidance = self._guide.follow(snapshot, snapshot.generation, self._method, evidence, now_s)
+        guidance = self._guide.next_target(snapshot, pipeline.poses.current, self._method, evidence, now_s)
         act_on(guidance, pipeline, now_ns)
-        lines = self._asking.follow(guidance, snapshot, now_s, measuring=pipeline.measures(now_ns))
+        name, measuring = pipeline.poses.current[0], pipeline.measures(now_ns)
+        lines = self._asking.follow(guidance, snapshot, name, now_s, measuring=measuring)
         self._server.send(lines)
         self.enough |= NoTarget.ENOUGH in lines
         return sentences

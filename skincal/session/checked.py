@@ -25,7 +25,7 @@ from skincal.words.verdict_words import verdict_sentence
 
 def landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
     """Return what landmark pokes say of the sensor's frame, None from too few, and of the rig."""
-    known = {landmark.name: landmark for landmark in session.landmarks}
+    known = {landmark.name: landmark for landmark in session.decisions.landmarks}
     pokes = session.landmark_pokes
     normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
     return diagnose(pokes, normals), correct_rig(session.rig_request())
@@ -42,15 +42,15 @@ def use_offered(session: Session) -> None:
         )
     frame, rig = landmark_findings(session)
     # A frame's correction changes what is found of the rig, so both are looked at again after each.
-    while (action := offered(frame, rig, len(session.landmark_pokes), session.corrections)) is not None:
+    while (action := offered(frame, rig, len(session.landmark_pokes), session.decisions.corrections)) is not None:
         # Each kind is used once, or what is found again and again would never end.
-        if action.of in session.corrections:
+        if action.of in session.decisions.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
             raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)
         frame, rig = landmark_findings(session)
-    if not session.corrections:
+    if not session.decisions.corrections:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
 

@@ -7,7 +7,7 @@ is poked once more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -16,8 +16,9 @@ from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.closing import PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
+from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_pokes
-from skincal.session.snapshot import ClosingRound, PokeRecord, Snapshot
+from skincal.session.snapshot import PokeRecord, Snapshot
 
 TRIES = 3
 """Pokes for each place of the closing check, after which nothing is asked for any more."""
@@ -26,8 +27,6 @@ AGAIN = 10
 ONCE_MORE = 2
 """How often a place is asked for once more, because one poke alone says that something moved: with it 68 to 81 of 100
 movements of 8 mm are told, without it 47 to 67."""
-StanceOf = Callable[[str, FloatArray | None], str]
-"""Gives poses of the arm that are nearly the same the same name: `Stances.key`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +56,10 @@ def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]
 def closing_rounds(snapshot: Snapshot, noise: NoiseSettings) -> list[ClosingSoFar]:
     """Return how far each closing check is."""
     rounds = list[ClosingSoFar]()
-    if not snapshot.closings:
+    if not snapshot.decisions.closings:
         return rounds
     every = {ClosingPlaces.LANDMARKS: at_landmarks(snapshot), ClosingPlaces.TAXELS: at_taxels(snapshot)}
-    for number, begun in enumerate(snapshot.closings):
+    for number, begun in enumerate(snapshot.decisions.closings):
         before = frozenset[int]().union(*(each.made for each in rounds))
         early = {at: [p for p in pokes if p.poke <= begun.after and p.poke not in before] for at, pokes in every.items()}
         rounds.append(_so_far(snapshot, number, early, every, noise))
@@ -74,7 +73,7 @@ def _so_far(snapshot: Snapshot, number: int, early: _Places, every: _Places, noi
     tried often enough, or until the next one began; then those up to each place that is asked for because of one poke. What is
     poked after that is the work again, and may be thousands.
     """
-    begun, (known, since) = snapshot.closings[number], _known_and_since(snapshot, number)
+    begun, (known, since) = snapshot.decisions.closings[number], _known_and_since(snapshot, number)
     size, whole = _first_part(known, since)
     tried = size == TRIES * PLACES
     while True:
@@ -93,7 +92,7 @@ def _so_far(snapshot: Snapshot, number: int, early: _Places, every: _Places, noi
 
 def _known_and_since(snapshot: Snapshot, number: int) -> tuple[set[ClosingPlace], list[tuple[int, ClosingPlace | None]]]:
     """Return the places that were poked before a check began, and the pokes since, until the next one, with their places."""
-    first, *later = (begun.after for begun in snapshot.closings[number:])
+    first, *later = (begun.after for begun in snapshot.decisions.closings[number:])
     known, since = set[ClosingPlace](), list[tuple[int, ClosingPlace | None]]()
     for record in snapshot.pokes:
         poke = record.outcome.poke
@@ -143,14 +142,14 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingSoFar]) -> bool:
     """Return whether so much was poked since the newest closing check that another is due; it is over, or there was none."""
     if not rounds:
         return True
-    last = max(rounds[-1].made, default=snapshot.closings[-1].after)
+    last = max(rounds[-1].made, default=snapshot.decisions.closings[-1].after)
     return sum(contact.poke > last for contact in snapshot.contacts) >= AGAIN
 
 
 def at_landmarks(snapshot: Snapshot) -> list[LandmarkPoke]:
     """Return the pokes at landmarks that count."""
     counting = (record.outcome for record in snapshot.pokes if not record.excluded)
-    return landmark_pokes(counting, snapshot.landmarks, snapshot.at_landmarks)
+    return landmark_pokes(counting, snapshot.decisions.landmarks, snapshot.at_landmarks)
 
 
 def at_taxels(snapshot: Snapshot) -> list[LandmarkPoke]:
@@ -158,20 +157,14 @@ def at_taxels(snapshot: Snapshot) -> list[LandmarkPoke]:
     places = _places(snapshot)
     return [
         LandmarkPoke(c.poke, str(channel), places[channel], c.force, c.moment, c.link_from_sensor, c.pose)
-        for c, channel in ((contact, strongest(contact)) for contact in snapshot.contacts)
+        for c, channel in ((contact, contact.strongest_channel) for contact in snapshot.contacts)
         if channel in places
     ]
 
 
-def first_names(pokes: Sequence[LandmarkPoke], stance: str, stance_of: StanceOf, count: int) -> list[str]:
-    """Return the places that were poked first in an arm pose, or nearly in it."""
-    early = (poke.name for poke in pokes if stance_of(poke.pose, poke.link_from_sensor) == stance)
-    return list(dict.fromkeys(early))[:count]
-
-
-def strongest(contact: Contact) -> int:
-    """Return the channel that answered most."""
-    return int(contact.channels[contact.responses.argmax()])
+def first_names(pokes: Sequence[LandmarkPoke], pose: str, count: int) -> list[str]:
+    """List the places that were poked first in an arm pose."""
+    return list(dict.fromkeys(poke.name for poke in pokes if poke.pose == pose))[:count]
 
 
 def _place(snapshot: Snapshot, record: PokeRecord) -> ClosingPlace | None:
@@ -180,7 +173,7 @@ def _place(snapshot: Snapshot, record: PokeRecord) -> ClosingPlace | None:
     if name is not None:
         return ClosingPlace(ClosingPlaces.LANDMARKS, name)
     if isinstance(record.outcome, Contact):
-        return ClosingPlace(ClosingPlaces.TAXELS, str(strongest(record.outcome)))
+        return ClosingPlace(ClosingPlaces.TAXELS, str(record.outcome.strongest_channel))
     return None
 
 

@@ -1,132 +1,79 @@
-"""The pokes as the rig reported them, the corrections of the rig that the operator uses, and what these make of a poke.
+"""Corrections of the rig that the operator uses: checked, applied, and written as actions.
 
-There are two kinds, one of each at most: of the sensor's frame, then of the rig's small errors, which was found under that
-frame and therefore goes where the frame is changed.
+There are two kinds, one of each at most: of the sensor's frame, then of the rig's small errors. The second was found under that
+frame, so it ends when the frame changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Outcome, Progress
+from skincal.contacts.outcome import Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.model.actions import Correct, Uncorrect
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, UsedCorrection
 from skincal.rig.frame_check import frame_correction
-from skincal.session.undo import Step
 
 if TYPE_CHECKING:
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
 
-ROUNDING = 1e-9
-"""How far a rotation's product with itself may be from one."""
-KINDS = {FRAME: "the sensor's frame", RIG: "the rig"}
+ROTATION_TOLERANCE = 1e-9
+"""Largest error of a rotation's product with its transpose."""
+CORRECTED_THINGS = {FRAME: "the sensor's frame", RIG: "the rig"}
+"""Names for the operator of what each kind of correction is of."""
 
 
-class Corrections:
-    """Those in use, and the pokes as reported.
+def with_correction(used: Mapping[str, UsedCorrection], action: Correct) -> dict[str, UsedCorrection]:
+    """Use a correction, in place of one of its kind; InputError if it makes no sense or is in use already."""
+    new = used_of(action)
+    if action.of in used and _same(used[action.of].correction, new.correction):
+        raise InputError(f"That correction of {CORRECTED_THINGS[action.of]} is in use already.")
+    return {**_independent_of(used, action.of), action.of: new}
+
+
+def without_correction(used: Mapping[str, UsedCorrection], action: Uncorrect) -> dict[str, UsedCorrection]:
+    """Stop using a correction; InputError if none of its kind is in use."""
+    if action.of not in used:
+        raise InputError(f"No correction of {action.of!r} is in use; expected one of {', '.join(used) or 'none'}.")
+    return _independent_of(used, action.of)
+
+
+def _independent_of(used: Mapping[str, UsedCorrection], of: str) -> dict[str, UsedCorrection]:
+    # The rig's correction was found under the frame that was in use, and holds under no other.
+    return {FRAME: used[FRAME]} if of == RIG and FRAME in used else {}
+
+
+def corrected_pose(link_from_sensor: FloatArray, name: str, used: Mapping[str, UsedCorrection]) -> FloatArray:
+    """Correct a reported (4, 4) link_from_sensor."""
+    for each in used.values():
+        link_from_sensor = each.correction.pose(link_from_sensor, name)
+    return link_from_sensor
+
+
+def corrected_progress(
+    progress: Progress, reported: FloatArray | None, name: str, used: Mapping[str, UsedCorrection]
+) -> Progress:
+    """Correct force and axis of a poke in progress.
 
     Parameters
     ----------
-    changed : called where pokes are to be corrected anew
+    reported : (4, 4) float, link_from_sensor of the arm pose `name`; `None` while unknown
     """
-
-    def __init__(self, changed: Callable[[], None]) -> None:
-        self._changed = changed
-        self.used: Mapping[str, UsedCorrection] = {}
-        """Those in use, by what they are of."""
-        self.reported: dict[int, Outcome] = {}
-        """Every poke as the rig reported it, by its number."""
-        self.framed: dict[int, Outcome] = {}
-        """The same in the right frame, with the rig's small errors: what these are found from."""
-
-    def act(self, action: Correct | Uncorrect) -> Step:
-        """Use a correction, or use it no more; see `use` and `drop`."""
-        return self.use(action) if isinstance(action, Correct) else self.drop(action)
-
-    def use(self, action: Correct) -> Step:
-        """Use a correction; return how it is taken back.
-
-        Raises
-        ------
-        InputError
-            It is none.
-        """
-        used = used_of(action)
-        if action.of in self.used and _same(self.used[action.of].correction, used.correction):
-            raise InputError(f"That correction of {KINDS[action.of]} is in use already.")
-        return self._set({**self._kept_beside(action.of), action.of: used}, f"correction of {KINDS[action.of]}")
-
-    def drop(self, action: Uncorrect) -> Step:
-        """Use a correction no more; return how that is taken back.
-
-        Raises
-        ------
-        InputError
-            None of that kind is in use.
-        """
-        if action.of not in self.used:
-            raise InputError(f"No correction of {action.of!r} is in use; expected one of {', '.join(self.used) or 'none'}.")
-        return self._set(self._kept_beside(action.of), f"end of the correction of {KINDS[action.of]}")
-
-    def _kept_beside(self, of: str) -> dict[str, UsedCorrection]:
-        # The rig's correction was found under the frame that was in use, and holds under no other.
-        return {FRAME: self.used[FRAME]} if of == RIG and FRAME in self.used else {}
-
-    def _set(self, used: Mapping[str, UsedCorrection], words: str) -> Step:
-        before = self.used
-        self._put(used)
-        return Step(words, lambda: self._put(before))
-
-    def _put(self, used: Mapping[str, UsedCorrection]) -> None:
-        reframed = used.get(FRAME) is not self.used.get(FRAME)
-        self.used = used
-        if reframed:
-            for reported in self.reported.values():
-                self._frame(reported)
-        self._changed()
-
-    def take(self, poke: Outcome) -> Outcome:
-        """Keep a poke as reported, in place of one with its number; return it as a right rig would have reported it."""
-        self.reported[poke.poke] = poke
-        self._frame(poke)
-        return self.corrected(poke.poke)
-
-    def _frame(self, reported: Outcome) -> None:
-        self.framed[reported.poke] = self.used[FRAME].correction.corrected(reported) if FRAME in self.used else reported
-
-    def corrected(self, number: int) -> Outcome:
-        """Return a poke as a right rig would have reported it."""
-        poke = self.framed[number]
-        return self.used[RIG].correction.corrected(poke) if RIG in self.used else poke
-
-    def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
-        """Return the true (4, 4) link_from_sensor of a reported one."""
-        for used in self.used.values():
-            link_from_sensor = used.correction.pose(link_from_sensor, name)
-        return link_from_sensor
-
-    def of_progress(self, progress: Progress, reported: FloatArray | None, name: str) -> tuple[FloatArray, FloatArray]:
-        """Return force (3,), N, and a point of the axis (3,), metres, link frame, of a poke in progress.
-
-        Parameters
-        ----------
-        reported : (4, 4) float, link_from_sensor of the arm pose of that name; None while unknown
-        """
-        force, point = progress.force, progress.axis_point
-        if not self.used or reported is None or not np.isfinite(point).all() or not force.any():
-            return force, point
-        # Back into the sensor's frame as reported, corrected there, and out by the pose as it truly is.
-        force, moment = move_wrench(np.asarray(np.linalg.inv(reported), dtype=np.float64), force, np.cross(point, force))
-        for used in self.used.values():
-            force, moment = used.correction.wrench(force, moment)
-        force, moment = move_wrench(self.pose(reported, name), force, moment)
-        return force, axis_point(force, moment)
+    force, point = progress.force, progress.axis_point
+    if not used or reported is None or not np.isfinite(point).all() or not force.any():
+        return progress
+    # Back into the sensor's frame as reported, corrected there, and out by the pose as it truly is.
+    force, moment = move_wrench(np.asarray(np.linalg.inv(reported), dtype=np.float64), force, np.cross(point, force))
+    for each in used.values():
+        force, moment = each.correction.wrench(force, moment)
+    force, moment = move_wrench(corrected_pose(reported, name, used), force, moment)
+    return replace(progress, force=force, axis_point=axis_point(force, moment))
 
 
 def _same(first: Correction, second: Correction) -> bool:
@@ -152,8 +99,10 @@ def correction_of(action: Correct) -> Correction:
     """
     sizes = (len(action.matrix), len(action.everywhere), len(action.motions))
     wanted = (36, 16, 16 * len(action.poses))
-    if action.of not in KINDS or sizes != wanted:
-        raise InputError(f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(KINDS)}, with {wanted}.")
+    if action.of not in CORRECTED_THINGS or sizes != wanted:
+        raise InputError(
+            f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(CORRECTED_THINGS)}, with {wanted}."
+        )
     of_poses = 6 * len(action.poses) if len(action.poses) <= POSES_KEPT else 0
     size = 36 + len(action.quadratic) + of_poses if action.spread else 0
     if len(action.quadratic) not in (0, 126) or len(action.spread) != size * (size + 1) // 2:
@@ -180,7 +129,7 @@ def correction_of(action: Correct) -> Correction:
 def _is_motion(matrix: FloatArray) -> bool:
     """Return whether (4, 4) is a rotation and a shift, within rounding."""
     turn = matrix[:3, :3]
-    square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROUNDING) and np.linalg.det(turn) > 0
+    square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE) and np.linalg.det(turn) > 0
     return bool(square and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]))
 
 

@@ -167,7 +167,7 @@ class ErrorCourse:
 
     def update(self, snapshot: Snapshot) -> None:
         """Follow the session: drop points that no longer hold, add the newest."""
-        used = snapshot.corrections.get(RIG)
+        used = snapshot.decisions.corrections.get(RIG)
         before, self._input = self._input, CourseInput(snapshot.contacts, snapshot.dead, used and used.correction)
         same, count = self._input.common(before), len(snapshot.contacts)
         self._stride = stride_of(count)
@@ -245,10 +245,10 @@ class ErrorFollower:
         self.version = 0
         """Changes whenever the course or its source changes."""
         self._course = self._new_course()
-        self._revision: int | None = None
+        self._seen: Snapshot | None = None
         self._busy = False
-        self._failed_at: tuple[ErrorCourse, int | None] | None = None
-        """Course and revision whose work failed: it is tried again only once either changed."""
+        self._failed_at: tuple[ErrorCourse, Snapshot] | None = None
+        """Course and snapshot whose work failed: it is tried again only once either changed."""
 
     def _new_course(self) -> ErrorCourse:
         known = None if self.source is None else self.source.places
@@ -263,21 +263,16 @@ class ErrorFollower:
         """Compare with another of `sources`."""
         if self.sources[index] is not self.source:
             self.source = self.sources[index]
-            self._course, self._revision = self._new_course(), None
+            self._course, self._seen = self._new_course(), None
             self.version += 1
 
-    def follow(self, snapshot: Snapshot, revision: int) -> None:
-        """Follow a session, and let the background go on with the points that are missing.
-
-        Parameters
-        ----------
-        revision : changes whenever pokes, estimates or dead taxels change
-        """
-        if revision != self._revision:
-            self._revision = revision
+    def follow(self, snapshot: Snapshot) -> None:
+        """Follow a session, and let the background go on with the points that are missing."""
+        if snapshot is not self._seen:
+            self._seen = snapshot
             self._course.update(snapshot)
             self.version += 1
-        course, at = self._course, (self._course, revision)
+        course, at = self._course, (self._course, snapshot)
         if self._busy or self._failed_at == at or not course.missing:
             return
 
@@ -344,14 +339,14 @@ class ModulesCheck:
         self._part, self._run = part, run
         self._module_model: ModuleModel | None = None
         self._busy = False
-        self._asked: int | None = None
+        self._asked: Snapshot | None = None
         self.found: ModulesFound | None = None
         """None while nothing was judged."""
 
-    def follow(self, snapshot: Snapshot, revision: int) -> None:
-        """Judge a session as it stands, unless an older moment is still being judged; `revision` as for `ErrorFollower`."""
+    def follow(self, snapshot: Snapshot) -> None:
+        """Judge a snapshot, unless an older one is still being judged."""
         layout = self._part.scene.skin.layout
-        if layout is None or self._busy or revision == self._asked:
+        if layout is None or self._busy or snapshot is self._asked:
             return
         method = Method.SURFACE if self._part.surface is not None else Method.FREE
         estimates = {estimate.channel: estimate for estimate in snapshot.estimates.get(method, ())}
@@ -367,7 +362,7 @@ class ModulesCheck:
                 self._busy = False
                 raise
 
-        self._busy, self._asked = True, revision
+        self._busy, self._asked = True, snapshot
         self._run(work, self._take)
 
     def _take(self, found: ModulesFound) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkRound, LandmarkTarget, Stances, Target, rig_moves
+from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_moves
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
 from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
@@ -25,6 +25,7 @@ from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
 from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
+from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingSoFar,
     at_landmarks,
@@ -34,9 +35,10 @@ from skincal.session.closing_pokes import (
     first_names,
     is_due,
 )
+from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part
-from skincal.session.snapshot import ClosingRound, Snapshot
+from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
@@ -61,7 +63,7 @@ class SessionGuide:
         """One a method that was shown: what was skipped stays skipped, and one that comes again only takes what is new."""
         self._skipped: Counter[Method] = Counter()
         """How many of the session's skips each guide knows."""
-        self._followed: tuple[int, Method, int] | None = None
+        self._followed: tuple[Snapshot, Method] | None = None
         self._skin_guidance: Guidance | None = None
         """Of the skin alone."""
         self._guidance: Guidance | None = None
@@ -71,47 +73,47 @@ class SessionGuide:
         self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), on_mesh=part.surface is not None)
         """About how many pokes each method takes from the first to enough; nothing where no layout places the taxels."""
 
-    def follow(
+    def next_target(
         self,
         snapshot: Snapshot,
-        revision: int,
+        pose: CurrentPose,
         method: Method,
         evidence: Callable[[Collection[int]], Evidence],
         now_s: float,
     ) -> Guidance | None:
-        """Return what to poke next; worked out anew only where the revision or the method is another. None: no guide.
+        """Say what to poke next; `None` while guidance is off. The same snapshot and method cost nothing again.
 
         Parameters
         ----------
-        revision : another number where pokes, estimates or dead taxels changed
-        evidence : what the contacts of this snapshot say of some channels
+        pose : current arm pose
+        evidence : rows of this snapshot's contacts for some channels
         now_s : host's monotonic clock, seconds, when it is seen
         """
         if not self.wanted:
             self._followed = self._guidance = None
             self.landmarks.forget()
             return None
-        now = revision, method, len(snapshot.skips)
+        now = snapshot, method
         if now != self._followed:
             guide = self._guide_of(method)
             if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
                 # Meanwhile another target was shown, or none.
                 guide.forget_target()
-            self._skin_guidance = self.of_skin(snapshot, method, evidence)
+            self._skin_guidance = self.next_skin_target(snapshot, method, evidence)
             self._followed = now
         assert self._skin_guidance is not None
-        before = self.landmarks.before_skin(self._skin_guidance, snapshot, now_s)
-        self._guidance = self.closing.after_skin(before, snapshot, self.landmarks)
+        before = self.landmarks.before_skin(self._skin_guidance, snapshot, pose, now_s)
+        self._guidance = self.closing.after_skin(before, snapshot, pose[0], self.landmarks)
         return self._guidance
 
-    def of_skin(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
-        """Return what to poke next on the skin, whatever landmarks there are; as `follow`, worked out anew."""
+    def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+        """Say what to poke next on the skin, whatever landmarks there are."""
         guide = self._guide_of(method)
-        for skip in snapshot.skips[self._skipped[method] :]:
+        for skip in snapshot.decisions.skips[self._skipped[method] :]:
             # A place where a taxel may be is left out for all methods.
             if isinstance(skip, SkipPoke) and (skip.method == method.value or skip.channel < 0):
                 guide.skip(_target_of(skip, skip.push))
-        self._skipped[method] = len(snapshot.skips)
+        self._skipped[method] = len(snapshot.decisions.skips)
         asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
         return guide.update(
             _contacts(snapshot),
@@ -122,13 +124,13 @@ class SessionGuide:
             lambda poke: _asked_target(asked.get(poke)),
         )
 
-    def judged(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
-        """Return what is still asked for by a method, on the skin and at landmarks: this alone says whether it is enough.
+    def remaining_work(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
+        """Say what a method still needs, on the skin and at landmarks. This alone decides whether it is enough.
 
-        It follows from the session as it stands, with what was skipped, and not from when it is looked at: an arm is taken to
-        stand still, and where its pose is not known, in that of the last poke.
+        It follows from the session alone, with its skips, and not from the time. A streamed arm counts as standing still in the
+        pose of the last poke.
         """
-        return self.landmarks.added(self.of_skin(snapshot, method, evidence), snapshot)
+        return self.landmarks.added(self.next_skin_target(snapshot, method, evidence), snapshot)
 
     def verdict(
         self,
@@ -137,15 +139,15 @@ class SessionGuide:
         evidence: Callable[[Collection[int]], Evidence],
         rig: RigAnswer | None = None,
     ) -> Verdict:
-        """Return what the session has come to by a method; whether it is enough says `judged`.
+        """Return what the session has come to by a method; `remaining_work` decides whether it is enough.
 
         Parameters
         ----------
         evidence : what the contacts of this snapshot say of some channels
         rig : what landmark pokes say; None where nobody has looked
         """
-        guidance = self.judged(snapshot, method, evidence)
-        estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.corrections.get(RIG)
+        guidance = self.remaining_work(snapshot, method, evidence)
+        estimates, noise, used = snapshot.estimates[method], self._scene.noise, snapshot.decisions.corrections.get(RIG)
         landmarks = landmark_agreement(rig, used)
         verdict = verdict_of(
             guidance,
@@ -171,7 +173,7 @@ class SessionGuide:
         return self._guides[self._followed[1]].axis_diversity(channel, evidence)
 
     def skip(self) -> SkipClosing | SkipLandmark | SkipPoke | None:
-        """Return what asks for another poke than the one that was asked for last; None where none was."""
+        """Make the action that skips the current target; `None` without a target."""
         now = self._guidance
         if now is None or now.target is None:
             return None
@@ -183,15 +185,15 @@ class SessionGuide:
         return SkipPoke(now.method.value, channel, _numbers(now.target.place), _numbers(now.target.push))
 
     def skip_landmarks(self) -> SkipClosing | SkipLandmark | None:
-        """Return what asks for no landmarks in this arm pose, or ends the closing check; None where neither is asked for."""
+        """Make the action that skips all landmarks in this arm pose or ends the closing check; `None` if neither is active."""
         if self._guidance is not None and self._guidance.closing is not None:
             return SkipClosing("", "")
         return self.landmarks.skip(all_of_pose=True)
 
-    def check_again(self, snapshot: Snapshot) -> BeginClosing | None:
-        """Return what begins another closing check; None where nothing would be asked for in it."""
+    def check_again(self, snapshot: Snapshot, pose: str) -> BeginClosing | None:
+        """Make the action that begins another closing check; `None` if nothing would be asked for in it."""
         now = self._guidance
-        possible = now is not None and self.closing.begun(now, snapshot, self.landmarks) is not None
+        possible = now is not None and self.closing.begun(now, snapshot, pose, self.landmarks) is not None
         return BeginClosing(wanted=True) if possible else None
 
     def _guide_of(self, method: Method) -> Guide:
@@ -216,84 +218,58 @@ class SessionGuide:
 
 
 class LandmarkGuide:
-    """Says which landmark to poke; the guide of the skin stands behind it.
-
-    Which poke was there is found by `LandmarkFinder`, in the pipeline.
-    """
+    """Says which landmark to poke before the skin. `LandmarkFinder` in the pipeline finds which poke was there."""
 
     def __init__(self, part: Part, plan: PlannedPlaces) -> None:
         self._scene, self._surface = part.scene, part.surface
         there = np.isfinite(plan.places).all(axis=1)
         self._taxels, self._outward = plan.places[there], plan.normals[there]
-        """(n, 3) float each, metres and unit: of the taxels that the layout places."""
-        self._round = LandmarkRound()
-        self._stances, self._stance, self._stance_s = Stances(), "", -np.inf
-        """The arm's pose, and since when it holds: host's monotonic clock, seconds."""
+        """(n, 3) float each, metres and unit: the taxels that the layout places."""
         self._normals: dict[bytes, FloatArray] = {}
         self._targets: list[LandmarkTarget] = []
         """All that is asked for in this arm pose."""
-        self._skips = 0
-        """How many of the session's skips the round knows."""
-        self._pose: tuple[str, FloatArray | None] = ("", None)
-        """The arm's pose as it was seen last."""
+        self._pose: CurrentPose = ("", None)
+        self._since_s = -np.inf
+        """When the arm came into this pose: host's monotonic clock, seconds."""
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
     def forget(self) -> None:
-        """Ask for nothing: nobody guides."""
+        """Ask for nothing: guidance is off."""
         self._targets, self._known = [], ()
 
-    def before_skin(self, guidance: Guidance, snapshot: Snapshot, now_s: float) -> Guidance:
-        """Return the guidance of the skin with a landmark before it, where one is asked for; `now_s` as for `SessionGuide`."""
-        self._pose = snapshot.pose, snapshot.link_from_sensor
-        here = self.stance_of(*self._pose)
-        if here != self._stance:
+    def before_skin(self, guidance: Guidance, snapshot: Snapshot, pose: CurrentPose, now_s: float) -> Guidance:
+        """Put a landmark before the skin's guidance, if one is asked for; `now_s` as for `SessionGuide.next_target`."""
+        before, self._pose = self._pose[0], pose
+        if pose[0] != before:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.
-            self._stance, self._stance_s = here, now_s if self._stance and not self._is_named(here) else -np.inf
-        still = now_s - self._stance_s >= STILL_S
-        names = [landmark.name for landmark in snapshot.landmarks]
-        known = names, snapshot.at_landmarks, here, still, guidance, len(snapshot.skips)
+            is_named = self._scene.arm is None or pose[0] in self._scene.arm.poses
+            self._since_s = now_s if before and not is_named else -np.inf
+        still = now_s - self._since_s >= STILL_S
+        known = snapshot, pose[0], still, guidance
         if known != self._known:
             self._known = known
-            self._targets = self._plan(snapshot, *self._pose) if still else []
+            self._targets = self._plan(snapshot, pose[0]) if still else []
             now = self._targets[0] if self._targets else None
             self._shown = now and guidance.before_skin(now, self.normal(now.landmark), self._gain_of(snapshot))
         return self._shown or guidance
 
     def added(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
-        """Return the guidance of the skin with what is asked for at landmarks before it; see `SessionGuide.judged`."""
-        pose = snapshot.pose, snapshot.link_from_sensor
-        if not snapshot.pose and snapshot.pokes:
-            last = snapshot.pokes[-1].outcome
-            pose = last.pose, last.link_from_sensor
-        targets = self._plan(snapshot, *pose)
+        """Put the landmarks before the skin's guidance that are missing by the session alone; see `remaining_work`."""
+        pose = snapshot.decisions.pose
+        if not pose and self._scene.arm is not None:
+            named = list(self._scene.arm.poses)
+            pose = named[0] if len(named) == 1 else ""
+            pose = snapshot.pokes[-1].outcome.pose if snapshot.pokes else pose
+        targets = self._plan(snapshot, pose)
         return guidance.before_skin(targets[0], self.normal(targets[0].landmark), None) if targets else guidance
 
-    def _is_named(self, pose: str) -> bool:
-        """Return whether the scene knows that arm pose; streamed joints pass through others that have no name of their own."""
-        return self._scene.arm is None or pose in self._scene.arm.poses
-
-    def stance_of(self, pose: str, link_from_sensor: FloatArray | None) -> str:
-        """Return the name of an arm pose; one that is nearly an earlier one has its name, unless the scene names it."""
-        return pose if not pose or self._is_named(pose) else self._stances.key(pose, link_from_sensor)
-
-    def _plan(self, snapshot: Snapshot, pose: str, link_from_sensor: FloatArray | None) -> list[LandmarkTarget]:
-        if not snapshot.landmarks or (self._scene.arm is not None and not pose):
+    def _plan(self, snapshot: Snapshot, pose: str) -> list[LandmarkTarget]:
+        decisions = snapshot.decisions
+        if not decisions.landmarks or (self._scene.arm is not None and not pose):
             return []
-        for skip in snapshot.skips[self._skips :]:
-            self._take_skip(skip)
-        self._skips = len(snapshot.skips)
-        poked = [(self.stance_of(poke.pose, poke.link_from_sensor), poke.name) for poke in self.made(snapshot)]
-        return self._round.plan(snapshot.landmarks, poked, self.stance_of(pose, link_from_sensor))
-
-    def _take_skip(self, skip: SkipPoke | SkipLandmark) -> None:
-        if not isinstance(skip, SkipLandmark):
-            return
-        stance = self.stance_of(skip.pose, np.reshape(skip.link_from_sensor, (4, 4)) if skip.link_from_sensor else None)
-        if skip.name:
-            self._round.skip(skip.name, stance)
-        else:
-            self._round.leave_out(stance)
+        skips = [(skip.pose, skip.name) for skip in decisions.skips if isinstance(skip, SkipLandmark)]
+        return landmark_targets(decisions.landmarks, [(poke.pose, poke.name) for poke in self.made(snapshot)], pose, skips)
 
     def made(self, snapshot: Snapshot) -> list[LandmarkPoke]:
         """Return the landmark pokes that count."""
@@ -305,16 +281,14 @@ class LandmarkGuide:
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Predict what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
-        here = snapshot.link_from_sensor
+        name, here = self._pose
         if here is None or not len(self._taxels):
             return None
         contacts = snapshot.contacts
-        often = [name for name, _ in Counter(contact.pose for contact in contacts).most_common(POSES)]
+        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(POSES)]
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
-        poses[snapshot.pose] = here
-        planned = [
-            PlannedPoke(target.landmark.place, self.normal(target.landmark), here, snapshot.pose) for target in self._targets
-        ]
+        poses[name] = here
+        planned = [PlannedPoke(target.landmark.place, self.normal(target.landmark), here, name) for target in self._targets]
         made, noise = [poke for poke in self.made(snapshot) if poke.pose in poses], self._scene.noise
         return expected_error(RigPrior(), noise, made, planned, self._taxels, self._outward, poses)
 
@@ -350,28 +324,28 @@ class ClosingGuide:
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
-    def after_skin(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance:
-        """Return the guidance, with a place to poke once more where it is enough."""
-        known = guidance, snapshot.pokes, snapshot.at_landmarks, snapshot.closings, snapshot.pose
-        if len(known) != len(self._known) or any(a is not b for a, b in zip(known, self._known, strict=True)):
-            self._known, self._shown = known, self._closing(guidance, snapshot, landmarks)
+    def after_skin(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance:
+        """Add a place to repeat, once nothing else is asked for in the arm pose of that name."""
+        known = guidance, snapshot, pose
+        if known != self._known:
+            self._known, self._shown = known, self._closing(guidance, snapshot, pose, landmarks)
         return self._shown or guidance
 
-    def _closing(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
+    def _closing(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance | None:
         if guidance.phase is not GuidePhase.ENOUGH:
             return None
         rounds, asked = closing_rounds(snapshot, self._noise), None
-        if rounds and not snapshot.closings[-1].ended and not rounds[-1].over:
-            asked = self._next(rounds, snapshot.closings[-1], guidance, snapshot, landmarks)
-        return self.begun(guidance, snapshot, landmarks) if asked is None and is_due(snapshot, rounds) else asked
+        if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].over:
+            asked = self._next(rounds, snapshot.decisions.closings[-1], guidance, snapshot, pose, landmarks)
+        return self.begun(guidance, snapshot, pose, landmarks) if asked is None and is_due(snapshot, rounds) else asked
 
-    def begun(self, guidance: Guidance, snapshot: Snapshot, landmarks: LandmarkGuide) -> Guidance | None:
-        """Return the guidance with the first place of a check that begins now; None before enough, or where it has none."""
+    def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance | None:
+        """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
         if not guidance.enough:
             return None
         last = max((record.outcome.poke for record in snapshot.pokes), default=0)
         rounds = [*closing_rounds(snapshot, self._noise), ClosingSoFar()]
-        return self._next(rounds, ClosingRound(last), guidance, snapshot, landmarks)
+        return self._next(rounds, ClosingRound(last), guidance, snapshot, pose, landmarks)
 
     def _next(
         self,
@@ -379,18 +353,18 @@ class ClosingGuide:
         begun: ClosingRound,
         guidance: Guidance,
         snapshot: Snapshot,
+        pose: str,
         landmarks: LandmarkGuide,
     ) -> Guidance | None:
         """Return the guidance with the next place of the last of the checks, which began so; None where it has no more."""
         *done, now = rounds
         before = frozenset[int]().union(*(each.made for each in done))
-        stance = landmarks.stance_of(snapshot.pose, snapshot.link_from_sensor)
         for at, pokes, targets in (
             (ClosingPlaces.LANDMARKS, at_landmarks(snapshot), self._landmarks(snapshot, landmarks.normal)),
             (ClosingPlaces.TAXELS, at_taxels(snapshot), _taxel_targets(guidance, snapshot)),
         ):
             early = [poke for poke in pokes if poke.poke <= begun.after and poke.poke not in before]
-            names = [name for name in first_names(early, stance, landmarks.stance_of, PLACES) if name in targets]
+            names = [name for name in first_names(early, pose, PLACES) if name in targets]
             if len(names) < FEWEST:
                 continue
             again = {poke.name for poke in pokes if poke.poke in now.made}
@@ -402,13 +376,13 @@ class ClosingGuide:
             lone = now.found.poke if place == now.once_more and now.found is not None else None
             step = ClosingStep(place, len(again & set(names)), len(names), len(rounds), lone)
             target = targets[place.name]
-            marks = {landmark.name: landmark for landmark in snapshot.landmarks}
+            marks = {landmark.name: landmark for landmark in snapshot.decisions.landmarks}
             mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
             return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=step)
         return None
 
     def _landmarks(self, snapshot: Snapshot, normal: Callable[[Landmark], FloatArray]) -> dict[str, Target]:
-        return {mark.name: _straight(None, mark.place, normal(mark), mark.name) for mark in snapshot.landmarks}
+        return {mark.name: _straight(None, mark.place, normal(mark), mark.name) for mark in snapshot.decisions.landmarks}
 
 
 def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
@@ -457,10 +431,10 @@ class ModulesEnough:
 
     def __init__(self, plan: PlannedPlaces, skin: float) -> None:
         self._plan, self._skin, self._settings = plan, skin, GuideSettings()
-        self._seen: int | None = None
+        self._seen: Snapshot | None = None
         self._noticed = False
 
-    def is_news(self, snapshot: Snapshot, revision: int, guidance: Guidance | None, method: Method, *, streaming: bool) -> bool:
+    def is_news(self, snapshot: Snapshot, guidance: Guidance | None, method: Method, *, streaming: bool) -> bool:
         """Return whether it is enough by the modules method, and was not noticed before.
 
         `guidance` is by the method that is shown, None where nobody guides; `streaming` says that the devices are read.
@@ -468,9 +442,9 @@ class ModulesEnough:
         asked = guidance is not None and not guidance.enough
         # Seen by that method, it is no news any more.
         self._noticed |= method is Method.MODULES and not asked and guidance is not None
-        if self._noticed or not asked or method is Method.MODULES or not streaming or revision == self._seen:
+        if self._noticed or not asked or method is Method.MODULES or not streaming or snapshot is self._seen:
             return False
-        self._seen = revision
+        self._seen = snapshot
         self._noticed = self._enough(snapshot)
         return self._noticed
 
@@ -481,7 +455,7 @@ class ModulesEnough:
         known = [estimate for estimate in snapshot.estimates.get(Method.MODULES, ()) if estimate.channel in module_of]
         if all(estimate.state is State.DEAD for estimate in known) or any(self._needs(estimate, enough) for estimate in known):
             return False  # whatever was poked where
-        own = Counter(module_of.get(int(contact.channels[contact.responses.argmax()])) for contact in snapshot.contacts)
+        own = Counter(module_of.get(contact.strongest_channel) for contact in snapshot.contacts)
         return not any(self._needs(estimate, own[module_of[estimate.channel]]) for estimate in known)
 
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:

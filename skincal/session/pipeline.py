@@ -22,10 +22,12 @@ from skincal.contacts.outcome import BeforePokes, Contact, Outcome, PressPhase
 from skincal.geometry import FloatArray
 from skincal.journal.documents import Ending, Item, Note, Taken, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
-from skincal.model.actions import Action, AskLandmark, AskPoke, Stamped
+from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, Stamped
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
-from skincal.model.scene import ArmSpec, Scene
+from skincal.model.scene import Scene
+from skincal.session.arm_poses import ArmPoses
+from skincal.session.corrections import corrected_progress
 from skincal.session.landmark_pokes import LandmarkFinder
 from skincal.session.session import Session
 from skincal.session.snapshot import LiveView, Snapshot
@@ -79,6 +81,7 @@ class Pipeline:
         self._earlier = Totals()
         self._now_ns = 0
         self._found_dead = False
+        self.poses = ArmPoses(scene)
         self.session.set_clock(None if journal is None else journal.clock)
         self._connect(links)
 
@@ -88,12 +91,12 @@ class Pipeline:
         arm = self.scene.arm
         self._intake = Intake(self.scene.skin.channels, links, 0 if arm is None else max(arm.arm.joints, default=-1) + 1)
         self._frozen = frozenset[str]()
-        self._poses = _Poses(self.scene)
+        self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
         self._away = set[str]()
         self._decoded_ns, self._decoded_s = 0, -np.inf
-        self._show_pose(None)
+        self._current_pose(None)
 
     def feed(self, item: Chunk | LinkEvent) -> None:
         """Take the next item of the queue, the journal or a recording; InputError for a link that was not described."""
@@ -127,6 +130,7 @@ class Pipeline:
             self.session.set_detected_dead(note.dead)
         for outcome, doubt in note.outcomes:
             self.session.add(outcome)
+            self.poses.add_used(outcome.pose, outcome.link_from_sensor)
             if doubt is None:
                 self._doubts.pop(outcome.poke, None)
             else:
@@ -137,12 +141,18 @@ class Pipeline:
         self.session.act(action, host_ns * 1e-9)
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
-        self._show_pose(None)
-        self._detector.use_thresholds(self.session.thresholds)
+        self.note_skipped_pose(action)
+        self._current_pose(None)
+        self._detector.use_thresholds(self.session.decisions.thresholds)
         self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark | AskPoke):
             self._record(lambda journal: journal.sync())
+
+    def note_skipped_pose(self, action: Action) -> None:
+        """Remember the arm pose in which a landmark was skipped."""
+        if isinstance(action, SkipLandmark) and action.link_from_sensor:
+            self.poses.add_used(action.pose, np.reshape(action.link_from_sensor, (4, 4)))
 
     @property
     def asked_landmark(self) -> str:
@@ -160,8 +170,9 @@ class Pipeline:
     def live(self, now_ns: int) -> LiveView:
         """Return the newest readings."""
         detector = self._detector
-        name, link_from_sensor = self._poses.current
-        progress = self.session.corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name)
+        name, link_from_sensor = self.poses.current
+        used = self.session.decisions.corrections
+        progress = corrected_progress(detector.progress(link_from_sensor), link_from_sensor, name, used)
         if not self._has_samples(now_ns):
             progress = replace(progress, phase=PressPhase.NO_DATA)
         times, wrench = self._intake.recent_wrench()
@@ -173,6 +184,8 @@ class Pipeline:
             progress=progress,
             links=self._intake.health(now_ns),
             losses_unpaired=self._intake.unpaired,
+            pose=name,
+            link_from_sensor=link_from_sensor,
         )
 
     @property
@@ -183,9 +196,9 @@ class Pipeline:
     def measures(self, now_ns: int) -> bool:
         """Return whether a poke would be measured now: samples of open links that live, in an arm pose that is known."""
         # A pose that was chosen holds without joints.
-        unneeded = {Stream.JOINTS} if self.session.pose or self.scene.arm is None else set[Stream]()
+        unneeded = {Stream.JOINTS} if self.session.decisions.pose or self.scene.arm is None else set[Stream]()
         needed = {link.name for link in self.links if set(link.carries) - unneeded}
-        _, link_from_sensor = self._poses.current
+        _, link_from_sensor = self.poses.current
         return self._has_samples(now_ns) and not needed & self._intake.down and link_from_sensor is not None
 
     def _has_samples(self, now_ns: int) -> bool:
@@ -220,8 +233,9 @@ class Pipeline:
             self.demand_record()
         # Before the new intake, which counts from zero.
         self._earlier = self.totals()
-        self.session.settle()
+        self.session.finalize_outcomes()
         self._connect(self.links if links is None else links)
+        self.poses.are_grouped = True
         self.journal = journal
         self.session.set_clock(None if journal is None else journal.clock)
         self.renew_detector()
@@ -233,11 +247,11 @@ class Pipeline:
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
         self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
         self._dead = self._detector.dead
-        self._detector.use_thresholds(session.thresholds)
+        self._detector.use_thresholds(session.decisions.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
-        # A session that was loaded stands in the pose that was chosen last.
-        self._show_pose(None)
+        # In a session that was loaded the pose holds that was chosen last.
+        self._current_pose(None)
 
     def put_down(self, host_ns: int) -> None:
         """Come to an end in good order: a poke in progress is over, and those that wait are final."""
@@ -256,7 +270,7 @@ class Pipeline:
             self._record(lambda journal: journal.write_sample(sample))
         if self.scene.wrench_sign < 0:
             sample = replace(sample, wrench=-sample.wrench)
-        name, link_from_sensor = self._show_pose(sample.angles)
+        name, link_from_sensor = self._current_pose(sample.angles)
         outcomes = self._detector.feed(sample, link_from_sensor, name)
         if self._detector.dead is not self._dead:
             self._dead = self._detector.dead
@@ -273,8 +287,11 @@ class Pipeline:
         # In the order of their numbers: which one is taken can depend on those before it.
         new = sorted({outcome.poke for outcome in outcomes if outcome.poke > last})
         if new and self._landmarks.asked:
-            tries = self.session.landmark_tries(new)
-            for found in self._landmarks.find(tries, self.session.landmarks, self.scene.noise):
+            session = self.session
+            found_now = self._landmarks.find(
+                session.frame_corrected(new), session.landmark_pokes, session.decisions, self.scene.noise
+            )
+            for found in found_now:
                 self.act(found, item.host_ns)
 
     def _note(self, item: Item, outcomes: Sequence[Outcome]) -> None:
@@ -330,10 +347,8 @@ class Pipeline:
             self._away.add(event.link)
         return event.state in _BREAKS or (event.state is LinkState.ENDED and self._away >= needed)
 
-    def _show_pose(self, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
-        name, link_from_sensor = self._poses.at(self.session.pose, angles)
-        self.session.set_current_pose(name, link_from_sensor)
-        return name, link_from_sensor
+    def _current_pose(self, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
+        return self.poses.at(self.session.decisions.pose, angles)
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
@@ -365,46 +380,3 @@ class Pipeline:
         except JournalFailure as failure:
             self.journal_failure = str(failure)
             self.journal = None
-
-
-class _Poses:
-    """The arm's pose as it holds: chosen, streamed, or the only one there is."""
-
-    def __init__(self, scene: Scene) -> None:
-        self._arm, self._fixed = scene.arm, scene.sensor_pose
-        self._joints = np.array([] if scene.arm is None else scene.arm.arm.joints, np.int64)
-        self._chosen: dict[str, FloatArray] = {}
-        self._angles: FloatArray | None = None
-        self._streamed: tuple[str, FloatArray] | None = None
-        self.current: tuple[str, FloatArray | None] = ("", None)
-
-    def at(self, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
-        """Return name and link_from_sensor, of the pose that the operator chose, if any, or of (joints,) streamed, radians.
-
-        Without `angles` the last that were streamed hold.
-        """
-        self.current = ("", self._fixed) if self._arm is None else self._of(self._arm, chosen, angles)
-        return self.current
-
-    def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
-        if angles is not None:
-            angles = angles.take(self._joints)
-            if self._angles is None or angles.tolist() != self._angles.tolist():
-                # Kept while the arm stands: kinematics cost, and the same object says to others that nothing changed.
-                self._angles = angles
-                self._streamed = _pose_name(arm, angles), arm.arm.link_from_sensor(angles)
-        if not chosen and self._streamed is not None:
-            return self._streamed
-        name = chosen or (next(iter(arm.poses)) if len(arm.poses) == 1 else "")
-        if name and name not in self._chosen:
-            self._chosen[name] = arm.arm.link_from_sensor(arm.poses[name])
-        return name, self._chosen.get(name)
-
-
-def _pose_name(arm: ArmSpec, angles: FloatArray) -> str:
-    """Return the name of the scene's pose that is this one, within the arm's tolerance, else the angles in words."""
-    for name, named in arm.poses.items():
-        if np.abs(named - angles).max(initial=0.0) <= arm.tolerance:
-            return name
-    # Adding zero makes 0 of -0, which would be the name of another pose.
-    return ", ".join(f"{angle:.0f} deg" for angle in np.degrees(angles).round() + 0.0)

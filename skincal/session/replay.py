@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from skincal.journal.documents import Ending, SegmentMark, Taken, Totals
+from skincal.journal.documents import FORMAT_WITH_GROUPED_POSES, Ending, SegmentMark, Taken, Totals
 from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
@@ -78,6 +78,7 @@ def _load_step(pipeline: Pipeline, item: LogState) -> None:
     if isinstance(item, Stamped):
         # Not the pipeline's `act`: what the detector made of an action stands in the notes that follow.
         pipeline.session.act(item.action, item.host_ns * 1e-9)
+        pipeline.note_skipped_pose(item.action)
     elif isinstance(item, Taken | Totals):
         pipeline.take(item)
     elif isinstance(item, SegmentMark):
@@ -114,6 +115,7 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
     if isinstance(item, SegmentMark):
         if item.number > 1:
             pipeline.begin_segment(item.links)
+        pipeline.poses.are_grouped = item.format >= FORMAT_WITH_GROUPED_POSES
         pipeline.session.set_clock(item.clock)
     elif isinstance(item, Stamped):
         # The bytes and what was asked for lead to these again.

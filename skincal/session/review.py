@@ -58,7 +58,7 @@ class Review:
     after: Mapping[Method, FloatArray]
     """The same under the correction that was found; only where it is worth using and none is in use."""
     used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
-    """Corrections that were in use, `Snapshot.corrections` itself: it says nothing of a session that uses others."""
+    """Corrections that were in use, `Decisions.corrections` itself: it says nothing of a session that uses others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,20 +95,22 @@ class Asked:
 
     def change(self, session: Session, snapshot: Snapshot) -> Change:
         """Return what is new in a session, of which `snapshot` is the newest."""
-        before, now, since = self.pokes, session.framed(), self.known
+        counting = [record.outcome.poke for record in snapshot.pokes if not record.excluded]
+        before, since = self.pokes, self.known
+        now = {outcome.poke: outcome for outcome in session.frame_corrected(counting)}
         self.generation = self.known = self.generation + 1
-        self.pokes, self.used = now, snapshot.corrections
+        self.pokes, self.used = now, snapshot.decisions.corrections
         return Change(
             generation=self.generation,
             since=since,
-            # By identity: `Session.framed` returns the same object for what did not change.
+            # By identity: `Session.frame_corrected` returns the same object for what did not change.
             pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},
             gone=tuple(before.keys() - now.keys()),
-            landmarks=snapshot.landmarks,
+            landmarks=snapshot.decisions.landmarks,
             at_landmarks=snapshot.at_landmarks,
             channels=session.channels,
             dead=snapshot.dead,
-            corrected=RIG in snapshot.corrections,
+            corrected=RIG in snapshot.decisions.corrections,
         )
 
     def forget(self) -> None:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Contact, Outcome, Progress
 from skincal.geometry import FloatArray, IntArray
 from skincal.journal.documents import WallClock
-from skincal.model.actions import AskPoke, MissedLandmark, SkipLandmark, SkipPoke
+from skincal.model.actions import AskPoke
 from skincal.model.readings import LinkHealth
-from skincal.model.scene import ContactSettings, Landmark
-from skincal.rig.closing import ClosingPlace
-from skincal.rig.correction import UsedCorrection
-from skincal.session.undo import Deed, Entry
+from skincal.session.decisions import Decisions
+from skincal.session.undo import History, describe_entry
 from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
@@ -23,87 +22,62 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PokeRecord:
-    """One poke as it stands."""
+    """One poke as the session has it now."""
 
     outcome: Outcome
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
     asked: AskPoke | None = None
-    """What was asked for when it was made; None where nothing is known of that."""
+    """Poke that the guide asked for when this one was made; `None` if unknown."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClosingRound:
-    """One closing check as it was asked for."""
-
-    after: int
-    """Number of the last poke before it began."""
-    skipped: frozenset[ClosingPlace] = frozenset()
-    """Places that are asked for no more in it."""
-    ended: bool = False
-    """The operator ended it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What a session holds at one moment. Two snapshots with the same generation are the same."""
+    """Everything that a session holds at one moment. Snapshots of the same generation are the same."""
 
     generation: int
     pokes: tuple[PokeRecord, ...]
-    """In the order of their numbers."""
+    """In the order of their numbers, as the corrections in use have them."""
     estimates: Mapping[Method, tuple[Estimate, ...]]
     """For each method of the scene one estimate a taxel, in the order of `Session.channels`."""
     touched: IntArray
     """Channels whose estimates changed with the last poke or action."""
-    pose: str
-    """Name of the current arm pose, its streamed angles in words, or empty."""
-    link_from_sensor: FloatArray | None
-    """(4, 4) float of the current arm pose; None while unknown."""
-    dead: Mapping[int, str]
+    dead: Mapping[int, str] = field(default_factory=dict[int, str])
     """Channels that are not used, with the reason."""
-    can_undo: str
-    """What undo would take back, in words; empty if nothing."""
-    can_redo: str = ""
-    """What redo would bring again, likewise."""
-    history: tuple[Entry, ...] = ()
-    """What can be taken back, the newest last, with pokes that were taken out by hand."""
-    undone: tuple[Entry, ...] = ()
-    """What can be brought again, the next last."""
-    deed: Deed | None = None
-    """What the operator did last; None before the first."""
-    landmarks: tuple[Landmark, ...] = ()
-    """Known points of the part: those of the scene, then those that the operator added."""
+    decisions: Decisions = field(default_factory=Decisions)
+    history: History = field(default_factory=History)
     at_landmarks: Mapping[int, str] = field(default_factory=dict[int, str])
-    """Pokes that were at a landmark: number to its name."""
-    missed_landmarks: Mapping[int, MissedLandmark] = field(default_factory=dict[int, MissedLandmark])
-    """Pokes that a landmark was asked for and that passed it too far, by their number."""
-    corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
-    """Corrections of the rig in use, by what they are of; the pokes are as they have them."""
-    thresholds: ContactSettings = field(default_factory=ContactSettings)
-    """Those by which pokes that begin now are judged."""
-    closings: tuple[ClosingRound, ...] = ()
-    """The closing checks that began, the newest last."""
-    distances: tuple[TriedDistance, ...] = ()
-    """Of each known distance between modules of the scene, whether the modules method uses it."""
+    """Pokes at landmarks that have a force axis: number to the landmark's name."""
+    tried_distances: tuple[TriedDistance, ...] = ()
+    """For each known distance between modules, whether the modules method uses it."""
     clocks: tuple[tuple[int, WallClock | None], ...] = ()
-    """Of each part of the session the last poke before it, and its clock; None where nobody knows that."""
-    skips: tuple[SkipPoke | SkipLandmark, ...] = ()
-    """What the operator did not want to be asked for, in that order."""
+    """For each part of the session the last poke before it, and its clock; `None` if the recording does not say."""
 
-    @property
+    @cached_property
     def contacts(self) -> tuple[Contact, ...]:
         """The contacts that count, in the order of their numbers."""
         return tuple(record.outcome for record in self.pokes if isinstance(record.outcome, Contact) and not record.excluded)
 
+    @cached_property
+    def can_undo(self) -> str:
+        """Description of the entry that undo would take back; empty without one."""
+        at = self.history.undoable(self.decisions.excluded)
+        return "" if at < 0 else describe_entry(self.history.entries[at])
+
+    @property
+    def can_redo(self) -> str:
+        """Description of the entry that redo would do again; empty without one."""
+        return describe_entry(self.history.undone[-1]) if self.history.undone else ""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LiveView:
-    """The newest readings, for curves and maps; kept out of the session since nothing depends on it."""
+    """The newest readings, for curves and maps. Nothing in the session depends on them."""
 
     wrench_s: FloatArray
     """(n,) float, host's monotonic clock, seconds: the last ten seconds."""
     wrench: FloatArray
-    """(n, 6) float, N and N m, sensor frame, as the device says it."""
+    """(n, 6) float, N and N m, sensor frame, as the device reports it."""
     skin: FloatArray
     """(channels,) float: the last frame's responses above their baselines, raw units; NaN where unusable."""
     skin_s: float
@@ -112,3 +86,7 @@ class LiveView:
     links: tuple[LinkHealth, ...]
     losses_unpaired: int
     """Skin frames that found no wrench."""
+    pose: str = ""
+    """Name of the current arm pose, chosen or streamed; empty if unknown."""
+    link_from_sensor: FloatArray | None = None
+    """(4, 4) float of the current arm pose; `None` while unknown."""

@@ -536,7 +536,7 @@ def _poke_seconds(bench: Bench, per_taxel: int, pokes: int, methods: Collection[
 def touching(bench: Bench, contact: Contact) -> Contact:
     """Return the contact as if the seven taxels nearest to the strongest one's place had answered."""
     places = bench.rig.places
-    strongest = bench.rig.row_of(int(contact.channels[contact.responses.argmax()]))
+    strongest = bench.rig.row_of(contact.strongest_channel)
     rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TOUCHED]
     order = np.argsort(bench.rig.channels[rows])
     responses = np.linspace(1.0, 0.2, TOUCHED) * float(contact.responses.max())

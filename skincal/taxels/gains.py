@@ -48,7 +48,7 @@ def taxel_gains(contacts: Sequence[Contact], estimates: Sequence[Estimate]) -> t
     """
     strongest: dict[int, list[Contact]] = {}
     for contact in contacts:
-        strongest.setdefault(int(contact.channels[contact.responses.argmax()]), []).append(contact)
+        strongest.setdefault(contact.strongest_channel, []).append(contact)
     return tuple(_gain(strongest.get(estimate.channel, ()), estimate) for estimate in estimates)
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +71,12 @@ def snapshot(
         for method, known in ((Method.FREE, free), (Method.SURFACE, free if surface is None else surface))
     }
     records = tuple(PokeRecord(poke, False) for poke in pokes)
-    return Snapshot(generation, records, estimates, np.empty(0, dtype=np.int64), "", np.eye(4), {}, "")
+    return Snapshot(generation, records, estimates, np.empty(0, dtype=np.int64))
+
+
+def decided(at: Snapshot, **fields: Any) -> Snapshot:
+    """The session after decisions of the operator."""
+    return replace(at, decisions=replace(at.decisions, **fields))
 
 
 def contact(poke: int, channel: int, at: Sequence[float], force: Sequence[float] = (0.0, 0.0, -8.0)) -> Contact:
@@ -88,4 +95,4 @@ def live(at: Sequence[float] | None = None, force: Sequence[float] = (0.0, 0.0, 
         progress = Progress(
             PressPhase.PRESSING, np.array(force, dtype=float), np.array(at, dtype=float), none, np.empty(0), 0.5
         )
-    return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0)
+    return LiveView(np.empty(0), np.empty((0, 6)), np.zeros(24), 0.0, progress, (), 0, "low", np.eye(4))

@@ -318,7 +318,7 @@ def test_an_arm_pose_is_chosen_by_hand_where_no_joints_stream(bench, recorded):
     arm = workspace.rig.arm
     assert arm is not None
     arm.pose_requested.emit("3")
-    assert bench.snapshot.pose == "3"
+    assert bench.window.session_view.state.live.pose == "3"
     assert arm.current.text() == "Arm pose 3"
 
 

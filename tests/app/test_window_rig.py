@@ -86,7 +86,7 @@ class Poked:
     def poke(self, *, answered: bool = False) -> int:
         """Poke the landmark that is asked for; return the number of the poke."""
         number, before = self.pipeline.session.last_poke + 1, self.frame
-        landmark = next(each for each in self.pipeline.session.landmarks if each.name == self.asked)
+        landmark = next(each for each in self.pipeline.session.decisions.landmarks if each.name == self.asked)
         pokes = poke_landmarks(self.rig, (landmark,), 1, self.rng, number)
         made = replace(next(poke for poke in pokes if poke.pose == POSE), poke=number)
         start_s = time.monotonic() + 1.0
@@ -185,7 +185,7 @@ def test_a_landmark_is_asked_for_in_words_on_the_tab_and_n_skips_it(poked):
     assert not bench.window.commands.actions["no landmarks"].isEnabled()
     bench.controller.act(SetPose("3"))
     assert poked.asked != "", "of another arm pose they are asked for"
-    for landmark in bench.snapshot.landmarks:
+    for landmark in bench.snapshot.decisions.landmarks:
         poked.now.headline.setText(approved("landmark.accepted", poke=1240, name=landmark.name))
         assert not is_elided(poked.now.headline)
     gain = approved("landmark.worth", now_mm=12.4, then_mm=10.5, pokes=6)
@@ -247,8 +247,8 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
     touched = []
     for owner, names in (
         (pipeline, ("feed", "act", "take", "begin_segment")),
-        (pipeline.session, ("act", "add", "set_detected_dead", "settle")),
-        (view.guide, ("follow", "skip")),
+        (pipeline.session, ("act", "add", "set_detected_dead", "finalize_outcomes")),
+        (view.guide, ("next_target", "skip")),
         (view.course, ("follow", "choose")),
         (bench.controller, ("act", "follow_guide", "tick", "pause", "go_on")),
     ):
@@ -291,8 +291,8 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert_nothing_is_cut(poked)
 
     bench.key(Key.Key_C)
-    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
-    assert bench.snapshot.corrections[RIG].pokes == 6
+    bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
+    assert bench.snapshot.decisions.corrections[RIG].pokes == 6
     assert bench.snapshot.can_undo == approved("rig.undo_correction")
     bench.until(lambda: approved("rig.has_moved_clause") in panel.said.text(), OPEN_MS)
     assert approved("rig.corrected_begin", pokes=6) in poked.said[-1]
@@ -303,15 +303,15 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert moved(before, bench.snapshot.estimates) > 1e-3
 
     bench.key(Key.Key_Backspace)
-    bench.until(lambda: not bench.snapshot.corrections, 5000)
+    bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
     assert moved(before, bench.snapshot.estimates) == 0.0
     poked.until_offered()
 
     QTest.mouseClick(panel.offer, Qt.MouseButton.LeftButton)
-    bench.until(lambda: RIG in bench.snapshot.corrections and panel.drop.isVisible(), 5000)
+    bench.until(lambda: RIG in bench.snapshot.decisions.corrections and panel.drop.isVisible(), 5000)
     bench.qtbot.wait(50)
     QTest.mouseClick(panel.drop, Qt.MouseButton.LeftButton)
-    bench.until(lambda: not bench.snapshot.corrections, 5000)
+    bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
     assert bench.snapshot.can_undo == approved("rig.undo_end")
     assert moved(before, bench.snapshot.estimates) == 0.0
 
@@ -330,7 +330,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
     before = bench.snapshot
     matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
     assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
-    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
+    bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
 
     waiting = [left for snapshot, left, _ in shown if snapshot is before]
     assert len(waiting) >= 6, "84 taxels of seven modules, a module in each tick"
@@ -354,12 +354,12 @@ def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(p
     ticks.stop()
     matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
     assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
-    assert not bench.snapshot.corrections
+    assert not bench.snapshot.decisions.corrections
     assert not bench.controller.act(SetPose(""))
     assert bench.messages[-1].text == STILL_SOLVING
     bench.controller.export("csv", tmp_path / "c.csv", Method.SURFACE, None, pytest.fail, refusals.append)
     assert refusals == [STILL_SOLVING]
     ticks.start()
-    bench.until(lambda: RIG in bench.snapshot.corrections, 5000)
+    bench.until(lambda: RIG in bench.snapshot.decisions.corrections, 5000)
     assert bench.controller.act(Undo())
-    bench.until(lambda: not bench.snapshot.corrections, 5000)
+    bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)

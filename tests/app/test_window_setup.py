@@ -513,7 +513,7 @@ def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):
     poses.itemActivated.emit(poses.topLevelItem(0), 0)
     now = bench.window.session_view.workspace.now
     bench.until(lambda: "arm pose" not in now.headline.text(), 5000)
-    assert bench.snapshot.link_from_sensor is not None
+    assert bench.window.session_view.state.live.link_from_sensor is not None
 
 
 def test_the_page_asks_for_the_arm_pose_where_no_joints_say_it(bench, device, qtbot):
@@ -530,7 +530,7 @@ def test_the_page_asks_for_the_arm_pose_where_no_joints_say_it(bench, device, qt
     with qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
         QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
     bench.until(lambda: bench.window.session_view.state is not None, 10_000)
-    assert bench.snapshot.pose == chosen
+    assert bench.window.session_view.state.live.pose == chosen
 
 
 def test_enter_in_the_folder_starts_and_the_simulated_rig_is_told_of_only_without_devices(page, qtbot):

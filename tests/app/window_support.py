@@ -20,6 +20,7 @@ from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
+from skincal.session.undo import History
 from skincal.taxels.result import Estimate, Method
 from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import layout, live, scene, snapshot
@@ -61,8 +62,8 @@ def session(
     """A session on the small part."""
     base = snapshot(generation, known or {})
     records = tuple(PokeRecord(poke, poke.poke in excluded) for poke in pokes)
-    undo = f"poke {pokes[-1].poke}" if pokes else ""
-    return replace(base, pokes=records, dead=dead or {}, can_undo=undo)
+    history = History(tuple(poke.poke for poke in pokes[-1:]))
+    return replace(base, pokes=records, dead=dead or {}, history=history)
 
 
 def reading(phase: PressPhase = PressPhase.READY, force: float = 0.0, still: float = 0.0, **changes: object) -> LiveView:
@@ -87,7 +88,7 @@ def frame(
     running: Running = Running.STREAMING,
     where: Scene = SCENE,
 ) -> ViewState:
-    """A frame; its revision is the snapshot's generation."""
+    """What the window shows of a moment."""
     found = at or session()
     return ViewState(
         snapshot=found,
@@ -98,7 +99,6 @@ def frame(
         selected=selected,
         running=running,
         now_ns=round(now_s * SECOND),
-        revision=found.generation,
         may=allowed(found, where, (), running, (), selected),
     )
 

@@ -40,7 +40,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     window, view = bench.window, bench.window.session_view.workspace.view
-    before = bench.snapshot.landmarks
+    before = bench.snapshot.decisions.landmarks
     shown = len(points_of(renderer_of(view).landmarks.marks)) // 2
     bench.key(Key.Key_K)
     assert view.picking
@@ -56,8 +56,8 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     assert dialog.name.text() == "landmark 1"
     QTest.keyClicks(dialog.name, "screw 4")
     QTest.keyClick(dialog.name, Key.Key_Return)
-    bench.until(lambda: len(bench.snapshot.landmarks) == len(before) + 1, 5000)
-    added = bench.snapshot.landmarks[-1]
+    bench.until(lambda: len(bench.snapshot.decisions.landmarks) == len(before) + 1, 5000)
+    added = bench.snapshot.decisions.landmarks[-1]
     assert added.name == "screw 4"
     np.testing.assert_allclose(added.place, there, atol=1e-12)
     bench.until(lambda: not dialogs(), 5000)
@@ -65,7 +65,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     assert len(points_of(renderer_of(view).landmarks.marks)) // 2 == shown + 6, "a diamond with a cross"
     assert bench.snapshot.can_undo == "landmark screw 4"
     bench.key(Key.Key_Backspace)
-    bench.until(lambda: bench.snapshot.landmarks == before, 5000)
+    bench.until(lambda: bench.snapshot.decisions.landmarks == before, 5000)
     bench.qtbot.wait(50)
     assert len(points_of(renderer_of(view).landmarks.marks)) // 2 == shown
 
@@ -73,7 +73,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
 def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
-    before = len(bench.snapshot.landmarks)
+    before = len(bench.snapshot.decisions.landmarks)
     bench.key(Key.Key_K)
     assert "K again" in ASK.text
     bench.key(Key.Key_K)
@@ -85,8 +85,8 @@ def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench
         assert box.hasFocus()
         QTest.keyClicks(QApplication.focusWidget(), "12.5")
     QTest.keyClick(dialog, Key.Key_Return)
-    bench.until(lambda: len(bench.snapshot.landmarks) == before + 1, 5000)
-    np.testing.assert_allclose(bench.snapshot.landmarks[-1].place, [0.0125] * 3, atol=1e-12)
+    bench.until(lambda: len(bench.snapshot.decisions.landmarks) == before + 1, 5000)
+    np.testing.assert_allclose(bench.snapshot.decisions.landmarks[-1].place, [0.0125] * 3, atol=1e-12)
 
 
 def test_escape_ends_the_wait(bench, recorded):

@@ -96,27 +96,27 @@ def test_a_threshold_is_changed_by_keys_undone_and_put_back(bench, recorded):
     assert changed(before, pixels(dialog))
     tap(bench, Key.Key_Return)
     in_use = replace(scene, pitch_max=0.0125)
-    assert bench.snapshot.thresholds == in_use
+    assert bench.snapshot.decisions.thresholds == in_use
     assert bench.window.session_view.state.scene.contacts == in_use
     assert dialog.rows["pitch_max"].field.text() == "12.5"
     assert (dialog.use.isEnabled(), dialog.back.isEnabled()) == (False, True)
     tap(bench, Key.Key_Escape)
 
     bench.key(Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    assert bench.snapshot.thresholds == scene
+    assert bench.snapshot.decisions.thresholds == scene
     bench.key(Key.Key_Y, Qt.KeyboardModifier.ControlModifier)
     dialog = page(bench)
     assert dialog.rows["pitch_max"].field.text() == "12.5"
     while dialog.focusWidget() is not dialog.back:
         tap(bench, Key.Key_Tab)
     tap(bench, Key.Key_Space)
-    assert bench.snapshot.thresholds == scene
+    assert bench.snapshot.decisions.thresholds == scene
     assert dialog.rows["pitch_max"].field.text() == shown_value("pitch_max", scene.pitch_max)
     assert not dialog.back.isEnabled()
     folder = bench.controller.folder
     bench.recording.pipeline.sync()
-    assert load(folder).session.thresholds == scene
-    assert load(folder).session.can_undo == "return to the scene's thresholds"
+    assert load(folder).session.decisions.thresholds == scene
+    assert load(folder).session.snapshot().can_undo == "return to the scene's thresholds"
 
 
 def test_what_is_wrong_is_said_at_the_field_and_nothing_is_changed(bench, recorded):
@@ -136,7 +136,7 @@ def test_what_is_wrong_is_said_at_the_field_and_nothing_is_changed(bench, record
     top = dialog.rows["quiet_s"].objection.mapTo(dialog.area.viewport(), dialog.rows["quiet_s"].objection.rect().topLeft())
     assert 0 <= top.y() < dialog.area.viewport().height()
     assert asked == []
-    assert bench.snapshot.thresholds == bench.window.session_view.workspace.part.scene.contacts
+    assert bench.snapshot.decisions.thresholds == bench.window.session_view.workspace.part.scene.contacts
     type_into(bench, dialog, "tare_change_max", "2")
     assert not row.objection.isVisible()
 
@@ -171,5 +171,5 @@ def test_pokes_that_follow_are_judged_by_it_and_the_session_opens_the_same(bench
     bench.recording.pipeline.sync()
     lived = [outcome_key(record.outcome) for record in bench.recording.pipeline.snapshot().pokes if record.outcome.final]
     for opened in (load(tmp_path / "s"), replay(tmp_path / "s")):
-        assert opened.session.thresholds.force_min == 14.5
+        assert opened.session.decisions.thresholds.force_min == 14.5
         assert [outcome_key(record.outcome) for record in opened.snapshot().pokes][: len(lived)] == lived

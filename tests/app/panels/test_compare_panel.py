@@ -337,7 +337,7 @@ def anchored(mirror: bool) -> Part:
 
 
 def judge(check: ModulesCheck, state) -> None:
-    check.follow(state.snapshot, state.revision)
+    check.follow(state.snapshot)
 
 
 def judged_and_shown(panel: ComparePanel, of: Part, queue: Queue):

@@ -143,7 +143,7 @@ def at(made: Session, **changes):
 
 
 def follow(course: ErrorFollower, state) -> None:
-    course.follow(state.snapshot, state.revision)
+    course.follow(state.snapshot)
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from skincal.mesh.surface import make_surface, seen_point
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, contact, snapshot
+from tests.app.scene3d_support import box, contact, decided, live, snapshot
 from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, renderer_of, settle, turn
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -33,15 +33,15 @@ def view(qtbot):
     return make_view(qtbot)
 
 
-def session(generation, landmarks, at=None, poses=(), pose="low", excluded=()):
+def session(generation, landmarks, at=None, poses=(), excluded=()):
     """A session with landmarks; poke number n was made in the n-th of `poses`."""
     pokes = [replace(contact(n, 3, (0.0, 0.0, 0.0)), pose=name) for n, name in enumerate(poses, 1)]
     records = tuple(PokeRecord(poke, poke.poke in excluded) for poke in pokes)
-    return replace(snapshot(generation, {}), landmarks=landmarks, at_landmarks=at or {}, pokes=records, pose=pose)
+    return decided(replace(snapshot(generation, {}), at_landmarks=at or {}, pokes=records), landmarks=landmarks)
 
 
 def show(view, at, target=None):
-    return view.show_moment(at, None, Method.FREE, None, target)
+    return view.show_moment(at, live(), Method.FREE, None, target)
 
 
 def seen(view, place):
@@ -77,10 +77,10 @@ def test_a_landmark_appears_on_the_part_and_looks_otherwise_once_it_is_poked(vie
 def test_poked_is_said_of_the_pose_in_which_the_arm_stands_and_of_pokes_that_count():
     three = {1: "head", 2: "corner", 3: "gone"}
     at = session(1, (HEAD, CORNER), three, ("low", "high", "low"))
-    assert poked_here(at) == {"head", "gone"}
-    assert poked_here(replace(at, pose="high")) == {"corner"}
-    assert poked_here(session(1, (HEAD,), three, ("low", "low", "low"), excluded=(1,))) == {"corner", "gone"}
-    assert poked_here(session(1, (HEAD,), {9: "head"}, ("low",))) == frozenset()
+    assert poked_here(at, "low") == {"head", "gone"}
+    assert poked_here(at, "high") == {"corner"}
+    assert poked_here(session(1, (HEAD,), three, ("low", "low", "low"), excluded=(1,)), "low") == {"corner", "gone"}
+    assert poked_here(session(1, (HEAD,), {9: "head"}, ("low",)), "low") == frozenset()
 
 
 def test_nothing_is_drawn_where_nothing_changed_or_there_is_none(view):

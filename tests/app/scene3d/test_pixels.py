@@ -24,7 +24,7 @@ from skincal.mesh.lay import LaidSkin
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
-from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
+from tests.app.scene3d_support import box, decided, estimate, laid, layout, scene, snapshot
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
 
 pytestmark = pytest.mark.pixels
@@ -76,7 +76,9 @@ def moment(method: Method) -> View3DState:
     """An estimate of every taxel, by one method only."""
     known = {channel: estimate(channel, PLACES[channel], method) for channel in range(24)}
     made = snapshot(1, {}, {})
-    return View3DState(replace(made, estimates={method: tuple(known.values())}, landmarks=(SCREW,)), None, method, None)
+    return View3DState(
+        decided(replace(made, estimates={method: tuple(known.values())}), landmarks=(SCREW,)), None, method, None
+    )
 
 
 def asked_for() -> Target:
@@ -162,7 +164,7 @@ def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(
     screw = Landmark("screw", RADIUS * unit_of(out[4] + out[7] + out[9]), unit_of(out[4] + out[7] + out[9]))
     side = unit_of(out[12] + out[9] + out[14])
     target = Target(None, RADIUS * side, side, -side, 0.0, np.inf, 0.0)
-    shown = replace(snapshot(1, {}, {}), estimates={method: known}, landmarks=(screw,))
+    shown = decided(replace(snapshot(1, {}, {}), estimates={method: known}), landmarks=(screw,))
     for turned in (0.0, 70.0, 200.0):
         view.reset_camera()
         turn(view, turned, 0.3 * turned)

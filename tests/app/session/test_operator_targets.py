@@ -118,7 +118,7 @@ def test_landmarks_are_poked_where_the_window_asks_and_named_after_what_it_asked
         away = np.cross(poke.place - axis_point(force, moment), force) / np.linalg.norm(force)
         assert np.linalg.norm(away) < 0.006, "sensor noise and 0.7 mm of the hand: the axis passes its landmark"
     assert bench.controller.act(correct_action(RIG, Correction(1.02 * np.eye(6)), 7e-3, 2e-3, len(made)))
-    bench.until(lambda: RIG in bench.snapshot.corrections)
+    bench.until(lambda: RIG in bench.snapshot.decisions.corrections)
     bench.window.close()
     without_a_window(folder, lived)
 
@@ -139,7 +139,7 @@ def without_a_window(folder, lived) -> None:
     here, there = headless.snapshot(), lived.snapshot()
     assert here.at_landmarks == there.at_landmarks
     assert len(here.at_landmarks) >= 3
-    assert here.corrections.keys() == there.corrections.keys() == {RIG}
+    assert here.decisions.corrections.keys() == there.decisions.corrections.keys() == {RIG}
     assert [outcome_key(poke.outcome) for poke in here.pokes] == [outcome_key(poke.outcome) for poke in there.pokes]
     assert same_estimates(here, there)
     assert here.can_undo == there.can_undo

@@ -25,7 +25,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.units import DASH
-from tests.app.scene3d_support import estimate
+from tests.app.scene3d_support import decided, estimate
 from tests.app.window_support import PLAN, arm_scene, frame, session, slip, touch
 from tests.approved import approved
 
@@ -83,13 +83,13 @@ def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmar
     """A session with these corrections in use."""
     made = session(1, known, pokes, excluded)
     corrections = {correction.of: correction for correction in used}
-    there = at_landmarks or {}
-    return replace(made, corrections=corrections, landmarks=(CORNER, OTHER), at_landmarks=there, pose="low")
+    there = replace(made, at_landmarks=at_landmarks or {})
+    return decided(there, corrections=corrections, landmarks=(CORNER, OTHER))
 
 
 def offers(answer: Review | None, moment: Snapshot):
     """What a review offers that was made of this very session."""
-    return offers_of(None if answer is None else replace(answer, used=moment.corrections), moment)
+    return offers_of(None if answer is None else replace(answer, used=moment.decisions.corrections), moment)
 
 
 def in_use(of: str = RIG, pokes: int = 6) -> UsedCorrection:
@@ -160,7 +160,7 @@ def test_the_key_does_what_is_offered_first():
 def test_an_offer_is_announced_once_and_made_once():
     rig_review, none = RigReview(), at()
     used = at(in_use())
-    now, then = (replace(review(), used=moment.corrections) for moment in (none, used))
+    now, then = (replace(review(), used=moment.decisions.corrections) for moment in (none, used))
     assert (rig_review.offers(none), rig_review.news(none)) == ((), None)
     rig_review.review = now
     made = rig_review.offers(none)
@@ -250,13 +250,13 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
     named = {1: "corner", 2: "corner", 3: "other", 4: "corner", 9: "other"}
     moment = at(pokes=pokes, at_landmarks=named, excluded=(4,))
     answer = review(rig(distances={1: 0.001, 2: 0.001, 4: 0.5}), reported={1: 0.003, 2: 0.004, 4: 0.5})
-    first, second = landmark_rows(moment, answer)
+    first, second = landmark_rows(moment, answer, "low")
     assert first == LandmarkRow("corner", 1, 2, f"3.5 {ARROW} 1.0")
     assert second == LandmarkRow("other", 0, 1, DASH)
-    assert [row.off for row in landmark_rows(moment, None)] == [DASH, DASH]
-    only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}))
+    assert [row.off for row in landmark_rows(moment, None, "low")] == [DASH, DASH]
+    only = landmark_rows(moment, review(TOO_FEW, reported={1: 0.003, 2: 0.004}), "low")
     assert only[0].off == "3.5"
-    assert landmark_rows(replace(moment, landmarks=()), answer) == []
+    assert landmark_rows(decided(moment, landmarks=()), answer, "low") == []
 
 
 # The tab
@@ -282,13 +282,13 @@ def cells(panel) -> list[list[str]]:
 
 
 def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
-    panel.show_state(shown(replace(at(), landmarks=())))
+    panel.show_state(shown(decided(at(), landmarks=())))
     assert panel.said.text() == NO_POINTS
     assert not panel.points.isVisible()
     panel.show_state(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
     assert panel.said.text() == WAITING
     assert cells(panel) == [["corner", "1", "1", DASH], ["other", "0", "0", DASH]]
-    panel.show_state(shown(replace(at(), landmarks=(OTHER,), generation=3)))
+    panel.show_state(shown(replace(decided(at(), landmarks=(OTHER,)), generation=3)))
     assert panel.said.text() == NOT_YET
     assert cells(panel) == [["other", "0", "0", DASH]]
     assert not panel.offer.isVisible()

@@ -14,21 +14,22 @@ from app.text.history_text import EARLIER, HistoryLine, history_lines
 from skincal.journal.documents import WallClock
 from skincal.journal.writer import create_session
 from skincal.model.actions import MarkDead
+from skincal.session.decisions import Decisions
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.session.undo import ActionEntry, Step
+from skincal.session.undo import ActionEntry, History
 from tests.app.window_support import frame, session, touch
 from tests.skincal.poke_script import LINKS, write_scene
 
 NOON = time.mktime((2026, 5, 4, 12, 0, 0, 0, 0, -1))
-MARK = ActionEntry(Step("mark of channel 7", lambda: None), MarkDead(7), NOON + 100.0)
+MARK = ActionEntry(MarkDead(7), Decisions(), NOON + 100.0)
 
 
 def known():
     """Three pokes, of which the second was taken out by hand, a mark, and the third poke taken back."""
     pokes = [replace(touch(poke), end_s=10.0 * poke) for poke in (1, 2, 3)]
     clocks = ((0, WallClock(5.0, NOON + 5.0)),)
-    return replace(session(2, pokes=pokes, excluded=[2, 3]), history=(1, 2, MARK), undone=(3,), clocks=clocks)
+    return replace(session(2, pokes=pokes, excluded=[2, 3]), history=History((1, 2, MARK), (3,)), clocks=clocks)
 
 
 def test_the_newest_stands_first_with_how_far_back_it_is():

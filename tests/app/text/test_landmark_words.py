@@ -20,12 +20,12 @@ from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.guiding import LandmarkGuide, SessionGuide, plan_of
-from skincal.session.landmark_pokes import REACTION_S, LandmarkFinder, LandmarkTries
+from skincal.session.landmark_pokes import REACTION_S, LandmarkFinder
 from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, part, target
-from tests.app.scene3d_support import laid
+from tests.app.scene3d_support import decided, laid
 from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
 from tests.approved import approved
 
@@ -46,10 +46,10 @@ def three_are_enough(monkeypatch):
 ARROW, BETWEEN = "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
 
 
-def of_pokes(*pokes, at=None, points=POINTS, pose="low", excluded=()) -> Snapshot:
+def of_pokes(*pokes, at=None, points=POINTS, excluded=()) -> Snapshot:
     """A session with these pokes, of which `at` are at landmarks: number to name."""
     made = session(len(pokes), pokes=pokes, excluded=excluded)
-    return replace(made, landmarks=tuple(points), at_landmarks=at or {}, pose=pose)
+    return decided(replace(made, at_landmarks=at or {}), landmarks=tuple(points))
 
 
 def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> Rejection:
@@ -73,6 +73,10 @@ def press(poke: int, start_s: float, place=CORNER.place, pose: str = "low") -> R
     )
 
 
+LOW, HIGH = ("low", np.eye(4)), ("high", np.eye(4))
+"""Arm poses."""
+
+
 class Landmarks(LandmarkGuide):
     """The guide of the landmarks, and what the pipeline makes of what it asks for."""
 
@@ -81,8 +85,8 @@ class Landmarks(LandmarkGuide):
         self._finder = LandmarkFinder(lambda: dict(zip(plan.channels.tolist(), plan.places, strict=True)), None)
         self._seen = 0
 
-    def before_skin(self, skin, snapshot, now_s):
-        says = super().before_skin(skin, snapshot, now_s)
+    def before_skin(self, skin, snapshot, pose, now_s):
+        says = super().before_skin(skin, snapshot, pose, now_s)
         name = "" if says.landmark is None else says.landmark.landmark.name
         if name != self._finder.asked:
             self._finder.ask(name, now_s)
@@ -100,13 +104,13 @@ class Landmarks(LandmarkGuide):
         """Return which new pokes were at the landmark that was asked for."""
         new = [poke.outcome for poke in snapshot.pokes if poke.outcome.poke > self._seen]
         self.begin(snapshot)
-        return self._finder.find(LandmarkTries(new, (), {}, ()), snapshot.landmarks, part().scene.noise)
+        return self._finder.find(new, (), snapshot.decisions, part().scene.noise)
 
 
 def asking(now_s: float = 100.0, snapshot: Snapshot | None = None, of: Part | None = None) -> Landmarks:
     """The landmarks, of which one is asked for since `now_s`."""
     landmarks = Landmarks(of or part(), plan_of(of or part()))
-    landmarks.before_skin(guidance(target(3)), snapshot or of_pokes(), now_s)
+    landmarks.before_skin(guidance(target(3)), snapshot or of_pokes(), LOW, now_s)
     return landmarks
 
 
@@ -139,7 +143,7 @@ def test_a_poke_that_was_looked_at_before_the_landmark_came_is_not_taken_later()
     landmarks = Landmarks(part(), plan_of(part()))
     early = of_pokes(press(1, 500.0))
     assert landmarks.poked(early) == [], "nothing was asked for yet"
-    landmarks.before_skin(guidance(target(3)), early, 100.0)
+    landmarks.before_skin(guidance(target(3)), early, LOW, 100.0)
     assert landmarks.poked(early) == []
 
 
@@ -153,9 +157,9 @@ def test_pokes_of_a_session_that_is_opened_are_not_taken():
 
 def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture():
     landmarks = asking()
-    landmarks.before_skin(guidance(target(3)), of_pokes(), 200.0)
+    landmarks.before_skin(guidance(target(3)), of_pokes(), LOW, 200.0)
     assert landmarks.poked(of_pokes(press(1, LATER))) == [FoundAtLandmark(1, "corner")], "it was asked for since 100"
-    landmarks.before_skin(guidance(target(3)), of_pokes(press(1, LATER), at={1: "corner"}), 300.0)
+    landmarks.before_skin(guidance(target(3)), of_pokes(press(1, LATER), at={1: "corner"}), LOW, 300.0)
     both = of_pokes(press(1, LATER), press(2, 300.1), at={1: "corner"})
     assert landmarks.poked(both) == [], "it was on its way to the corner"
     third = of_pokes(press(1, LATER), press(2, 300.1), press(3, 301.0), at={1: "corner"})
@@ -195,7 +199,7 @@ def test_nothing_is_taken_where_nobody_wants_to_be_guided():
 
     def follow(wanted: bool, now_s: float):
         guiding.wanted = wanted
-        return guiding.follow(at, 1, Method.FREE, nothing, now_s)
+        return guiding.next_target(at, LOW, Method.FREE, nothing, now_s)
 
     assert follow(True, 100.0).landmark is not None
     assert follow(False, 110.0) is None
@@ -208,8 +212,8 @@ def test_nothing_is_taken_where_nobody_wants_to_be_guided():
 # What is asked for
 
 
-def shown(landmarks: Landmarks, snapshot: Snapshot, now_s: float = 100.0):
-    return landmarks.before_skin(guidance(target(3)), snapshot, now_s)
+def shown(landmarks: Landmarks, snapshot: Snapshot, pose=LOW):
+    return landmarks.before_skin(guidance(target(3)), snapshot, pose, 100.0)
 
 
 def six(pose: str = "low"):
@@ -242,38 +246,36 @@ def test_a_poke_that_does_not_count_any_more_is_asked_for_again():
 
 def test_nothing_is_asked_for_without_landmarks_or_before_the_arm_pose_is_known():
     skin, landmarks = guidance(target(3)), Landmarks(part(), plan_of(part()))
-    assert landmarks.before_skin(skin, of_pokes(points=()), 100.0) is skin
+    assert landmarks.before_skin(skin, of_pokes(points=()), LOW, 100.0) is skin
     on_arm = replace(part(), scene=arm_scene())
     landmarks = Landmarks(on_arm, plan_of(on_arm))
-    assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0) is skin
-    assert landmarks.before_skin(skin, of_pokes(pose="low"), 100.0).landmark is not None
+    assert landmarks.before_skin(skin, of_pokes(), ("", None), 100.0) is skin
+    assert landmarks.before_skin(skin, of_pokes(), LOW, 100.0).landmark is not None
     landmarks = Landmarks(part(), plan_of(part()))
-    assert landmarks.before_skin(skin, of_pokes(pose=""), 100.0).landmark is not None, (
+    assert landmarks.before_skin(skin, of_pokes(), ("", None), 100.0).landmark is not None, (
         "a part that no arm moves has one pose, without a name"
     )
 
 
 def test_the_same_picture_asks_for_the_same_object():
     landmarks, skin, at = Landmarks(part(), plan_of(part())), guidance(target(3)), of_pokes()
-    first = landmarks.before_skin(skin, at, 100.0)
-    assert landmarks.before_skin(skin, at, 101.0) is first
-    assert landmarks.before_skin(skin, replace(at, generation=7), 102.0) is first
-    assert landmarks.before_skin(guidance(target(3)), at, 103.0) is not first
+    first = landmarks.before_skin(skin, at, LOW, 100.0)
+    assert landmarks.before_skin(skin, at, LOW, 101.0) is first
+    assert landmarks.before_skin(guidance(target(3)), at, LOW, 103.0) is not first
 
 
 def test_one_is_skipped_or_all_of_the_pose():
     landmarks = Landmarks(part(), plan_of(part()))
     first = shown(landmarks, of_pokes()).target.landmark
     skips = (landmarks.skip(),)
-    second = shown(landmarks, replace(of_pokes(), skips=skips))
+    second = shown(landmarks, decided(of_pokes(), skips=skips))
     assert second.target.landmark != first
-    high = replace(of_pokes(pose="high"), skips=skips)
-    assert shown(landmarks, high).target.landmark == first, "in another pose it is asked for"
-    shown(landmarks, replace(of_pokes(), skips=skips))
+    assert shown(landmarks, decided(of_pokes(), skips=skips), HIGH).target.landmark == first, "in another pose it is asked for"
+    shown(landmarks, decided(of_pokes(), skips=skips))
     skips = (*skips, landmarks.skip(all_of_pose=True))
-    assert shown(landmarks, replace(of_pokes(), skips=skips)).landmark is None
-    assert shown(landmarks, replace(of_pokes(pose="high"), skips=skips)).landmark is not None
-    assert landmarks.poked(of_pokes(press(1, 500.0), pose="high")) != []
+    assert shown(landmarks, decided(of_pokes(), skips=skips)).landmark is None
+    assert shown(landmarks, decided(of_pokes(), skips=skips), HIGH).landmark is not None
+    assert landmarks.poked(of_pokes(press(1, 500.0))) != []
 
 
 def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
@@ -281,18 +283,18 @@ def test_what_is_skipped_is_the_landmark_or_else_the_taxel():
 
     skips = []
 
-    def follow(revision: int):
-        return guiding.follow(replace(of_pokes(), skips=tuple(skips)), revision, Method.FREE, nothing, 100.0)
+    def follow():
+        return guiding.next_target(decided(of_pokes(), skips=tuple(skips)), LOW, Method.FREE, nothing, 100.0)
 
     names = []
     for _ in POINTS:
-        names.append(follow(1).target.landmark)
+        names.append(follow().target.landmark)
         skips.append(guiding.skip())
     assert set(names) == {"corner", "other", "side"}
-    skin = follow(1)
+    skin = follow()
     assert skin.landmark is None
     skips.append(guiding.skip())
-    assert follow(1).target.channel != skin.target.channel
+    assert follow().target.channel != skin.target.channel
 
 
 # What they are worth
@@ -310,16 +312,15 @@ def test_what_they_are_worth_is_said_and_falls_as_they_are_poked():
     assert (fifth.pokes, fifth.now) == (1, pytest.approx(first.now)), "fewer than six correct nothing"
     three = shown(Landmarks(part(), plan_of(part())), of_pokes()).gain
     assert three.after == three.now, "three landmarks correct nothing, however often they are poked"
-    there = of_pokes(*pokes, touch(7), at=at, pose="high", points=four)
-    there = replace(there, link_from_sensor=np.diag([-1.0, -1.0, 1.0, 1.0]))
-    second = shown(landmarks, there).gain
+    there = of_pokes(*pokes, touch(7), at=at, points=four)
+    second = shown(landmarks, there, ("high", np.diag([-1.0, -1.0, 1.0, 1.0]))).gain
     assert second.pokes == 3
     assert second.after < second.now < first.now
 
 
 def test_nothing_is_predicted_where_the_arm_or_the_taxels_are_not_known():
     landmarks = Landmarks(part(), plan_of(part()))
-    unknown = shown(landmarks, replace(of_pokes(), link_from_sensor=None))
+    unknown = shown(landmarks, of_pokes(), ("low", None))
     assert unknown.landmark is not None
     assert unknown.gain is None
     bare = replace(part(), laid=None)

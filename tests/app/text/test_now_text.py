@@ -15,7 +15,7 @@ from app.panels.plots import min_max_decimation
 from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
-from app.state.view_state import LinkLook, same_results
+from app.state.view_state import LinkLook
 from app.text.now_text import DEED_S, SETTLE_S, VERDICT_S, NowMemory, Said, Tone, now_line
 from app.text.outcomes import (
     error_words,
@@ -30,11 +30,11 @@ from app.text.outcomes import (
 from skincal.contacts.outcome import RAW, PressPhase, Reason
 from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
-from skincal.session.undo import Deed, DeedKind
+from skincal.session.undo import History, LastOperation, OperationKind
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from tests.app.guide_support import guidance, target
-from tests.app.scene3d_support import estimate
+from tests.app.scene3d_support import decided, estimate
 from tests.app.window_support import NAMES, PLAN, SCENE, arm_scene, frame, link, reading, session, slip, touch
 from tests.approved import approved
 
@@ -252,12 +252,12 @@ def test_a_light_is_that_of_a_good_link_for_good_readings_alone(answer, look):
 
 @pytest.mark.parametrize("phase", [PressPhase.TARING, PressPhase.READY])
 def test_an_unknown_arm_pose_is_asked_before_anything_else_is(phase):
-    unknown = replace(session(), link_from_sensor=None)
-    now, _ = now_line(NowMemory(phase=phase), frame(unknown, reading(phase), where=arm_scene()))
+    unknown = reading(phase, pose="", link_from_sensor=None)
+    now, _ = now_line(NowMemory(phase=phase), frame(session(), unknown, where=arm_scene()))
     assert (now.tone, now.headline) == (Tone.GO, "which arm pose?")
     assert "low, high" in now.detail
     joints = (link(), link("joints", last_host_ns=0))
-    now, _ = now_line(NowMemory(phase=phase), frame(unknown, reading(phase, links=joints), where=arm_scene()))
+    now, _ = now_line(NowMemory(phase=phase), frame(session(), replace(unknown, links=joints), where=arm_scene()))
     assert now.headline == "waiting for joints"
     known, _ = now_line(NowMemory(phase=phase), frame(session(), reading(phase), where=arm_scene()))
     assert "pose" not in known.headline
@@ -359,15 +359,6 @@ def test_decimation_of_few_points_is_the_points():
     assert min_max_decimation(times, values, 500, 10.0)[1] is values
 
 
-def test_same_results_looks_past_the_pose_that_streams():
-    poke = touch(1)
-    first = session(1, pokes=[poke])
-    moved = replace(first, generation=2, pose="3 deg, 5 deg")
-    assert same_results(first, moved)
-    assert not same_results(first, replace(moved, dead={3: "stuck"}))
-    assert not same_results(first, session(2, pokes=[poke], excluded=[1]))
-
-
 def test_a_device_that_carries_both_streams_is_one_link():
     both = link_specs(Addresses("socket://h:1", "socket://h:1", ""))
     assert [(s.name, s.carries) for s in both] == [("board", (Stream.WRENCH, Stream.SKIN))]
@@ -386,15 +377,15 @@ def test_sessions_get_folders_of_their_own(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "words"),
     [
-        (DeedKind.UNDONE, approved("now.taken_back", what="poke 438")),
-        (DeedKind.REDONE, approved("now.brought_again", what="poke 438")),
-        (DeedKind.DONE, approved("now.done", what="poke 438")),
+        (OperationKind.UNDONE, approved("now.taken_back", what="poke 438")),
+        (OperationKind.REDONE, approved("now.brought_again", what="poke 438")),
+        (OperationKind.DONE, approved("now.done", what="poke 438")),
     ],
 )
 def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_while_the_next_poke_presses(kind, words):
     poke = touch(438)
     memory = NowMemory.of(session(1, pokes=[poke]))
-    after = replace(session(2, pokes=[poke], excluded=[438]), deed=Deed(1, kind, "poke 438"))
+    after = replace(session(2, pokes=[poke], excluded=[438]), history=History(last=LastOperation(1, kind, "poke 438")))
     now, memory = now_line(memory, frame(after, reading(PressPhase.PRESSING, 8.0), 100.0))
     assert now.result == Said(Tone.CALM, words)
     assert now.headline == "hold still", "beside what to do, not in its place"
@@ -407,7 +398,7 @@ def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_whil
 
 
 def test_what_was_done_before_the_session_was_opened_is_no_news():
-    old = replace(session(2), deed=Deed(3, DeedKind.UNDONE, "poke 5"))
+    old = replace(session(2), history=History(last=LastOperation(3, OperationKind.UNDONE, "poke 5")))
     now, _ = now_line(NowMemory.of(old), frame(old))
     assert now.result is None
 
@@ -429,6 +420,6 @@ def test_a_poke_far_off_its_landmark_is_told_with_its_number():
         approved("now.missed_counts", poke=1, taxel="10-03", name="corner", seen_mm=52, most_mm=34),
     )
     for poke, said, tone in zip((slip(1, Reason.NO_TAXEL), touch(1)), words, (Tone.BAD, Tone.GOOD), strict=True):
-        missed = replace(session(2, pokes=[poke]), missed_landmarks={1: MissedLandmark(1, "corner", 0.052, 0.0341)})
+        missed = decided(session(2, pokes=[poke]), missed_landmarks={1: MissedLandmark(1, "corner", 0.052, 0.0341)})
         now, _ = now_line(now_line(NowMemory(), frame())[1], frame(missed))
         assert now.result == Said(tone, said)

@@ -37,7 +37,7 @@ class ShortWay(ModulesEnough):
     """What is said of it at a moment; empty where nothing is."""
 
     def news(self, at) -> str:
-        is_news = self.is_news(at.snapshot, at.revision, at.guidance, at.method, streaming=at.connected)
+        is_news = self.is_news(at.snapshot, at.guidance, at.method, streaming=at.connected)
         return modules_enough_words() if is_news else ""
 
 

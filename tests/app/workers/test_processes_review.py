@@ -84,7 +84,7 @@ class Heard:
 def tell(session, client, *numbers):
     """Say that pokes were at the landmarks in turn, and show that to the client."""
     for number in numbers:
-        session.act(AtLandmark(number, session.landmarks[number - 1].name))
+        session.act(AtLandmark(number, session.decisions.landmarks[number - 1].name))
         client.follow(session.snapshot())
 
 
@@ -113,7 +113,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     qtbot.wait(200)
     (answer,) = heard.reviews
     assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
-    assert answer.used is session.snapshot().corrections
+    assert answer.used is session.snapshot().decisions.corrections
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(Asked().change(session, session.snapshot()))
     own = reviewer.review(lambda: None)
@@ -193,7 +193,10 @@ def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, processe
 
 def test_a_mesh_that_changed_is_said_and_the_rest_is_silence(qtbot, session, client, heard):
     client._session = SimpleNamespace(
-        scene=session.scene, surface=SimpleNamespace(sha256="0" * 64), framed=session.framed, channels=session.channels
+        scene=session.scene,
+        surface=SimpleNamespace(sha256="0" * 64),
+        frame_corrected=session.frame_corrected,
+        channels=session.channels,
     )
     tell(session, client, 1)
     qtbot.waitUntil(lambda: bool(heard.failures), timeout=OPEN_MS)
@@ -216,8 +219,6 @@ def asked(monkeypatch):
 def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     tell(session, client, 1)
     assert [change.generation for change in asked] == [1]
-    client.follow(session.snapshot())
-    session.set_current_pose("2", np.eye(4))
     client.follow(session.snapshot())
     session.act(SetPose("2"))
     client.follow(session.snapshot())
@@ -290,7 +291,7 @@ def test_a_review_that_took_long_is_passed_on_although_newer_was_asked(session, 
     waiting = []
     monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
     tell(session, client, 1)
-    used = session.snapshot().corrections
+    used = session.snapshot().decisions.corrections
     reviewer = Reviewer(session.scene, session.surface)
     reviewer.take(waiting[0][0][-1])
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))

@@ -185,17 +185,17 @@ def test_what_the_last_call_wrote_is_taken_back_and_played_again_it_is_the_same(
     answered(capsys, "landmarks", folder, "--at", "1=elbow, outer", "--at", "2=side, inner")
     answered(capsys, "landmarks", folder, "--add", "bolt", "-1.5", "2", "3.25", "--at", "2=bolt", "--at", "1=")
     now = load(folder)
-    times = [entry.at_s for entry in now.session.history[-5:]]
+    times = [entry.at_s for entry in now.session.history.entries[-5:]]
     assert times[0] == times[1] < times[2] == times[3] == times[4] < time.time(), "each call has its time of day"
-    assert now.session.at_landmarks == {2: "bolt"}
-    assert now.session.landmarks[-1].place == pytest.approx([-0.0015, 0.002, 0.00325])
+    assert now.session.snapshot().at_landmarks == {2: "bolt"}
+    assert now.session.decisions.landmarks[-1].place == pytest.approx([-0.0015, 0.002, 0.00325])
     assert same_estimates(now.snapshot(), replay(folder).snapshot())
-    assert replay(folder).session.at_landmarks == {2: "bolt"}
+    assert replay(folder).session.snapshot().at_landmarks == {2: "bolt"}
     assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 3
-    assert load(folder).session.at_landmarks == {1: "elbow, outer", 2: "side, inner"}
+    assert load(folder).session.snapshot().at_landmarks == {1: "elbow, outer", 2: "side, inner"}
     assert len(answered(capsys, "landmarks", folder, "--undo")["said"]) == 2
     assert same_estimates(load(folder).snapshot(), before)
-    assert load(folder).session.at_landmarks == {}
+    assert load(folder).session.snapshot().at_landmarks == {}
     assert run(capsys, "landmarks", folder, "--undo")[0] == 2
     assert load(folder).session.excluded == (), "no poke was taken out instead"
 
@@ -224,7 +224,7 @@ def small(tmp_path):
 
 
 def named(folder: Path) -> dict[int, str]:
-    return dict(load(folder).session.at_landmarks)
+    return dict(load(folder).session.snapshot().at_landmarks)
 
 
 def test_an_order_is_of_all_pokes_that_no_taxel_answered_or_of_those_before_the_first_that_one_did(small, capsys):

@@ -7,7 +7,15 @@ import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide import guidance as landmarks_module
-from skincal.guide.guidance import A_POSE, ASTRAY, Guidance, GuidePhase, LandmarkRound, LandmarkTarget, rig_moves, was_there
+from skincal.guide.guidance import (
+    LANDMARK_POKE_MAX_OFFSET_M,
+    Guidance,
+    GuidePhase,
+    LandmarkTarget,
+    landmark_targets,
+    rig_moves,
+    was_there,
+)
 from skincal.guide.knowledge import believed, plan_from
 from skincal.mesh.lay import lay
 from skincal.model.scene import Landmark
@@ -50,98 +58,64 @@ SIX_OF_FOUR = ("near", "middle", "far", "aside", "near", "middle")
 SIX = at("low", "near", "middle", "far", "near", "middle", "far")
 
 
-def test_the_first_pose_gets_as_many_as_a_correction_takes_and_each_later_one_three():
-    asked = LandmarkRound()
-    first = asked.plan(LANDMARKS, [], "low")
-    assert [(target.done, target.wanted, target.left) for target in first] == [(done, 6, 6 - done) for done in range(6)]
-    later = asked.plan(LANDMARKS, SIX, "high")
-    assert [(target.done, target.wanted) for target in later] == [(done, A_POSE) for done in range(3)]
-    assert asked.plan(LANDMARKS, SIX, "low") == []
+PLANS = {
+    "first pose: as many as a correction takes": (LANDMARKS, [], "low", (), (6, 6)),
+    "later pose": (LANDMARKS, SIX, "high", (), (3, 3)),
+    "done in this pose": (LANDMARKS, SIX, "low", (), (0, 0)),
+    "a second pose makes up for the first": (LANDMARKS, at("low", "near", "far"), "high", (), (4, 4)),
+    "pokes of this pose count": (LANDMARKS, at("low", *["near"] * 3), "low", (), (3, 6)),
+    "never fewer than in another pose": (LANDMARKS, at("low", *["near"] * 5), "high", (), (3, 3)),
+    "the same pose again": (LANDMARKS, [*SIX, *at("high", "near", "middle")], "high", (), (1, 3)),
+    "no landmarks": ((), [], "low", (), (0, 0)),
+    "one landmark": ((NEAR,), [], "low", (), (3, 3)),
+    "a landmark that is gone counts": (LANDMARKS, at("low", "gone", "gone"), "low", (), (4, 6)),
+    "all landmarks skipped": (LANDMARKS, [], "low", at("low", "near", "far", "middle"), (0, 0)),
+    "the pose skipped": (LANDMARKS, at("high", "far"), "low", at("low", ""), (0, 0)),
+    "another pose skipped": (LANDMARKS, [], "high", at("low", ""), (6, 6)),
+}
+
+
+@pytest.mark.parametrize("case", PLANS)
+def test_how_many_landmarks_are_asked_for(case):
+    *asked, (left, wanted) = PLANS[case]
+    plan = landmark_targets(*asked)
+    assert [(target.done, target.wanted, target.left) for target in plan] == [
+        (done, wanted, wanted - done) for done in range(wanted - left, wanted)
+    ]
 
 
 @pytest.mark.usefixtures("needs_four")
-def test_fewer_landmarks_than_a_correction_takes_are_poked_for_the_frame_alone():
-    assert [target.wanted for target in LandmarkRound().plan(FOUR, [], "low")] == [6] * 6
-    assert [(target.done, target.wanted) for target in LandmarkRound().plan(LANDMARKS, [], "low")] == [(0, 3), (1, 3), (2, 3)]
-    assert LandmarkRound().plan(LANDMARKS, at("low", "near", "far", "middle"), "high") == [], "the frame is the same there"
-    assert [target.done for target in LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")] == [0]
-    assert len(LandmarkRound().plan(FOUR, at("low", *SIX_OF_FOUR), "high")) == A_POSE
-
-
-def test_a_second_pose_makes_up_for_what_the_first_left_out():
-    targets = LandmarkRound().plan(LANDMARKS, at("low", "near", "far"), "high")
-    assert [(target.done, target.wanted) for target in targets] == [(done, 4) for done in range(4)]
-    assert LandmarkRound().next(LANDMARKS, at("low", *["near"] * 3), "low").wanted == 6, "those of this pose count"
-    five = LandmarkRound().plan(LANDMARKS, at("low", *["near"] * 5), "high")
-    assert len(five) == A_POSE, "never fewer than in any other pose"
-
-
-def test_a_plan_is_what_is_asked_for_one_after_the_other():
-    asked, poked, one_by_one = LandmarkRound(), at("low", "far"), []
-    plan = asked.plan(LANDMARKS, poked, "low")
-    while (target := asked.next(LANDMARKS, poked, "low")) is not None:
-        one_by_one.append(target)
-        poked.append(("low", target.landmark.name))
-    assert names(plan) == names(one_by_one)
-    assert [(target.done, target.wanted) for target in plan] == [(target.done, target.wanted) for target in one_by_one]
-    assert len(plan) == 5
+@pytest.mark.parametrize(
+    ("landmarks", "poked", "pose", "left"),
+    [
+        (FOUR, [], "low", 6),
+        (FOUR, at("low", *SIX_OF_FOUR), "high", 3),
+        (LANDMARKS, [], "low", 3),
+        (LANDMARKS, at("low", "near", "far", "middle"), "high", 0),
+        (LANDMARKS, at("low", "near", "far"), "high", 1),
+    ],
+)
+def test_fewer_landmarks_than_a_correction_takes_are_poked_for_the_frame_alone(landmarks, poked, pose, left):
+    assert len(landmark_targets(landmarks, poked, pose)) == left
 
 
 def test_they_are_spread_over_the_part():
-    plan = names(LandmarkRound().plan(LANDMARKS, [], "low"))
-    assert plan[0] == "far", "where nothing was poked, farthest from the link's origin"
+    plan = names(landmark_targets(LANDMARKS, [], "low"))
+    assert plan[0] == "far", "the first is the farthest from the link's origin"
     assert plan[1] == "near", "farthest from the one before, though the middle one is farther from the origin"
     assert sorted(plan[:3]) == sorted(plan[3:]) == ["far", "middle", "near"], "each once before any twice"
+    assert names(landmark_targets(LANDMARKS, [], "low", at("low", "far")))[:2] == ["middle", "near"]
 
 
-def test_the_least_poked_here_goes_before_the_least_poked_of_all_and_that_before_the_farthest():
-    asked = LandmarkRound()
-    # Here near has one less, although of all poses it has the most.
-    poked = [*at("high", *["near"] * 5), *at("low", "far", "middle")]
-    assert asked.next(LANDMARKS, poked, "low").landmark is NEAR
-    # None of them was poked here: of all poses near has the fewest, though far lies farther away.
-    poked = [*at("high", "far", "far", "middle", "middle", "near")]
-    assert asked.next(LANDMARKS, poked, "low").landmark is NEAR
-
-
-def test_one_that_is_skipped_is_asked_for_no_more_in_this_pose_alone():
-    asked = LandmarkRound()
-    asked.skip("far", "low")
-    plan = asked.plan(LANDMARKS, [], "low")
-    assert names(plan)[:2] == ["middle", "near"]
-    assert sorted(names(plan)) == ["middle"] * 3 + ["near"] * 3
-    assert "far" in names(asked.plan(LANDMARKS, [], "high"))
-    for each in ("near", "middle"):
-        asked.skip(each, "low")
-    assert asked.plan(LANDMARKS, [], "low") == []
-
-
-def test_a_pose_that_is_left_out_stays_so_on_return_and_no_other_is():
-    asked = LandmarkRound()
-    asked.leave_out("low")
-    assert asked.plan(LANDMARKS, [], "low") == []
-    assert len(asked.plan(LANDMARKS, [], "high")) == 6
-    assert asked.plan(LANDMARKS, at("high", "far"), "low") == []
-
-
-def test_in_a_pose_that_comes_again_what_was_poked_there_counts():
-    asked = LandmarkRound()
-    poked = [*SIX, *at("high", "near", "middle")]
-    assert asked.next(LANDMARKS, poked, "low") is None
-    (last,) = asked.plan(LANDMARKS, poked, "high")
-    assert (last.landmark, last.done, last.wanted, last.left) == (FAR, 2, 3, 1)
-
-
-def test_without_landmarks_none_is_asked_for_and_one_alone_is_poked_again():
-    assert LandmarkRound().plan((), [], "low") == []
-    assert LandmarkRound().next((), [], "low") is None
-    assert names(LandmarkRound().plan((NEAR,), [], "low")) == ["near"] * A_POSE
-
-
-def test_pokes_at_a_landmark_that_is_gone_count_and_lead_nowhere():
-    poked = at("low", "gone", "gone")
-    target = LandmarkRound().next(LANDMARKS, poked, "low")
-    assert (target.landmark, target.done, target.wanted) == (FAR, 2, 6)
+@pytest.mark.parametrize(
+    "poked",
+    [
+        pytest.param([*at("high", *["near"] * 5), *at("low", "far", "middle")], id="fewest in this pose"),
+        pytest.param(at("high", "far", "far", "middle", "middle", "near"), id="fewest in all poses"),
+    ],
+)
+def test_the_least_poked_goes_before_the_farthest(poked):
+    assert landmark_targets(LANDMARKS, poked, "low")[0].landmark is NEAR
 
 
 def touched(*channels):
@@ -157,7 +131,7 @@ def touched(*channels):
     [((1,), True), ((2,), False), ((1, 2), True), ((2, 1), True), ((2, 3), False), ((9,), True), ((2, 9), False)],
 )
 def test_a_poke_was_there_unless_all_that_answered_lies_far_away(channels, there):
-    aside = {1: 0.9 * ASTRAY, 2: 1.1 * ASTRAY, 3: 0.2}
+    aside = {1: 0.9 * LANDMARK_POKE_MAX_OFFSET_M, 2: 1.1 * LANDMARK_POKE_MAX_OFFSET_M, 3: 0.2}
     places = {channel: NEAR.place + np.array([0.0, y, 0.0]) for channel, y in aside.items()}
     assert was_there(touched(*channels), NEAR, places) is there
     assert was_there(touched(*channels), NEAR, {}), "where it is unknown where a taxel is, it may have been there"

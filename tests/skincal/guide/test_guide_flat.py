@@ -30,11 +30,10 @@ def test_a_flat_patch_is_done_by_about_as_many_pokes_as_were_told_at_the_start()
     rig, rng = make_rig(RigErrors.noise(), 0, "flat-patch"), np.random.default_rng(5)
     session, guide = Session(rig.scene, None), SessionGuide(lay_part(rig.scene, None, ()))
     stance = rig.stance()
-    session.set_current_pose(stance.name, stance.reported)
 
     def follow():
         at = session.snapshot()
-        return guide.follow(at, at.generation, Method.MODULES, session.evidence, 100.0)
+        return guide.next_target(at, (stance.name, stance.reported), Method.MODULES, session.evidence, 100.0)
 
     told, pokes = guide.costs[Method.MODULES], 0
     while not (guidance := follow()).enough:

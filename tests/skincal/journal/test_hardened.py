@@ -357,7 +357,7 @@ def test_no_name_of_a_journal_brings_a_control_character_into_a_file(recorded, t
     poke = {"type": "taken", "host_ns": 1, "outcomes": [CONTACT | {"pose": NAMED, "poke": k} for k in (1, 2, 3)]}
     with_documents(recorded, *(json.dumps(document).encode() for document in (landmark, poke)))
     session = load(recorded).session
-    assert (session.contacts[0].pose, session.landmarks[-1].name) == (NAMED, NAMED)
+    assert (session.contacts[0].pose, session.decisions.landmarks[-1].name) == (NAMED, NAMED)
     write_calibration(checked_calibration(session, rig=None), format_, tmp_path / "out", Method.FREE)
     written = (tmp_path / "out").read_text(encoding="utf-8").replace("\r\n", "\n")
     assert all(plain_text(line) == line for line in written.split("\n"))

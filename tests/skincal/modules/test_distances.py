@@ -166,7 +166,7 @@ def test_a_wrong_distance_is_not_used_and_said():
     session = Session(scene, rig.surface)
     for contact in contacts:
         session.add(contact)
-    tried = session.snapshot().distances
+    tried = session.snapshot().tried_distances
     assert [each.use for each in tried] == [DistanceUse.OFF, *[DistanceUse.USED] * 20]
     assert tried[0].told.length - tried[0].found == pytest.approx(0.020, abs=0.003)
     first, second = distance_sentences(tried)
@@ -193,7 +193,7 @@ def test_distances_that_the_pokes_gain_nothing_from_change_nothing():
     for contact in contacts:
         session.add(contact)
         plain.add(contact)
-    assert {each.use for each in session.snapshot().distances} <= {DistanceUse.NO_BETTER, DistanceUse.OFF}
+    assert {each.use for each in session.snapshot().tried_distances} <= {DistanceUse.NO_BETTER, DistanceUse.OFF}
     assert same_estimates(session.snapshot(), plain.snapshot())
 
 
@@ -204,8 +204,8 @@ def test_a_module_that_is_not_known_leaves_its_distances_out():
     session = Session(replace(rig.scene, distances=measured(rig, 1)), rig.surface, MODULES)
     for contact in of_first:
         session.add(contact)
-    assert {each.use for each in session.snapshot().distances} == {DistanceUse.UNKNOWN}
-    assert distance_sentences(session.snapshot().distances)[1].endswith(approved("distances.unknown"))
+    assert {each.use for each in session.snapshot().tried_distances} == {DistanceUse.UNKNOWN}
+    assert distance_sentences(session.snapshot().tried_distances)[1].endswith(approved("distances.unknown"))
 
 
 def test_origins_of_modules_are_ends_as_well():
@@ -236,7 +236,7 @@ def test_a_session_is_the_same_to_the_bit_in_parts_and_after_a_poke_was_out():
     while in_parts.unsolved or in_parts.snapshot(0.0) is not in_parts.snapshot(0.0):
         in_parts.snapshot(0.0)
     assert same_estimates(at_once.snapshot(), in_parts.snapshot())
-    assert at_once.snapshot().distances == in_parts.snapshot().distances
+    assert at_once.snapshot().tried_distances == in_parts.snapshot().tried_distances
 
 
 def test_averages_over_poses_go_without_them():

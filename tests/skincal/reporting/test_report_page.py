@@ -183,7 +183,9 @@ def test_names_from_strangers_stay_names(facts, page):
         facts,
         name=HOSTILE,
         part=replace(facts.part, scene=scene),
-        snapshot=replace(facts.snapshot, dead={204: HOSTILE}, landmarks=(landmark,)),
+        snapshot=replace(
+            facts.snapshot, dead={204: HOSTILE}, decisions=replace(facts.snapshot.decisions, landmarks=(landmark,))
+        ),
         misses={HOSTILE: (0.001,)},
         links=(LinkSpec(HOSTILE, HOSTILE, (), HOSTILE),),
         findings=(HOSTILE,),
@@ -277,9 +279,9 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
         assert [1e3 * length for length in astuple(each.predicted)] == list(own["predicted_error_mm"].values())
         assert each.spacing == own["spacing_ratio"]
         assert f"{own['predicted_error_mm']['mean']:.2f}" in found
-    (used,) = facts.snapshot.corrections.values()
+    (used,) = facts.snapshot.decisions.corrections.values()
     assert correction_sentence(used) in found
-    assert not gather_facts(session).snapshot.corrections, "the recording is as it was"
+    assert not gather_facts(session).snapshot.decisions.corrections, "the recording is as it was"
     assert main(["report", str(SAMPLE), "--correct", "--out", str(tmp_path / "none.html")]) == 2
     assert approved("landmark.needs_landmarks_to_correct") in capsys.readouterr().err
     assert not (tmp_path / "none.html").exists()
@@ -298,7 +300,7 @@ def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
     for name, misses in facts.misses.items():
         assert name in found
         assert ", ".join(f"{miss * 1e3:.1f}" for miss in misses) in found
-    (used,) = facts.snapshot.corrections.values()
+    (used,) = facts.snapshot.decisions.corrections.values()
     assert correction_sentence(used) in found
     assert landmark_words(facts.verdict.landmarks) in found
     assert frame_sentence(facts.frame) in found

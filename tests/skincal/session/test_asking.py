@@ -11,6 +11,7 @@ from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
 from skincal.robot.target_lines import Answer, AnswerKind, Judged, NoTarget, PokeTarget
 from skincal.session.asking import FELT_S, PokeAsking
+from skincal.session.decisions import Decisions
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.approved import approved
@@ -48,9 +49,9 @@ class Course:
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
     def at(self, now_s, guidance, *, measuring=True):
-        at = {"at_landmarks": self.landmarks, "missed_landmarks": self.missed, "thresholds": self.thresholds}
-        snapshot = SimpleNamespace(pokes=tuple(self.pokes), pose="1", **at)
-        return self.asking.follow(guidance, snapshot, now_s, measuring=measuring)
+        decisions = Decisions(thresholds=self.thresholds, missed_landmarks=self.missed)
+        snapshot = SimpleNamespace(pokes=tuple(self.pokes), at_landmarks=self.landmarks, decisions=decisions)
+        return self.asking.follow(guidance, snapshot, "", now_s, measuring=measuring)
 
     def asked(self, now_s, guidance):
         """The one target that is said now."""

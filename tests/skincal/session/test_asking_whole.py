@@ -136,7 +136,7 @@ def test_a_robot_that_skips_is_asked_for_another_poke():
     second = rig.run(0.2)
     assert second.number == first.number + 1
     assert second.channel != first.channel
-    assert len(rig.pipeline.snapshot().skips) == 1, "in the session, as from the window"
+    assert len(rig.pipeline.snapshot().decisions.skips) == 1, "in the session, as from the window"
 
 
 def test_a_robot_pokes_to_enough_over_the_lines(example):
@@ -146,7 +146,7 @@ def test_a_robot_pokes_to_enough_over_the_lines(example):
         with closing(robot.lines):
             pipeline = play(rig, robot, server, Method.MODULES)
     snapshot = pipeline.snapshot()
-    assert snapshot.closings, "some of the first places were poked once more"
+    assert snapshot.decisions.closings, "some of the first places were poked once more"
     accepted = [verdict for verdict in robot.verdicts if verdict.startswith("accepted ")]
     numbers = [int(verdict.split()[1]) for verdict in robot.verdicts]
     assert numbers == sorted(set(numbers)), "each number has one verdict"

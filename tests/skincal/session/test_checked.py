@@ -70,7 +70,7 @@ def followed(folder: Path, actions: Iterable[Action] | None = None) -> tuple[boo
 
     def look():
         snapshot = session.snapshot()
-        guidance = guide.follow(snapshot, 0, Method.MODULES, session.evidence, 100.0)
+        guidance = guide.next_target(snapshot, pipeline.poses.current, Method.MODULES, session.evidence, 100.0)
         assert guidance is not None
         return guidance
 
@@ -133,6 +133,6 @@ def test_what_was_skipped_and_asked_for_is_kept(tmp_path, again):
         pipeline.act(action, now)
     pipeline.close()
     other = again(tmp_path / "s")
-    assert other.snapshot().skips == skips
+    assert other.snapshot().decisions.skips == skips
     assert other.session.asked == asked
     other.close()

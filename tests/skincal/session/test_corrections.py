@@ -20,7 +20,7 @@ from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
-from skincal.session.corrections import correct_action, used_of
+from skincal.session.corrections import correct_action, corrected_progress, used_of
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
@@ -91,7 +91,7 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     now = session.snapshot()
     assert now.can_undo == approved("rig.undo_correction")
     assert mean_error(session, rig) < 0.5 * error
-    correction = now.corrections[RIG].correction
+    correction = now.decisions.corrections[RIG].correction
     contacts = [correction.corrected(poke) for poke in reported if isinstance(poke, Contact)]
     solved = estimate_taxels(
         contacts,
@@ -108,7 +108,7 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     assert found_in(session) == action, "what is asked for does not hang on what is in use"
     session.act(Undo())
     assert same_estimates(session.snapshot(), before)
-    assert not session.snapshot().corrections
+    assert not session.snapshot().decisions.corrections
 
 
 def test_a_poke_that_comes_later_is_corrected_too(bad):
@@ -133,16 +133,16 @@ def test_another_frame_drops_what_was_found_under_the_one_before(bad):
     frame = correct_action(FRAME, Correction(np.eye(6)), 0.05, 0.004, 3)
     session.act(rig)
     session.act(frame)
-    assert list(session.snapshot().corrections) == [FRAME]
+    assert list(session.snapshot().decisions.corrections) == [FRAME]
     session.act(rig)
-    assert list(session.snapshot().corrections) == [FRAME, RIG]
+    assert list(session.snapshot().decisions.corrections) == [FRAME, RIG]
     session.act(Uncorrect(FRAME))
-    assert not session.snapshot().corrections
+    assert not session.snapshot().decisions.corrections
     session.act(Undo())
-    assert list(session.snapshot().corrections) == [FRAME, RIG]
+    assert list(session.snapshot().decisions.corrections) == [FRAME, RIG]
     for _ in range(3):
         session.act(Undo())
-    assert not session.snapshot().corrections
+    assert not session.snapshot().decisions.corrections
 
 
 def test_a_frame_that_is_named_wrong_is_put_right():
@@ -152,7 +152,7 @@ def test_a_frame_that_is_named_wrong_is_put_right():
     for poke in poke_landmarks(rig, rig.scene.landmarks, 6, rng)[:6]:
         session.add(rejected(replace(poke, force=TURN @ poke.force, moment=1e3 * TURN @ poke.moment)))
         session.act(AtLandmark(poke.poke, poke.name))
-    normals = {landmark.name: landmark.normal for landmark in session.landmarks}
+    normals = {landmark.name: landmark.normal for landmark in session.decisions.landmarks}
 
     def diagnosis():
         return diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
@@ -192,7 +192,7 @@ def test_a_corrected_session_played_again_is_the_same(tmp_path, again):
     pipeline.close()
     other = again(tmp_path / "s")
     assert same_estimates(other.snapshot(), pipeline.snapshot())
-    here, there = (moment.session.snapshot().corrections[RIG] for moment in (pipeline, other))
+    here, there = (moment.session.snapshot().decisions.corrections[RIG] for moment in (pipeline, other))
     for name in ("matrix", "root", "quadratic"):
         assert getattr(here.correction, name).tobytes() == getattr(there.correction, name).tobytes()
     assert (there.before, there.after, there.pokes, there.ratio) == (0.007, 0.001, 21, 1.3)
@@ -229,7 +229,7 @@ def test_what_is_no_correction_is_refused(change):
     assert from_json(json.loads(json.dumps(to_json(good)))) == good
     with pytest.raises(InputError, match="expected"):
         session.act(replace(good, **change))
-    assert not session.snapshot().corrections
+    assert not session.snapshot().decisions.corrections
     with pytest.raises(InputError, match="expected"):
         from_json({**to_json(good), "matrix": ["1.0"] * 36})
     assert isinstance(from_json(to_json(good)), Correct)
@@ -270,7 +270,7 @@ def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
     session.act(from_json(document))
     known = session.snapshot().estimates
     session.act(from_json(old))
-    used = session.snapshot().corrections[RIG]
+    used = session.snapshot().decisions.corrections[RIG]
     assert used.correction.exact
     assert np.isnan(used.ratio)
     assert used.noisier == 1.0
@@ -333,7 +333,7 @@ def test_a_pose_poked_only_after_the_correction_is_uncertain_and_played_again_to
     again.act(Exclude(7007))
     for poke, name in now.at_landmarks.items():
         again.act(AtLandmark(poke, name))
-    used = now.corrections[RIG]
+    used = now.decisions.corrections[RIG]
     again.act(correct_action(RIG, used.correction, used.before, used.after, used.pokes, used.ratio))
     assert same_estimates(again.snapshot(), now)
 
@@ -348,14 +348,14 @@ def test_what_is_felt_now_is_corrected_as_its_poke_will_be(bad):
     force, moment = move_wrench(reported.link_from_sensor, reported.force, reported.moment)
     nobody = np.empty(0)
     felt = Progress(PressPhase.PRESSING, force, axis_point(force, moment), nobody.astype(np.int64), nobody, 0.0)
-    true = session.corrected_progress(felt, reported.link_from_sensor, reported.pose)
+    true = corrected_progress(felt, reported.link_from_sensor, reported.pose, session.decisions.corrections)
     poke = next(record.outcome for record in session.snapshot().pokes if record.outcome.poke == 7)
     force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
     np.testing.assert_allclose(true.force, force, atol=1e-12)
     np.testing.assert_allclose(true.axis_point, axis_point(force, moment), atol=1e-9)
-    assert session.corrected_progress(felt, None, "") is felt
+    assert corrected_progress(felt, None, "", session.decisions.corrections) is felt
     session.act(Undo())
-    assert session.corrected_progress(felt, reported.link_from_sensor, reported.pose) is felt
+    assert corrected_progress(felt, reported.link_from_sensor, reported.pose, session.decisions.corrections) is felt
 
 
 def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
@@ -373,7 +373,7 @@ def test_an_exported_correction_can_be_computed_again(bad, tmp_path):
         for first, second in zip(file.estimates[method], found.values(), strict=True):
             assert np.array_equal(first.position, second.position), method
             assert np.array_equal(first.covariance, second.covariance), method
-    (used,), (written,) = session.snapshot().corrections.values(), file.corrections
+    (used,), (written,) = session.snapshot().decisions.corrections.values(), file.corrections
     kept = ("before", "after", "ratio", "noisier")
     assert [getattr(written, name) for name in kept] == [getattr(used, name) for name in kept]
     for name in ("matrix", "root", "quadratic"):

@@ -181,7 +181,7 @@ def test_a_poke_that_passes_the_landmark_too_far_is_a_rejection_with_its_number(
     pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (POINT, FAR, POINT)))
     snapshot = pipeline.snapshot()
     assert snapshot.at_landmarks == {1: "head", 3: "head"}
-    (missed,) = snapshot.missed_landmarks.values()
+    (missed,) = snapshot.decisions.missed_landmarks.values()
     assert (missed.poke, missed.name) == (2, "head")
     across = np.linalg.norm(np.cross(FAR - POINT, FORCE / np.linalg.norm(FORCE)))
     assert missed.miss == pytest.approx(across, abs=1e-6)
@@ -198,7 +198,7 @@ def test_a_push_from_another_side_is_not_at_a_landmark_however_near_its_axis_pas
     orders = [Stamped(first - 500_000_000, AskLandmark("front")), Stamped(second - 500_000_000, AskLandmark("back"))]
     snapshot = fed(Pipeline(scene, LINKS, None), items, orders).snapshot()
     assert snapshot.at_landmarks == {1: "front"}
-    missed = snapshot.missed_landmarks[2]
+    missed = snapshot.decisions.missed_landmarks[2]
     assert missed.behind
     assert missed.miss < missed.limit
     assert missed_words(missed) == approved("landmark.behind", name="back")
@@ -212,7 +212,7 @@ def test_record_says_how_far_it_passed(scene, capsys):
         queued.put(item)
     pipeline = Pipeline(scene, LINKS, None)
     _loop(pipeline, queued, {}, (None, None), threading.Event())
-    (missed,) = pipeline.snapshot().missed_landmarks.values()
+    (missed,) = pipeline.snapshot().decisions.missed_landmarks.values()
     said = approved("landmark.missed", name="head", seen=f"{missed.miss * 1e3:.0f}", most=f"{missed.limit * 1e3:.0f}")
     assert f"poke 2: {said}\n" in capsys.readouterr().err
 
@@ -221,7 +221,7 @@ def test_the_operator_knows_better(scene):
     pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (POINT, FAR)))
     pipeline.act(AtLandmark(2, "head"), 10**18)
     assert pipeline.snapshot().at_landmarks == {1: "head", 2: "head"}
-    assert pipeline.snapshot().missed_landmarks == {}
+    assert pipeline.snapshot().decisions.missed_landmarks == {}
 
 
 def test_pokes_that_all_pass_far_show_a_wrong_frame_and_are_kept(scene):
@@ -232,7 +232,7 @@ def test_pokes_that_all_pass_far_show_a_wrong_frame_and_are_kept(scene):
 def test_one_that_was_kept_is_taken_back_once_most_pass_near(scene):
     pipeline = fed(Pipeline(scene, LINKS, None), *far_and_near(scene, (FAR, POINT, POINT)))
     assert pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}
-    assert list(pipeline.snapshot().missed_landmarks) == [1]
+    assert list(pipeline.snapshot().decisions.missed_landmarks) == [1]
 
 
 @pytest.mark.parametrize("again", [replay, load])
@@ -246,6 +246,6 @@ def test_what_missed_is_the_same_in_a_session_that_is_played_or_loaded(tmp_path,
     pipeline.close()
     other = again(tmp_path / "s")
     assert other.findings == ()
-    assert list(pipeline.snapshot().missed_landmarks) == [1, 4]
-    assert other.snapshot().missed_landmarks == pipeline.snapshot().missed_landmarks
+    assert list(pipeline.snapshot().decisions.missed_landmarks) == [1, 4]
+    assert other.snapshot().decisions.missed_landmarks == pipeline.snapshot().decisions.missed_landmarks
     assert other.snapshot().at_landmarks == pipeline.snapshot().at_landmarks == {2: "head", 3: "head"}

@@ -76,14 +76,14 @@ def test_landmarks_are_added_by_hand_and_named_once():
         session.act(AtLandmark(999, ""))
     assert session.snapshot().can_undo == ""
     session.act(AddLandmark("head", 0.02, 0.05, 0.10))
-    assert [landmark.name for landmark in session.snapshot().landmarks] == ["head"]
+    assert [landmark.name for landmark in session.snapshot().decisions.landmarks] == ["head"]
     for wrong in (AddLandmark("head", 0.0, 0.0, 0.0), AddLandmark("", 0.0, 0.0, 0.0), AddLandmark("far", 20.0, 0.0, 0.0)):
         with pytest.raises(InputError):
             session.act(wrong)
     with pytest.raises(InputError, match=approved_pattern("landmark.wrong_contact")):
         session.act(AtLandmark(7, "head"))
     session.act(Undo())
-    assert session.landmarks == ()
+    assert session.decisions.landmarks == ()
 
 
 @pytest.mark.parametrize("action", [AddLandmark("a b", 0.1, -0.2, 1e-3), AtLandmark(3, "a b"), AtLandmark(3, "")])

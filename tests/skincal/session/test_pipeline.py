@@ -161,9 +161,9 @@ def arm_scene():
 def test_a_chosen_pose_goes_into_the_contact():
     scene = arm_scene()
     pipeline = Pipeline(scene, LINKS, None)
-    assert pipeline.snapshot().link_from_sensor is None
+    assert pipeline.live(0).link_from_sensor is None
     pipeline.act(SetPose("down"), 0)
-    assert pipeline.snapshot().pose == "down"
+    assert pipeline.live(0).pose == "down"
     items = as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples)
     for item in items:
         pipeline.feed(item)
@@ -195,7 +195,7 @@ def test_streamed_joints_give_the_pose_and_its_name():
 def test_a_scene_with_one_pose_needs_no_choice():
     scene = arm_scene()
     one = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, poses={"up": np.array([0.1, 0.2])}))
-    assert Pipeline(one, LINKS, None).snapshot().pose == "up"
+    assert Pipeline(one, LINKS, None).live(0).pose == "up"
 
 
 def test_bad_bytes_are_counted_and_the_pokes_survive():

@@ -82,7 +82,7 @@ def assert_same(*pipelines):
         assert list(first.dead.items()) == list(other.dead.items())
         assert first.can_undo == other.can_undo
         assert same_estimates(first, other)
-    assert len({pipeline.session.pose for pipeline in pipelines}) == 1
+    assert len({pipeline.session.decisions.pose for pipeline in pipelines}) == 1
     assert len({pipeline.session.channels for pipeline in pipelines}) == 1
 
 
@@ -244,7 +244,7 @@ def test_arm_poses_chosen_and_streamed(tmp_path):
     live.close()
     assert_same(live, load(folder), replay(folder))
     live = resume(folder, LINKS)  # nothing streams any more
-    assert live.snapshot().link_from_sensor is None
+    assert live.live(0).link_from_sensor is None
     live.act(SetPose("up"), 5)
     feed(live, as_chunks(some_pokes(scene, 2, 9).samples), [(0.7, SetPose("down"))])
     live.close()

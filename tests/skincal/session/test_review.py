@@ -59,6 +59,11 @@ def rig_of(session):
 FRAME_ACTION = correct_action(FRAME, Correction(np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])), 0.05, 0.004, 8)
 
 
+def framed(session):
+    counting = [record.outcome.poke for record in session.snapshot().pokes if not record.excluded]
+    return {outcome.poke: outcome for outcome in session.frame_corrected(counting)}
+
+
 # What goes there
 
 
@@ -66,7 +71,7 @@ def test_the_first_time_all_is_new_and_then_nothing(session):
     asked = Asked()
     first = asked.change(session, session.snapshot())
     assert first.generation == 1
-    assert first.pokes == session.framed()
+    assert first.pokes == framed(session)
     assert len(first.pokes) == 32
     assert (first.gone, first.corrected, first.dead) == ((), False, {})
     assert first.channels == session.channels
@@ -104,7 +109,7 @@ def test_another_frame_makes_all_pokes_others_and_a_corrected_rig_none(session):
     asked.change(session, session.snapshot())
     session.act(FRAME_ACTION)
     change = asked.change(session, session.snapshot())
-    assert change.pokes.keys() == session.framed().keys()
+    assert change.pokes.keys() == framed(session).keys()
     assert not change.corrected
     np.testing.assert_array_equal(change.pokes[3].moment, 1e-3 * session.outcome(3).moment)
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 8))
@@ -170,7 +175,7 @@ def places(session, contacts):
 
 def assert_is_of(session, answer):
     """Fail unless a review says what the session itself finds."""
-    normals = {landmark.name: landmark.normal for landmark in session.landmarks}
+    normals = {landmark.name: landmark.normal for landmark in session.decisions.landmarks}
     frame = diagnose(session.landmark_pokes, [normals[poke.name] for poke in session.landmark_pokes])
     rig = correct_rig(session.rig_request())
     assert (answer.frame is None) == (frame is None)
@@ -180,8 +185,8 @@ def assert_is_of(session, answer):
     assert (answer.rig.used, answer.rig.distances, answer.rig.trust) == (rig.used, rig.distances, rig.trust)
     np.testing.assert_array_equal(answer.rig.unknowns, rig.unknowns)
     np.testing.assert_array_equal(answer.channels, session.channels)
-    contacts = [contact for contact in session.framed().values() if isinstance(contact, Contact)]
-    corrected = RIG in session.corrections
+    contacts = [contact for contact in framed(session).values() if isinstance(contact, Contact)]
+    corrected = RIG in session.decisions.corrections
     wanted = places(session, contacts) if corrected else {}
     offered = places(session, [rig.correction.corrected(contact) for contact in contacts]) if rig.used and not corrected else {}
     for found, expected in ((answer.before, wanted), (answer.after, offered)):

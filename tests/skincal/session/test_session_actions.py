@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import Arm, DhLink
-from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, SkipPoke, Undo, from_json, to_json
+from skincal.model.actions import AddLandmark, Exclude, MarkDead, Restore, Revive, SetPose, SkipPoke, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec
 from skincal.session.session import Session
@@ -233,10 +233,10 @@ def test_a_snapshot_is_the_same_until_something_changes(outcomes):
     assert second.generation > first.generation
     assert second.touched.tolist() == [int(c) for c in outcomes[2].channels]
     assert len(first.pokes) == 1  # the old picture stays as it was
-    session.set_current_pose("up", np.eye(4))
+    session.act(AddLandmark("screw", 0.0, 0.0, 0.0))
     third = session.snapshot()
     assert third.generation > second.generation
-    assert third.touched.tolist() == second.touched.tolist()  # a pose is no poke
+    assert third.touched.tolist() == second.touched.tolist()  # a landmark is no poke
 
 
 def test_a_pose_is_chosen_and_taken_back():
@@ -245,7 +245,7 @@ def test_a_pose_is_chosen_and_taken_back():
     session.act(SetPose("up"))
     session.act(SetPose("down"))
     session.act(Undo())
-    assert session.pose == "up"
+    assert session.decisions.pose == "up"
 
 
 def test_the_calibration_carries_what_was_used_and_what_was_not(outcomes):

@@ -62,12 +62,12 @@ def test_a_correction_solved_in_parts_is_the_same_to_the_bit(rig, contacts, layo
     for session in (at_once, in_parts):
         session.act(ACTION)
     shown = in_parts.snapshot(0.0)
-    assert not shown.corrections
+    assert not shown.decisions.corrections
     waiting = [in_parts.unsolved, *steps_to_the_end(in_parts)]
     assert waiting == sorted(waiting, reverse=True)
     assert all(a - b <= max(TAXELS_AT_ONCE, 12 * MODULES_AT_ONCE) for a, b in itertools.pairwise(waiting))
     assert same_estimates(at_once.snapshot(), in_parts.snapshot())
-    assert in_parts.snapshot().corrections.keys() == {RIG}
+    assert in_parts.snapshot().decisions.corrections.keys() == {RIG}
     assert in_parts.snapshot().generation == shown.generation + 1
     assert set(in_parts.snapshot().touched) == set(at_once.snapshot().touched) >= set(in_parts.channels)
 
@@ -149,6 +149,6 @@ def test_the_same_correction_is_not_used_twice(rig, contacts):
     with pytest.raises(InputError, match="in use already"):
         session.act(ACTION)
     session.act(Undo())
-    assert not session.snapshot().corrections
+    assert not session.snapshot().decisions.corrections
     session.act(ACTION)
-    assert session.snapshot().corrections
+    assert session.snapshot().decisions.corrections

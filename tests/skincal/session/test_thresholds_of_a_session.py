@@ -72,7 +72,7 @@ def test_thresholds_changed_at_the_start_are_those_of_a_scene_that_has_them():
     by_action, by_scene = Pipeline(plain, LINKS, None), feed(Pipeline(other, LINKS, None), items)
     by_action.act(action, 0)
     feed(by_action, items)
-    assert by_action.session.thresholds == changed
+    assert by_action.session.decisions.thresholds == changed
     assert keys(by_action) == keys(by_scene)
     assert same_estimates(by_action.snapshot(), by_scene.snapshot())
     found = set(reasons(by_scene))
@@ -118,7 +118,11 @@ def test_played_loaded_and_taken_up_sessions_are_the_one_that_was_lived(scene, t
         assert not other.findings
         assert keys(other) == keys(live)
         assert same_estimates(other.snapshot(), live.snapshot())
-        assert other.session.thresholds == live.session.thresholds == ContactSettings(taxels_max=2, still_change=0.04)
+        assert (
+            other.session.decisions.thresholds
+            == live.session.decisions.thresholds
+            == ContactSettings(taxels_max=2, still_change=0.04)
+        )
         other.close()
 
 
@@ -202,7 +206,7 @@ def test_what_no_rig_has_is_refused_and_changes_nothing(names, values, what):
     before = session.snapshot()
     with pytest.raises(InputError, match=what):
         session.act(SetThresholds(names, values))
-    assert session.thresholds == ContactSettings()
+    assert session.decisions.thresholds == ContactSettings()
     assert session.snapshot() is before
 
 
@@ -210,15 +214,15 @@ def test_undo_redo_and_the_way_back_to_the_scene():
     session = Session(small_scene(settings=ContactSettings(force_max=20.0)), None)
     session.act(HARDER)
     session.act(SetThresholds(("force_max",), (13.0,)))
-    assert session.thresholds == ContactSettings(force_max=13.0)
-    assert session.snapshot().thresholds is session.thresholds
+    assert session.decisions.thresholds == ContactSettings(force_max=13.0)
+    assert session.snapshot().decisions.thresholds is session.decisions.thresholds
     session.act(Undo())
-    assert session.thresholds == ContactSettings(force_min=12.0, force_max=20.0)
+    assert session.decisions.thresholds == ContactSettings(force_min=12.0, force_max=20.0)
     assert session.snapshot().can_redo == "change of thresholds"
     session.act(Redo())
     session.act(SetThresholds())
-    assert session.thresholds == ContactSettings(force_max=20.0)
-    assert session.can_undo == "return to the scene's thresholds"
+    assert session.decisions.thresholds == ContactSettings(force_max=20.0)
+    assert session.snapshot().can_undo == "return to the scene's thresholds"
 
 
 def test_the_action_comes_back_from_json():

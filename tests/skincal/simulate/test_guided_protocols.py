@@ -61,7 +61,7 @@ def guided_to_the_end(part, wrench, skin):
     hand = replace(Habits.careful().at_pace(4.0), ignores=0.0, aim=0.001)
     operator = Guided(rig, hand, np.random.default_rng([3, 1]), MOST)
     line = DeviceTimeline(rig, operator, np.random.default_rng([3, 2]), DeviceSettings(block_s=0.02))
-    orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, -1, 0
+    orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, None, 0
     links, asking = tuple(orchestra.links.values()), PokeAsking(part.scene)
     operator.answered = lambda answer: asking.hear(answer, line.now)
     pipeline, guide = Pipeline(part.scene, links, part.surface), SessionGuide(part)
@@ -74,13 +74,14 @@ def guided_to_the_end(part, wrench, skin):
                 pipeline.feed(brought.items[taken])
                 taken += 1
             snapshot = pipeline.snapshot()
-            if snapshot.generation != known:
-                known = snapshot.generation
-                guidance = guide.follow(snapshot, known, Method.MODULES, pipeline.session.evidence, line.now)
+            if snapshot is not known:
+                known = snapshot
+                pose, evidence = pipeline.poses.current, pipeline.session.evidence
+                guidance = guide.next_target(snapshot, pose, Method.MODULES, evidence, line.now)
             if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
                 break
             # As the line that another process gets.
-            for said in asking.follow(guidance, snapshot, line.now, measuring=True):
+            for said in asking.follow(guidance, snapshot, pose[0], line.now, measuring=True):
                 operator.show(read_line(write_line(said) + "\n"))
     return pipeline, rig, guidance
 

@@ -1,0 +1,326 @@
+"""What the operator decided in a session, as one frozen value, and what each action makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact, Outcome
+from skincal.model.actions import (
+    Action,
+    AddLandmark,
+    AskLandmark,
+    AskPoke,
+    AtLandmark,
+    BeginClosing,
+    Correct,
+    Exclude,
+    FoundAtLandmark,
+    MarkDead,
+    MissedLandmark,
+    Restore,
+    Revive,
+    SetPose,
+    SetThresholds,
+    SkipClosing,
+    SkipLandmark,
+    SkipPoke,
+    Uncorrect,
+)
+from skincal.model.errors import InputError
+from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
+from skincal.model.tables import LENGTH_MAX
+from skincal.rig.closing import ClosingPlace, ClosingPlaces
+from skincal.rig.correction import UsedCorrection
+from skincal.session.corrections import CORRECTED_THINGS, with_correction, without_correction
+from skincal.session.landmark_pokes import poke_at
+
+MAX_ACTION_NUMBER = 1e6
+"""Largest coordinate of an action (m, or a direction): far beyond any part, and products of such numbers stay finite."""
+NON_UNDOABLE_ACTIONS = (AskLandmark, AskPoke, MissedLandmark, SkipClosing, SkipLandmark, SkipPoke)
+"""Requests of the guide and findings of the pipeline: undo passes over them."""
+Value = TypeVar("Value")
+
+
+@dataclass(frozen=True, slots=True)
+class ClosingRound:
+    """One closing check as it was asked for."""
+
+    after: int
+    """Number of the last poke before it began."""
+    skipped: frozenset[ClosingPlace] = frozenset()
+    ended: bool = False
+    """The operator ended it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decisions:
+    """Everything that the operator decided, and what the pipeline found about landmark pokes."""
+
+    landmarks: tuple[Landmark, ...] = ()
+    """Known points of the part: those of the scene, then those that the operator added."""
+    thresholds: ContactSettings = field(default_factory=ContactSettings)
+    """Thresholds for pokes that begin from now on."""
+    pose: str = ""
+    """Name of the chosen arm pose; empty if the joint stream says it."""
+    excluded: frozenset[int] = frozenset()
+    """Numbers of the pokes that the operator took out."""
+    marked: frozenset[int] = frozenset()
+    """Channels that the operator marked as dead."""
+    revived: frozenset[int] = frozenset()
+    """Channels that stay in use although the detector found them dead."""
+    landmark_of_poke: Mapping[int, str] = field(default_factory=dict[int, str])
+    missed_landmarks: Mapping[int, MissedLandmark] = field(default_factory=dict[int, MissedLandmark])
+    """Pokes that a landmark was asked for and that passed it too far, by their number."""
+    named_by_hand: frozenset[int] = frozenset()
+    """Numbers of the pokes whose landmark the operator named."""
+    corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
+    """Corrections in use, by `FRAME` and `RIG`."""
+    closings: tuple[ClosingRound, ...] = ()
+    """The closing checks that began, the newest last."""
+    skips: tuple[SkipPoke | SkipLandmark, ...] = ()
+
+    @staticmethod
+    def at_start(scene: Scene) -> Decisions:
+        """Make the decisions of an empty session."""
+        return Decisions(scene.landmarks, scene.contacts)
+
+
+def is_undoable(action: Action) -> bool:
+    """Whether undo takes an action back. An automatic closing check would start again at once."""
+    return not isinstance(action, NON_UNDOABLE_ACTIONS) and action != BeginClosing()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActionContext:
+    """Facts of a session that an action is checked against."""
+
+    scene: Scene
+    outcome_of: Callable[[int], Outcome | None]
+    """Gives a poke's outcome as the rig reported it, by its number."""
+    last_poke: int
+    """Number of the newest poke."""
+
+
+def apply_action(action: Action, now: Decisions, context: ActionContext) -> Decisions:
+    """Apply an action other than undo and redo to decisions.
+
+    Raises
+    ------
+    InputError
+        There is no such poke, pose, landmark or channel, or its numbers make no sense.
+    """
+    return _RULES[type(action)](action, now, context)
+
+
+_CHANGED_FIELDS: dict[type[Action], tuple[str, ...]] = {
+    SetPose: ("pose",),
+    SetThresholds: ("thresholds",),
+    AddLandmark: ("landmarks",),
+    Correct: ("corrections",),
+    Uncorrect: ("corrections",),
+    MarkDead: ("marked", "revived"),
+    Revive: ("marked", "revived"),
+}
+"""Fields that only undoable actions of these types change: undo puts their old values back."""
+
+
+def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
+    """Take an action back.
+
+    Parameters
+    ----------
+    before : the decisions that it was applied to
+    """
+    match action:
+        case Exclude() | Restore():
+            return with_excluded(now, action.poke, out=action.poke in before.excluded)
+        case AtLandmark() | FoundAtLandmark():
+            # Of this poke alone, and the pipeline may have found since that it missed its landmark.
+            poke, missed = action.poke, now.missed_landmarks.get(action.poke)
+            name = before.landmark_of_poke.get(poke) if missed is None else None
+            missed = missed or before.missed_landmarks.get(poke)
+            return _name_poke(now, poke, name, missed, by_hand=poke in before.named_by_hand)
+        case BeginClosing():
+            at = len(before.closings)
+            return replace(now, closings=(*now.closings[:at], *now.closings[at + 1 :]))
+        case _:
+            return replace(now, **{name: getattr(before, name) for name in _CHANGED_FIELDS[type(action)]})
+
+
+def describe_action(action: Action) -> str:
+    """Describe an action that can be undone, for the operator."""
+    match action:
+        case Exclude():
+            return f"exclusion of poke {action.poke}"
+        case Restore():
+            return f"return of poke {action.poke}"
+        case SetPose():
+            return f"choice of pose {action.name}" if action.name else "choice of the streamed pose"
+        case AddLandmark():
+            return f"landmark {action.name}"
+        case AtLandmark() | FoundAtLandmark():
+            return f"poke {action.poke} at {action.name or 'no landmark'}"
+        case Correct():
+            return f"correction of {CORRECTED_THINGS[action.of]}"
+        case Uncorrect():
+            return f"end of the correction of {CORRECTED_THINGS[action.of]}"
+        case MarkDead():
+            return f"mark of channel {action.channel}"
+        case Revive():
+            return f"return of channel {action.channel}"
+        case SetThresholds():
+            return "change of thresholds" if action.names else "return to the scene's thresholds"
+        case BeginClosing():
+            return "closing check"
+        case _:
+            raise TypeError(action)
+
+
+def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
+    """Take a poke out of the estimates, or in again."""
+    return replace(now, excluded=now.excluded | {poke} if out else now.excluded - {poke})
+
+
+def _with_poke(action: Exclude | Restore, now: Decisions, context: ActionContext) -> Decisions:
+    poke, out = action.poke, isinstance(action, Exclude)
+    if not isinstance(context.outcome_of(poke), Contact):
+        raise InputError(f"Poke {poke} is not an accepted poke of this session; expected the number of one.")
+    if (poke in now.excluded) == out:
+        raise InputError(f"Poke {poke} {'is already excluded' if out else 'counts already'}.")
+    return with_excluded(now, poke, out=out)
+
+
+def _with_pose(action: SetPose, now: Decisions, context: ActionContext) -> Decisions:
+    arm = context.scene.arm
+    known = {} if arm is None else arm.poses
+    if action.name and action.name not in known:
+        expected = f"one of {', '.join(known)}" if known else "none, since the scene names no poses"
+        raise InputError(f"Pose {action.name!r} is not in the scene; expected {expected}.")
+    return replace(now, pose=action.name)
+
+
+def _with_thresholds(action: SetThresholds, now: Decisions, context: ActionContext) -> Decisions:
+    if len(action.names) != len(action.values) or len(set(action.names)) != len(action.names):
+        numbers = f"{len(action.names)} names and {len(action.values)} values"
+        raise InputError(f"Thresholds of a poke with {numbers}; expected a value each, and each name once.")
+    wanted = with_thresholds(context.scene.contacts, dict(zip(action.names, action.values, strict=True)))
+    if wanted == now.thresholds:
+        raise InputError("These thresholds of a poke are in use already.")
+    return replace(now, thresholds=wanted)
+
+
+def _with_channel(action: MarkDead | Revive, now: Decisions, context: ActionContext) -> Decisions:
+    channel, this, width = action.channel, {action.channel}, context.scene.skin.channels
+    if not 0 <= channel < width:
+        raise InputError(f"Channel {channel} does not exist; expected 0 to {width - 1}.")
+    if isinstance(action, MarkDead):
+        return replace(now, marked=now.marked | this, revived=now.revived - this)
+    return replace(now, marked=now.marked - this, revived=now.revived | this)
+
+
+def _with_landmark(action: AddLandmark, now: Decisions, _context: ActionContext) -> Decisions:
+    place = np.array([action.x, action.y, action.z])
+    if not action.name.strip() or any(action.name == landmark.name for landmark in now.landmarks):
+        raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
+    if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
+        raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
+    return replace(now, landmarks=(*now.landmarks, Landmark(action.name, place, None)))
+
+
+def _with_landmark_poke(action: AtLandmark | FoundAtLandmark, now: Decisions, context: ActionContext) -> Decisions:
+    _check_landmark(now, action.name)
+    poke, by_hand = action.poke, isinstance(action, AtLandmark)
+    outcome = context.outcome_of(poke)
+    if outcome is None or (action.name and poke_at(outcome, now.landmarks[0]) is None):
+        raise InputError(f"Poke {poke} cannot be at a landmark; expected a poke that was accepted, or that no taxel answered.")
+    missed = None if by_hand else now.missed_landmarks.get(poke)
+    return _name_poke(now, poke, action.name, missed, by_hand=by_hand or poke in now.named_by_hand)
+
+
+def _name_poke(now: Decisions, poke: int, name: str | None, missed: MissedLandmark | None, *, by_hand: bool) -> Decisions:
+    return replace(
+        now,
+        landmark_of_poke=_with_key(now.landmark_of_poke, poke, name or None),
+        missed_landmarks=_with_key(now.missed_landmarks, poke, missed),
+        named_by_hand=now.named_by_hand | {poke} if by_hand else now.named_by_hand - {poke},
+    )
+
+
+def _with_key(of: Mapping[int, Value], poke: int, value: Value | None) -> dict[int, Value]:
+    rest = {each: kept for each, kept in of.items() if each != poke}
+    return rest if value is None else {**rest, poke: value}
+
+
+def _check_landmark(now: Decisions, name: str) -> None:
+    """Refuse the name of a landmark that does not exist; an empty name stands for none."""
+    if name and all(name != landmark.name for landmark in now.landmarks):
+        # In quotes: there are commas in names.
+        known = ", ".join(repr(landmark.name) for landmark in now.landmarks)
+        expected = f"expected one of {known}" if known else "the scene has none: add one first"
+        raise InputError(f"There is no landmark {name!r}; {expected}.")
+
+
+def _with_closing_skip(action: SkipClosing, now: Decisions, context: ActionContext) -> Decisions:
+    if action.at and action.at not in (places.value for places in ClosingPlaces):
+        expected = " or ".join(places.value for places in ClosingPlaces)
+        raise InputError(f"The closing check has no places {action.at!r}; expected {expected}.")
+    *before, newest = now.closings or (ClosingRound(context.last_poke),)
+    skipped = newest.skipped | {ClosingPlace(ClosingPlaces(action.at), action.name)} if action.at else newest.skipped
+    return replace(now, closings=(*before, replace(newest, skipped=skipped, ended=newest.ended or not action.at)))
+
+
+def _check_numbers(action: Action, sizes: set[int], *values: Sequence[float]) -> None:
+    """Refuse a place or a direction of an action with a wrong number of coordinates, or too large ones."""
+    # NaN fails every comparison.
+    if any(len(each) not in sizes or not all(abs(value) <= MAX_ACTION_NUMBER for value in each) for each in values):
+        expected = f"{' or '.join(map(str, sorted(sizes)))} numbers up to {MAX_ACTION_NUMBER:g}"
+        raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected}.")
+
+
+def _with_missed_landmark(action: MissedLandmark, now: Decisions, _context: ActionContext) -> Decisions:
+    return _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand)
+
+
+def _with_landmark_request(action: AskLandmark, now: Decisions, _context: ActionContext) -> Decisions:
+    _check_landmark(now, action.name)
+    return now
+
+
+def _with_poke_request(action: AskPoke, now: Decisions, _context: ActionContext) -> Decisions:
+    _check_numbers(action, {0, 3}, action.place, action.normal, action.push)
+    return now
+
+
+def _with_skip(action: SkipPoke | SkipLandmark, now: Decisions, _context: ActionContext) -> Decisions:
+    if isinstance(action, SkipPoke):
+        _check_numbers(action, {3}, action.place, action.push)
+    else:
+        _check_numbers(action, {0, 16}, action.link_from_sensor)
+    return replace(now, skips=(*now.skips, action))
+
+
+_RULES: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
+    Exclude: _with_poke,
+    Restore: _with_poke,
+    SetPose: _with_pose,
+    SetThresholds: _with_thresholds,
+    MarkDead: _with_channel,
+    Revive: _with_channel,
+    AddLandmark: _with_landmark,
+    AtLandmark: _with_landmark_poke,
+    FoundAtLandmark: _with_landmark_poke,
+    MissedLandmark: _with_missed_landmark,
+    AskLandmark: _with_landmark_request,
+    AskPoke: _with_poke_request,
+    SkipPoke: _with_skip,
+    SkipLandmark: _with_skip,
+    BeginClosing: lambda _, now, context: replace(now, closings=(*now.closings, ClosingRound(context.last_poke))),
+    SkipClosing: _with_closing_skip,
+    Correct: lambda action, now, _: replace(now, corrections=with_correction(now.corrections, action)),
+    Uncorrect: lambda action, now, _: replace(now, corrections=without_correction(now.corrections, action)),
+}
+"""For each type of action the function that applies it."""
