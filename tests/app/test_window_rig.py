@@ -19,7 +19,7 @@ from app.state.running import Running
 from app.text.message import STILL_SOLVING
 from app.text.rig_text import offer_text, offer_words
 from skincal.contacts.outcome import Contact, PressPhase, Reason, Rejection
-from skincal.guide.guidance import ASTRAY
+from skincal.guide.guidance import LANDMARK_POKE_MAX_OFFSET_M
 from skincal.model.actions import SetPose, Undo
 from skincal.model.readings import LinkEvent, LinkState
 from skincal.rig.correction import RIG, Correction
@@ -197,7 +197,7 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted_whether_a_taxel_ans
     bench = poked.bench
     bench.player.played.clear()
     for answered in (False, True):
-        while answered and poked.near()[1] > ASTRAY:
+        while answered and poked.near()[1] > LANDMARK_POKE_MAX_OFFSET_M:
             bench.key(Key.Key_N)
         name = poked.asked
         number = poked.poke(answered=answered)
