@@ -235,7 +235,10 @@ def test_a_closing_check_of_nothing_is_no_step(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     before = bench.snapshot
     bench.window.session_view.check_again()
-    assert (bench.snapshot.decisions.closings, bench.snapshot.history.entries) == (before.decisions.closings, before.history)
+    assert (bench.snapshot.decisions.closings, bench.snapshot.history.entries) == (
+        before.decisions.closings,
+        before.history.entries,
+    )
 
 
 def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, qtbot, tmp_path, recorded):

@@ -55,7 +55,7 @@ def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
     card.show_state(replace(at, selected=3), anew=False)
     qtbot.wait(30)
     assert paints.count == 0
-    dead = replace(frame(session(2, dead={3: "stuck"})), revision=2)
+    dead = frame(session(2, dead={3: "stuck"}))
     card.show_state(dead, anew=True)
     assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels) - 1}, disabled 1"
 
