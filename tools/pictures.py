@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -29,13 +30,14 @@ from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
+from skincal.cli.study import DOTS_PER_INCH, FIGURE_INCHES
 from skincal.methods import leading_method
 from skincal.model.scene import load_scene
+from skincal.plotting import render
 from skincal.session.part import load_part, load_scene_surface
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES
-from skincal.studies.figures import Figure, draw_unmodelled, write_figure
 from skincal.taxels.result import Method
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
@@ -150,17 +152,8 @@ def draw_studies(measured: Path) -> None:
         if not path.is_file():
             path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
         result = json.loads(path.read_text(encoding="utf-8"))
-        draw_figure(lambda figure, study=study, result=result: study.draw(result, figure), name)
-        if name == "paper":
-            draw_figure(lambda figure, result=result: draw_unmodelled(result["unmodelled"], figure), "unmodelled")
-
-
-def draw_figure(draw: Callable[[Figure], None], name: str) -> None:
-    """Write a figure into the pictures."""
-    with tempfile.TemporaryDirectory() as folder:
-        for path in write_figure(draw, Path(folder), name):
-            if path.suffix == ".png":
-                (PICTURES / path.name).write_bytes(path.read_bytes())
+        (picture,) = render(partial(study.draw, result), FIGURE_INCHES, ("png",), DOTS_PER_INCH)
+        (PICTURES / f"{name}.png").write_bytes(picture)
 
 
 def main() -> None:

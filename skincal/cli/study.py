@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,9 +20,11 @@ from skincal.studies import STUDIES
 
 if TYPE_CHECKING:
     from skincal.studies import Study
-    from skincal.studies.figures import Figure
 
 DEFAULT_FOLDER = Path("studies")
+DOTS_PER_INCH = 130
+FIGURE_INCHES = (12.0, 7.0)
+"""Width and height, unless a study sets its own."""
 Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s.")]
 Out = Annotated[
     Path | None,
@@ -89,15 +92,17 @@ def _check_folder(folder: Path, name: str) -> None:
 
 
 def _write(study: Study, name: str, result: dict[str, Any], folder: Path) -> list[Path]:
-    from skincal.studies.figures import write_figure
+    from skincal.plotting import render
 
-    path = folder / f"{name}.json"
-    try:
-        path.write_text(json.dumps(result, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder by --out.") from None
-
-    def draw(figure: Figure) -> None:
-        study.draw(result, figure)
-
-    return [path, *write_figure(draw, folder, name)]
+    kinds = ("svg", "png")
+    pictures = render(partial(study.draw, result), FIGURE_INCHES, kinds, DOTS_PER_INCH)
+    files = {"json": (json.dumps(result, indent=1, allow_nan=False) + "\n").encode(), **dict(zip(kinds, pictures, strict=True))}
+    written: list[Path] = []
+    for ending, data in files.items():
+        path = folder / f"{name}.{ending}"
+        try:
+            path.write_bytes(data)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}); choose another folder by --out.") from None
+        written.append(path)
+    return written

@@ -5,9 +5,8 @@ Colours are those of the window and of the studies' figures. What a colour says 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from io import BytesIO
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +14,11 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 from skincal.palette import BLACK, METHODS
+from skincal.plotting import GREY, Axes, Figure, label_twos_and_fives, render
 from skincal.reporting.session_facts import SessionFacts
 from skincal.session.error_history import MEAN, P95
-from skincal.studies.figures import GREY, STYLE
 from skincal.taxels.result import Method, State
 
-Figure: TypeAlias = Any
-"""matplotlib.figure.Figure, whose type hints are too loose for strict checks."""
-Axes: TypeAlias = Any
-"""matplotlib.axes.Axes."""
 SIDES = ("front", "right", "back", "left")
 """Names of the four views; the front is where most of the skin looks."""
 SCALE = "viridis_r"
@@ -52,7 +47,7 @@ def draw_sides(facts: SessionFacts) -> bytes:
         _same_box(panels)
         _colour_bar(figure, panels, facts)
 
-    return _drawn(draw, (11.0, 4.2), "png")
+    return render(draw, (11.0, 4.2), ("png",), DOTS_PER_INCH)[0]
 
 
 def side_frames(facts: SessionFacts) -> tuple[FloatArray, ...]:
@@ -98,7 +93,7 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
         axes.set(xlabel="mm, in the layout's plane", ylabel="mm")
         _colour_bar(figure, [axes], facts)
 
-    return _drawn(draw, (9.0, 5.5), "svg")
+    return render(draw, (9.0, 5.5), ("svg",), DOTS_PER_INCH)[0]
 
 
 def draw_course(facts: SessionFacts) -> bytes:
@@ -119,14 +114,13 @@ def draw_course(facts: SessionFacts) -> bytes:
         _draw_costs(by_cost, facts)
         by_poke.set_ylabel(f"{error_name(facts)} (mm)")
         by_poke.set_yscale("log")
-        by_poke.yaxis.set_major_formatter("{x:g}")
-        by_poke.yaxis.set_minor_formatter(_minor_tick)
+        label_twos_and_fives(by_poke.yaxis)
         for axes in (by_poke, by_time, by_cost):
             axes.grid(visible=True)
         handles, names = by_poke.get_legend_handles_labels()
         figure.legend(handles, [f"{name}: mean, dotted 95 % below" for name in names], loc="outside upper center", ncols=3)
 
-    return _drawn(draw, (11.0, 3.9), "svg")
+    return render(draw, (11.0, 3.9), ("svg",), DOTS_PER_INCH)[0]
 
 
 def error_name(facts: SessionFacts) -> str:
@@ -140,11 +134,6 @@ def _draw_course(axes: Axes, x: FloatArray | IntArray, spreads: FloatArray, meth
     axes.plot(x, spreads[:, 0, P95] * 1e3, linestyle=":", **look)
 
 
-def _minor_tick(value: float, _: int) -> str:
-    """Name the twos and fives between the tens."""
-    return f"{value:g}" if f"{value:.0e}"[0] in "25" else ""
-
-
 def _draw_costs(axes: Axes, facts: SessionFacts) -> None:
     for each in facts.methods:
         spreads = facts.series.spreads.get(each.method)
@@ -154,8 +143,7 @@ def _draw_costs(axes: Axes, facts: SessionFacts) -> None:
             axes.annotate(each.method.value, at, xytext=(7, 5), textcoords="offset points", fontsize=8.5)
     axes.set_xscale("log")
     axes.margins(x=0.4)
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_formatter(_minor_tick)
+    label_twos_and_fives(axes.xaxis)
     axes.set_xlabel("ms to solve all taxels at the end")
 
 
@@ -237,19 +225,3 @@ def _normals(facts: SessionFacts) -> FloatArray:
     """Return (n, 3) their normals; zeros where not known."""
     known = [e for e in facts.estimates if e.position is not None]
     return np.array([np.zeros(3) if e.normal is None else e.normal for e in known], dtype=float).reshape(-1, 3)
-
-
-def _drawn(draw: Callable[[Figure], None], inches: tuple[float, float], kind: str) -> bytes:
-    """Return what `draw` makes of an empty figure, as `"png"` or `"svg"`."""
-    # Only now: what is gathered for a report needs no picture.
-    import matplotlib as mpl
-    from matplotlib import figure as mpl_figure
-
-    matplotlib: Any = mpl
-    figures: Any = mpl_figure
-    data = BytesIO()
-    with matplotlib.rc_context(STYLE):
-        figure: Figure = figures.Figure(figsize=inches, layout="constrained")
-        draw(figure)
-        figure.savefig(data, format=kind, dpi=DOTS_PER_INCH, metadata={"Date": None} if kind == "svg" else {"Software": None})
-    return data.getvalue()

@@ -1,7 +1,6 @@
-"""Studies of the program itself: each gives numbers, lines for a person and a figure.
+"""Studies of the program itself: each gives numbers, lines of text and a figure.
 
-A study is a module with `run(quick, progress)`, which returns what JSON can hold, `summary(result)`, lines for a person,
-and `draw(result, figure)`. It is imported when its command runs.
+To add a study, write a module with the functions of `Study` and enter it in `STUDIES`. It is imported when its command runs.
 """
 
 from __future__ import annotations
@@ -10,29 +9,30 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
-    from skincal.studies.figures import Figure
+    from skincal.plotting import Figure
 
 STUDIES: Mapping[str, tuple[str, str]] = {
     "stability": ("stability", "Every solver against 80-digit arithmetic on stiff and extreme cases."),
-    "guidance": ("guidance_study", "Pokes that the guide takes, beside people on their own and a printed recipe."),
-    "paper": ("paper", "The paper's experiment done again, with rigid modules and landmark pokes beside its two methods."),
+    "guidance": ("guidance_study", "How many pokes are needed: guided, unguided, and with a printed recipe."),
+    "paper": ("paper", "Repeat the paper's experiment. Add the modules method and landmark corrections."),
     "runtime": (
         "runtime",
-        "Error against run time: the two methods, the paper's way, brute force and other honest alternatives.",
+        "Error against run time: the program's methods, the paper's solvers, brute force and general solvers.",
     ),
+    "unmodelled": ("unmodelled", "Rigs with errors that the program does not model, from an independent simulator."),
 }
-"""Name of each study, its module in this package, and what it shows."""
+"""By the study's name: its module in this package, and its purpose for the help."""
 
 
 class Study(Protocol):
-    """What a study's module offers."""
+    """Functions of a study's module."""
 
     def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-        """Measure, within 45 s if `quick`, and return what JSON can hold, no NaN; `progress` takes a sentence now and then."""
+        """Measure, within 45 s if `quick`. Return JSON without NaN; `progress` gets a sentence now and then."""
         ...
 
     def summary(self, result: dict[str, Any]) -> list[str]:
-        """Return lines for a person."""
+        """Describe the result in lines of text."""
         ...
 
     def draw(self, result: dict[str, Any], figure: Figure) -> None:

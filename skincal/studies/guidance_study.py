@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray
+from skincal.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
+from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import FOLLOWED, WAYS, Conditions, ErrorCourse, run_course
-from skincal.studies.figures import draw_guidance
-from skincal.studies.measuring import bar_lines, bars_of, finite, processes
+from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 
 STANDARD = "standard"
@@ -208,7 +209,7 @@ def _bars(
     # At the last poke with drift, over the seeds that both cases have.
     drifting = kept["drift 0.25 N", "free", "guided"]
     still = [course.mean_at(drifting[0].pokes[-1]) for course in kept[STANDARD, "free", "guided"][: len(drifting)]]
-    return bars_of({
+    return check_limits({
         "guided_pokes_to_5mm": (guided, "<=", TO_5_MAX),
         "guided_pokes_to_3mm": (to_3, "<=", TO_3_MAX),
         "random_over_guided": (times["random"], ">=", TIMES_RANDOM),
@@ -234,7 +235,69 @@ def _in_words(row: Mapping[str, Any]) -> str:
 
 def summary(result: dict[str, Any]) -> list[str]:
     """Return a line for each row, and the bars."""
-    return [*map(_in_words, result["table"]), *bar_lines(result["bars"])]
+    return [*map(_in_words, result["table"]), *limit_lines(result["bars"])]
 
 
-draw = draw_guidance
+# ---- figure ----
+
+WAY_LOOKS: dict[str, tuple[str, str, str]] = {
+    "guided": (BLUE, "-", "the guide"),
+    "optimal": (SKY, "-", "A-optimal without an end"),
+    "diversity": (GREEN, "-", "least spread of the axes first"),
+    "tilt_recipe": (ORANGE, "--", "round by round, tilted by a recipe"),
+    "random_sides": (PINK, "--", "anywhere, from any side"),
+    "round_robin": (VERMILION, "--", "round by round, along the normal"),
+    "random": (BLACK, ":", "anywhere, along the normal"),
+    "clumped": (GREY, ":", "favourite places, along the normal"),
+}
+"""Colour, line and words of each way; dashed and dotted ones follow no measurement."""
+POKES = (20, 50, 84, 168, 252, 504, 1008, 2016, 4032)
+
+
+def draw(result: dict[str, Any], figure: Figure) -> None:
+    """Draw the standard case of all methods side by side, and the other cases below."""
+    figure.set_size_inches(17.0, 10.0)
+    figure.suptitle("Mean error of 84 taxels against pokes: the lower left is reached by few pokes")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1.5, 1.0])
+    for method, axes in zip(("free", "surface", "modules"), top.subplots(1, 3), strict=True):
+        rows = [row for row in result["table"] if (row["case"], row["method"]) == ("standard", method)]
+        _draw_courses(axes, rows, f"{method} method, standard case")
+    for method, axes in zip(("free", "surface"), bottom.subplots(1, 2), strict=True):
+        _draw_cases(axes, [row for row in result["table"] if row["method"] == method], method)
+
+
+def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> None:
+    for row in rows:
+        colour, line, words = WAY_LOOKS[row["way"]]
+        width = 2.4 if row["way"] == "guided" else 1.4
+        axes.plot(row["pokes"], row["mean_mm"], color=colour, linestyle=line, linewidth=width, label=words)
+    for error in (5.0, 3.0):
+        axes.axhline(error, color=GREY, linewidth=0.8)
+    last = max(row["pokes"][-1] for row in rows)
+    set_log_scales(axes, tick_labels([at for at in POKES if at <= last]), tick_labels((0.5, 1, 2, 3, 5, 10, 20, 50)))
+    axes.set(xlim=(20, last), xlabel="pokes", ylabel="mean error (mm); a taxel without estimate counts 60", title=title)
+    axes.legend()
+
+
+def _mean_after(row: Mapping[str, Any], pokes: int) -> float:
+    # Between two evaluations along a line: courses with different limits share no number of pokes.
+    counts, means = (np.array(row[name], dtype=float) for name in ("pokes", "mean_mm"))
+    return float(np.interp(pokes, counts, means))
+
+
+def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> None:
+    """Draw the errors after as many pokes as all courses have."""
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    pokes = min(row["pokes"][-1] for row in rows)
+    baseline = "tilt_recipe" if method == "free" else "round_robin"
+    for offset, way in ((-0.15, "guided"), (0.15, baseline)):
+        colour, _, words = WAY_LOOKS[way]
+        own = {row["case"]: row for row in rows if row["way"] == way}
+        places = [place + offset for place, case in enumerate(cases) if case in own]
+        errors = [_mean_after(own[case], pokes) for case in cases if case in own]
+        axes.bar(places, errors, width=0.28, color=colour, label=f"{words}, after {pokes} pokes")
+    axes.set_xticks(range(len(cases)), cases, rotation=20, ha="right", fontsize=8.5)
+    axes.grid(visible=True, axis="y")
+    # Room above the bars for the legend.
+    axes.set(ylabel="mean error (mm)", title=f"{method} method in other cases", ylim=(0.0, 1.2 * axes.get_ylim()[1]))
+    axes.legend()

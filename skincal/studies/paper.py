@@ -1,20 +1,18 @@
 """The paper's experiment done again, and what rigid modules and landmark pokes make of it.
 
 Table I's seven arm poses are poked for their minutes on the simulated forearm with the rig errors of `RigErrors.paper()`, each
-seed another rig. Each pose alone (the paper's figure 4), the poses averaged one after another (figure 5), all pokes pooled, and
-pooled with 21 and 70 landmark pokes; and how the error falls with pokes and with the processor's time that the methods take as
-they come. Beside it a rig that is only noisy, and what a correction does where one of the landmark pokes is wrong. All but the
-times is seeded; trials run side by side, and their numbers do not depend on it. All of this is the simulator that the program
-was made with; `unmodelled` is what it makes of rigs that another one pokes, which are wrong in ways that nobody models.
+seed another rig. Each pose alone is the paper's figure 4, the poses averaged one after another are its figure 5. Added are all
+pokes pooled, 21 and 70 landmark pokes, one wrong landmark poke, a rig that is only noisy, and the error against pokes. All but
+the times is seeded. Trials run in parallel, and their numbers do not depend on it. The simulator is the one that the program
+was developed with; the study `unmodelled` has another.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import accumulate
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,17 +20,16 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.methods import estimate_taxels
+from skincal.palette import BLACK
+from skincal.palette import METHODS as METHOD_HUES
+from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.rig.correction_fit import DOUBTED, LandmarkPoke, RigRequest, correct_rig
-from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.simulated_rig import Rig
-from skincal.studies.figures import draw_paper
-from skincal.studies.measuring import bar_lines, bars_of, finite, poke_seconds, processes, side_by_side
-from skincal.studies.physics import CASES
-from skincal.studies.unmodelled import SEEDS, unmodelled, unmodelled_bars, unmodelled_lines
+from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, side_by_side
 from skincal.taxels.result import Method
 
 Measured: TypeAlias = dict[str, Any]
@@ -50,12 +47,6 @@ CORRECTED = "modules_21"
 """Name of the modules method on a rig that 21 landmark pokes correct."""
 NAMES = tuple(method.value for method in Method)
 COURSES = (*NAMES, CORRECTED)
-TOGETHER: Mapping[Method, tuple[Method, ...]] = {
-    Method.FREE: (Method.FREE,),
-    Method.SURFACE: (Method.SURFACE,),
-    Method.MODULES: (Method.SURFACE, Method.MODULES),
-}
-"""What a session solves for a method: the modules begin at the surface method's estimates."""
 PUBLISHED: dict[str, Any] = {
     "source": "Del Prete et al., IROS 2011, section IV; taxels 84",
     "per_pose_mean_mm": {"free": [8.1, 18.5], "surface": [5.2, 19.3]},
@@ -88,16 +79,11 @@ class PaperSizes:
     """Rigs with the paper's errors that are followed from poke to poke."""
     steps: tuple[int, ...] = (14, 28, 84, 168, 336, 672)
     """Pokes after which these are looked at, and after all."""
-    timed: tuple[int, int] = (3, 10_000)
-    """How many of them are timed, and for how many pokes."""
-    physics: tuple[int, tuple[str, ...]] = (SEEDS, tuple(CASES))
-    """Rigs of each case of the second simulator, and the cases."""
 
 
 FULL = PaperSizes()
 QUICK = PaperSizes(
-    seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168), timed=(1, 168),
-    physics=(2, ("nothing", "quadratic_2", "moderate", "gaussian")),
+    seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168),
 )  # fmt: skip
 
 
@@ -108,8 +94,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
     -------
     JSON: `mean_mm` (pooled, mean over taxels and seeds, of each method, and of modules with 21 and 70 landmark pokes),
     `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm` (the good rig after so many pokes),
-    `bad_course_mm` and `bad_course_ms` (the paper's rig after so many, and the processor's time until then), `runtime_ms`,
-    `unmodelled` (see there), `published`, `bars`
+    `bad_course_mm` (the paper's rig after so many), `runtime_ms`, `published`, `bars`
     """
     sizes = sizes or (QUICK if quick else FULL)
     with processes() as pool:
@@ -121,17 +106,12 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         progress(f"good rig, {len(goods)} seeds")
         safeties = list(pool.map(run_safety, range(1, sizes.safety + 1)))
         progress(f"corrections tried on {len(safeties)} more rigs")
-        rigs, pokes = sizes.timed
-        timed = [pokes if seed <= rigs else 0 for seed in range(1, sizes.courses + 1)]
         follow = partial(run_course, counts=sizes.steps, share=sizes.share)
-        courses = list(pool.map(follow, range(1, sizes.courses + 1), timed))
+        courses = list(pool.map(follow, range(1, sizes.courses + 1)))
         progress(f"{len(courses)} rigs followed from poke to poke")
-        wrong = unmodelled(*sizes.physics, each=pool.map)
-        progress(f"second simulator, {len(wrong)} kinds of rigs")
     rig, good = side_by_side(trials), side_by_side(goods)
     pooled = {**rig["pooled"], **{f"modules_{some['landmarks'][0]}": some["errors"]["modules"] for some in rig["landmarks"]}}
     before, after = _mean(good["before"]), _mean(good["after"])
-    clocked = [course for course in courses if np.isfinite(course["seconds"]["free"][0])]
     result = {
         "study": "paper",
         "quick": quick,
@@ -144,13 +124,11 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "averaged_mm": {name: [_over(errors) for errors in steps] for name, steps in rig["averaged"].items()},
         "landmarks": [_landmarks(some) for some in rig["landmarks"]],
         "course_mm": _good_course(good["course"]),
-        "bad_course_mm": _course_means(courses, courses, "errors", 1.0),
-        "bad_course_ms": _course_means(courses, clocked, "seconds", 1e3),
+        "bad_course_mm": _course_means(courses),
         "runtime_ms": {name: 1e3 * float(np.median(seconds)) for name, seconds in rig["seconds"].items()},
         "safety": {"seeds": len(safeties), **{name: _mean(numbers) for name, numbers in side_by_side(safeties).items()}},
         "no_error": {"before_mm": before, "after_mm": after, "ratio": after / before},
         "trials": trials,
-        "unmodelled": wrong,
         "published": PUBLISHED,
     }
     return {**result, "bars": _bars(result, rig["alone"])}
@@ -280,18 +258,16 @@ def _averaged(places: Sequence[FloatArray], rig: Rig) -> list[dict[str, float]]:
     return course
 
 
-def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Measured:
+def run_course(seed: int, counts: Sequence[int], share: float) -> Measured:
     """Solve the rig of `run_trial` after each of `counts` pokes, and after all of them, in an order that mixes the arm poses.
 
     Parameters
     ----------
-    timed : pokes that are solved one by one as well, with the time that takes; 0 for none
     share : of the paper's minutes
 
     Returns
     -------
-    `pokes`; by method and `CORRECTED`: `errors`, mm, the mean of the taxels that have an estimate; `seconds` of processor
-    time until then, each poke solved as it came, NaN beyond the pokes that are timed; a correction of the rig once, then
+    `pokes`; `errors` by method and `CORRECTED`: mm, the mean of the taxels that have an estimate
     """
     rig, rng = _begin(seed, 11, RigErrors.paper())
     every = [contact for some in poke_table(rig, share, rng).values() for contact in some]
@@ -302,17 +278,7 @@ def run_course(seed: int, timed: int, counts: Sequence[int], share: float) -> Me
     plain = side_by_side([_errors(mixed[:count], rig) for count in steps])
     right = side_by_side([corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps])
     errors = {name: plain[name]["mean"] for name in NAMES} | {CORRECTED: right["errors"]["modules"]["mean"]}
-    seconds = {method.value: _seconds(mixed[:timed], together, steps) for method, together in TOGETHER.items()}
-    seconds[CORRECTED] = [until + more for until, more in zip(seconds["modules"], right["seconds"], strict=True)]
-    return {"pokes": steps, "errors": errors, "seconds": seconds}
-
-
-def _seconds(contacts: Sequence[Contact], methods: Sequence[Method], steps: Sequence[int]) -> list[float]:
-    """Return the processor time, s, until each step of a session that solves each contact as it comes."""
-    session = Session(bench().scene, bench().surface, methods)
-    numbered = [replace(contact, poke=count) for count, contact in enumerate(contacts, start=1)]
-    until = list(accumulate(poke_seconds(session, numbered)))
-    return [until[step - 1] if step <= len(until) else float("nan") for step in steps]
+    return {"pokes": steps, "errors": errors}
 
 
 def run_safety(seed: int, pokes: int = 84) -> dict[str, float]:
@@ -399,10 +365,10 @@ def _good_course(course: Mapping[int, Measured]) -> Measured:
     return found
 
 
-def _course_means(courses: Sequence[Measured], some: Sequence[Measured], key: str, unit: float) -> Measured:
-    means = {name: np.mean([own[key][name] for own in some], axis=0).tolist() for name in COURSES} if some else {}
-    means = {name: [None if finite(value) is None else unit * value for value in own] for name, own in means.items()}
-    return {"rigs": len(some), "pokes": courses[0]["pokes"], **means}
+def _course_means(courses: Sequence[Measured]) -> Measured:
+    means = {name: np.mean([own["errors"][name] for own in courses], axis=0).tolist() for name in COURSES}
+    finite_means = {name: [finite(value) for value in own] for name, own in means.items()}
+    return {"rigs": len(courses), "pokes": courses[0]["pokes"], **finite_means}
 
 
 def _bars(result: Measured, alone: Measured) -> Measured:
@@ -412,7 +378,7 @@ def _bars(result: Measured, alone: Measured) -> Measured:
         name: _mean([low <= mean <= high for errors in alone[name].values() for mean in errors["mean"]])
         for name, (low, high) in WITHIN.items()
     }
-    return bars_of({
+    return check_limits({
         "free_within_published_share": (within["free"], ">=", MOST),
         "surface_within_published_share": (within["surface"], ">=", MOST),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
@@ -422,7 +388,6 @@ def _bars(result: Measured, alone: Measured) -> Measured:
         "no_worse_share": (safety["no_worse_share"], ">=", SHARE_SAFE),
         "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", SHARE_SAFE),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
-        **unmodelled_bars(result["unmodelled"]),
     })  # fmt: skip
 
 
@@ -442,20 +407,104 @@ def summary(result: Measured) -> list[str]:
             f"{row['held_out_after_mm']:.1f} mm, {row['correction_ms']:.0f} ms; {mm(row['mean_mm'])}"
             for row in result["landmarks"]
         ),
-        _course_line(result),
         f"{safety['seeds']} more rigs, 21 landmark pokes: {safety['before_mm']:.1f} -> {safety['after_mm']:.2f} mm, "
         f"with one poke 10 mm off {safety['after_wrong_mm']:.2f} mm; that poke is named in {safety['wrong_told_share']:.0%}",
-        *unmodelled_lines(result["unmodelled"]),
-        *bar_lines(result["bars"]),
+        *limit_lines(result["bars"]),
     ]
 
 
-def _course_line(result: dict[str, Any]) -> str:
-    """Return the errors and processor times after the last poke that is timed."""
-    errors, times = result["bad_course_mm"], result["bad_course_ms"]
-    last = max(i for i, value in enumerate(times["free"]) if value is not None)
-    found = (f"{name} {errors[name][last]:.2f} mm in {times[name][last] / 1e3:.2f} s" for name in COURSES)
-    return f"each of {errors['pokes'][last]} pokes solved as it came, of all poses: " + ", ".join(found)
+# ---- figure ----
+
+CORRECTED_WORDS = "modules, rig corrected by 21 landmark pokes"
 
 
-draw = draw_paper
+def draw(result: dict[str, Any], figure: Figure) -> None:
+    """Draw five panels."""
+    figure.set_size_inches(13.0, 14.0)
+    figure.suptitle(f"The paper's experiment on {result['seeds']} simulated rigs, each as wrong as the paper's")
+    (alone, averaged), (landmarks, good), (pokes, unused) = figure.subplots(3, 2)
+    unused.remove()
+    _draw_alone(alone, result)
+    _draw_averaged(averaged, result)
+    _draw_landmarks(landmarks, result)
+    _draw_good(good, result)
+    course = result["bad_course_mm"]
+    shown = {name: numbers for name, numbers in course.items() if name not in ("rigs", "pokes")}
+    _draw_lines(pokes, course["pokes"], {name: (course["pokes"], numbers) for name, numbers in shown.items()})
+    pokes.set(xlabel="pokes, of all seven arm poses from the first on", title="As wrong as the paper's: error against pokes")
+
+
+def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
+    """Draw bars of each method beside each other; without deviations their height is written above them."""
+    for offset, (method, colour) in enumerate(METHOD_HUES.items()):
+        places = [place + (offset - 1) * 0.26 for place in range(len(names))]
+        sds = [row["sd"] for row in rows[method] if "sd" in row]
+        error = {"yerr": sds, "error_kw": {"ecolor": GREY, "elinewidth": 1.0}} if sds else {}
+        bars = axes.bar(places, [row["mean"] for row in rows[method]], width=0.26, color=colour, label=method, **error)
+        if not sds:
+            axes.bar_label(bars, fmt="%.1f", fontsize=8.5)
+    axes.set_xticks(range(len(names)), names)
+    axes.grid(visible=True, axis="y")
+    axes.set_ylabel(label)
+
+
+OF_TAXELS = "error of 84 taxels (mm): mean and sd"
+
+
+def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
+    minutes: dict[str, float] = result["minutes"]
+    rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
+    _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, OF_TAXELS)
+    for place, (method, (low, high)) in zip((6.75, 6.95), result["published"]["per_pose_mean_mm"].items(), strict=True):
+        axes.plot([place, place], [low, high], color=METHOD_HUES[method], linewidth=5.0, solid_capstyle="butt")
+    axes.text(6.85, -0.02, "paper's\nrange", transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8.5)
+    axes.set_title("Each arm pose alone (figure 4)")
+    axes.set_ylim(0.0, 1.15 * axes.get_ylim()[1])
+    axes.legend(loc="upper left", ncols=3)
+
+
+def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
+    names = [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)]
+    _method_bars(axes, names, result["averaged_mm"], OF_TAXELS)
+    for method, value in result["published"]["averaged_mean_mm"].items():
+        axes.axhline(value, color=METHOD_HUES[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
+    axes.set(xlabel="arm poses averaged one after another", title="Averaged (figure 5)")
+    axes.legend(loc="upper right")
+
+
+def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
+    some: list[Measured] = [{"landmark_pokes": 0, "mean_mm": result["mean_mm"]}, *result["landmarks"]]
+    rows = {method: [{"mean": row["mean_mm"][method]} for row in some] for method in METHOD_HUES}
+    _method_bars(axes, [f"{row['landmark_pokes']} landmark pokes" for row in some], rows, "mean error (mm), all poses pooled")
+    axes.set_title("The rig corrected from pokes at landmarks")
+    axes.legend()
+
+
+def _draw_good(axes: Axes, result: dict[str, Any]) -> None:
+    course = result["course_mm"]
+    _draw_lines(axes, course["pokes"], {method: (course["pokes"], course[method]) for method in METHOD_HUES}, least=0.2)
+    times = ", ".join(f"{method} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items())
+    title = f"A rig that is only noisy\nsolving {result['pokes']:,} pokes: {times}"
+    axes.set(xlabel="pokes in one arm pose, unguided", title=title)
+
+
+def _draw_lines(
+    axes: Axes,
+    ticks: Sequence[float],
+    courses: Mapping[str, tuple[Sequence[float | None], Sequence[float | None]]],
+    least: float = 0.5,
+) -> None:
+    """Draw errors, mm, against another number where both are known; `least` is the lowest tick, mm, of the errors."""
+    for name, course in courses.items():
+        points = [(at, error) for at, error in zip(*course, strict=True) if at is not None and error is not None]
+        own = (
+            {"color": METHOD_HUES[name], "label": name}
+            if name in METHOD_HUES
+            else {"color": BLACK, "label": CORRECTED_WORDS, "linestyle": "--"}
+        )
+        axes.plot([at for at, _ in points], [error for _, error in points], marker="o", **own)
+    set_log_scales(
+        axes, tick_labels(ticks), tick_labels([error for error in (0.2, 0.5, 1, 2, 5, 10, 20) if least <= error <= 40 * least])
+    )
+    axes.set_ylabel("mean error (mm) of those with an estimate")
+    axes.legend()

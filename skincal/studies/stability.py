@@ -15,7 +15,7 @@ exact answers again, 20 a case.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, count
@@ -31,11 +31,12 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import Pads
 from skincal.modules.pose_fit import fit_modules, whitened
+from skincal.palette import BLACK, BLUE, ORANGE, SKY, VERMILION
+from skincal.plotting import Axes, Figure, add_common_legend
 from skincal.studies import exact
-from skincal.studies.alternatives import ModuleProblem
+from skincal.studies.baselines import ModuleProblem
+from skincal.studies.benchmarking import processes
 from skincal.studies.exact import NO_NUMBER, Truth, distance, distance_to
-from skincal.studies.figures import draw_stability
-from skincal.studies.measuring import processes
 from skincal.studies.stability_cases import (
     FULL,
     PADS,
@@ -53,7 +54,7 @@ from skincal.studies.stability_cases import (
 from skincal.studies.stability_terms import TermCase, term_cases
 from skincal.taxels.contact_table import ContactTable, across
 from skincal.taxels.result import Method
-from skincal.taxels.solve import factor, solve
+from skincal.taxels.solve import solve
 
 FACTOR = 10.0
 """The error may be that many times what the inputs' last digit does."""
@@ -295,18 +296,10 @@ def by_svd(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatA
     return np.asarray(np.linalg.lstsq(a, b, rcond=None)[0], dtype=float), values[:, None] * axes, u.T @ b
 
 
-def by_sorted_qr(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Solve as the program does: rows sorted by size, columns pivoted."""
-    factors = factor(a, b, np.array([0, len(b)]))
-    return factors.solutions[0], factors.roots[0], factors.offsets[0]
-
-
 ALTERNATIVES: dict[str, Way] = {
     "normal equations": partial(_by_rows, two_rows, by_normal_equations),
     "QR, rows as they come": partial(_by_rows, two_rows, by_qr),
-    "QR, three rows a contact, as they come": partial(_by_rows, three_rows, by_qr),
     "lstsq, three rows a contact": partial(_by_rows, three_rows, by_svd),
-    "sorted and pivoted QR, three rows a contact": partial(_by_rows, three_rows, by_sorted_qr),
 }
 
 
@@ -419,4 +412,51 @@ def _of_alternative(method: str, own: list[Record]) -> str:
     return f"{method}: misses {len(misses)} of {len(own)}, at worst {far} ({worst['name']})"
 
 
-draw = draw_stability
+# ---- figure ----
+
+TRY_LOOKS = {
+    "normal equations": ("x", VERMILION), "QR, rows as they come": ("v", ORANGE),
+    "lstsq, three rows a contact": ("s", SKY), "least_squares, differenced": ("v", BLACK),
+}  # fmt: skip
+"""Mark and colour of each other way."""
+SHARE_MIN, SHARE_MAX = 1e-4, 1e300
+"""Shares of the bar below the one are drawn at it; one as large as the other is no number."""
+
+
+def draw(result: dict[str, Any], figure: Figure) -> None:
+    """Draw each case's share of the bar, shipped and other ways, one panel a solver."""
+    solvers = list(dict.fromkeys(case["solver"] for case in result["cases"]))
+    rows = max(sum(case["solver"] == solver for case in result["cases"]) for solver in solvers)
+    figure.set_size_inches(24.0, 2.0 + 0.19 * rows)
+    for panel, solver in zip(figure.subplots(1, len(solvers), squeeze=False)[0], solvers, strict=True):
+        of = ([record for record in result[kind] if record["solver"] == solver] for kind in ("cases", "alternatives"))
+        _draw_solver(panel, solver, *of)
+    add_common_legend(figure, figure, columns=4)
+    figure.suptitle(
+        f"Error over the bar. Bar: {result['factor']:g} times what the inputs' last digit does ({result['draws']} draws, "
+        f"{result['digits']} digits) + {result['of_size']:g} of the answer. "
+        "Right of the line the solver loses digits that the data contain."
+    )
+
+
+def _draw_solver(panel: Axes, solver: str, cases: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]) -> None:
+    place = {case["name"]: -row for row, case in enumerate(cases)}
+    every = [record["error_over_bound"] for record in (*cases, *others)]
+    right = max(10.0, *(share for share in every if share < SHARE_MAX)) * 3.0
+
+    def put(records: Sequence[Mapping[str, Any]], **look: Any) -> None:
+        shares = [min(max(record["error_over_bound"], SHARE_MIN), right) for record in records]
+        panel.scatter(shares, [place[record["name"]] for record in records], **look)
+
+    for method, (mark, colour) in TRY_LOOKS.items():
+        look = {"color": colour} if mark == "x" else {"facecolors": "none", "edgecolors": colour}
+        if own := [record for record in others if record["method"] == method]:
+            put(own, s=22, marker=mark, label=method, linewidths=1.0, **look)
+    put(cases, s=26, color=BLUE, label="shipped", zorder=3)
+    panel.axvline(1.0, color=BLACK, linewidth=1.2)
+    panel.set_yticks(list(place.values()), list(place), fontsize=7.5)
+    panel.grid(visible=True)
+    panel.set(
+        xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(-len(cases), 1), title=f"{solver}: {len(cases)} cases",
+        xlabel=f"error over the bar\n(least {SHARE_MIN:g};\nno number at the right end)",
+    )  # fmt: skip

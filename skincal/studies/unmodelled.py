@@ -2,7 +2,7 @@
 
 Each case is a rig with the paper's errors and one more, poked 504 times in seven arm poses; solved as it reports itself, and
 corrected by 21 and by 70 pokes at landmarks. What counts is the error beside the error that is predicted, and whether the
-verdict believes the prediction where it is wrong. `skincal study paper` reports it.
+verdict believes the prediction where it is wrong.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ from skincal.mesh.surface import Surface, make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.modules.pose import ModuleModel
+from skincal.palette import BLACK, BLUE, VERMILION
+from skincal.plotting import GREY, Axes, Figure
 from skincal.rig.correction import RIG, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, LandmarkPoke, RigRequest, correct_rig, landmark_agreement
-from skincal.studies.measuring import finite
+from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.studies.physics import CASES, Poked, poke
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method
@@ -53,6 +55,34 @@ WORST = ("bad", "wander")
 """Cases of which less is asked."""
 OUTSIDE_MODEL = ("drift_0.1N", "lean", "wide_foam", "gains")
 """Cases of a rig without an error of its own that the noise of the scene does not describe."""
+
+
+QUICK_SEEDS, QUICK_CASES = 2, ("nothing", "quadratic_2", "moderate", "gaussian")
+
+
+def run(
+    quick: bool, progress: Callable[[str], None], seeds: int | None = None, cases: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """Measure; quick with few rigs of few cases.
+
+    Returns
+    -------
+    JSON: `seeds` (rigs of most cases), `unmodelled` (a row for each case, see `unmodelled`) and `bars`
+    """
+    seeds = seeds or (QUICK_SEEDS if quick else SEEDS)
+    rows: list[dict[str, Any]] = []
+    with processes() as pool:
+        for case in cases or (QUICK_CASES if quick else tuple(CASES)):
+            rows += unmodelled(seeds, [case], each=pool.map)
+            progress(_row_text(rows[-1]).strip())
+    return {
+        "study": "unmodelled", "quick": quick, "seeds": seeds, "unmodelled": rows, "bars": check_limits(unmodelled_bars(rows)),
+    }  # fmt: skip
+
+
+def summary(result: Mapping[str, Any]) -> list[str]:
+    """Describe each case and each limit."""
+    return [*unmodelled_lines(result["unmodelled"]), *limit_lines(result["bars"])]
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,19 +336,64 @@ def believed_shares(rows: Sequence[Mapping[str, Any]]) -> tuple[float, float]:
 
 
 def unmodelled_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines for a person."""
-
-    def both(row: Mapping[str, Any], name: str, form: str = ".2f") -> str:
-        return " / ".join(format(row[f"{name}{count}"], form) for count in LANDMARKS[1:])
-
+    """Describe each case, and the share of sessions that are believed."""
     believed, wrongly = believed_shares(rows)
     of = f"{len(rows[0]['sessions'])} rigs of each kind"
     return [
         f"second simulator, {of}, modules method without landmarks -> with 21 / 70 pokes at them:",
-        *(
-            f"  {row['case']}: {row['uncorrected']:.1f} -> {both(row, '')} mm, inside {both(row, 'inside_')}, predicted "
-            f"{both(row, 'predicted_')} mm rms of {both(row, 'true_rms_')}, believed in {both(row, 'believed_', '.0%')}"
-            for row in rows
-        ),
+        *map(_row_text, rows),
         f"  {believed:.0%} of these sessions are believed, {wrongly:.1%} though fewer than {TRUE:.0%} of the taxels are inside",
     ]
+
+
+def _row_text(row: Mapping[str, Any]) -> str:
+    def both(name: str, form: str = ".2f") -> str:
+        values = (row[f"{name}{count}"] for count in LANDMARKS[1:])
+        return " / ".join("unknown" if value is None else format(value, form) for value in values)
+
+    before = "unknown" if row["uncorrected"] is None else f"{row['uncorrected']:.1f}"
+    return (
+        f"  {row['case']}: {before} -> {both('')} mm, inside {both('inside_')}, predicted {both('predicted_')} mm rms of "
+        f"{both('true_rms_')}, believed in {both('believed_', '.0%')}"
+    )
+
+
+# ---- figure ----
+
+
+LANDMARK_LOOKS = {21: (BLUE, "o"), 70: (VERMILION, "s")}
+"""Colour and mark by landmark pokes."""
+
+
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
+    """Draw the predicted and the true error of each case, and the share of taxels inside."""
+    rows: Sequence[Mapping[str, Any]] = result["unmodelled"]
+    figure.set_size_inches(13.0, 5.0)
+    panels: tuple[Axes, Axes] = figure.subplots(1, 2, sharey=True)
+    errors, shares = panels
+    for offset, (count, (colour, mark)) in zip((0.15, -0.15), LANDMARK_LOOKS.items(), strict=True):
+        places = [offset - row for row in range(len(rows))]
+        predicted, true = ([row[f"{name}_{count}"] for row in rows] for name in ("predicted", "true_rms"))
+        look = {"color": colour, "marker": mark, "s": 28, "zorder": 3}
+        errors.hlines(places, predicted, true, color=colour, linewidth=1.0)
+        errors.scatter(true, places, label=f"true, {count} landmark pokes", **look)
+        errors.scatter(predicted, places, label="predicted", **{**look, "color": "white", "edgecolors": colour})
+        shares.scatter([row[f"inside_{count}"] for row in rows], places, label=f"{count} landmark pokes", **look)
+    least = min(row[f"predicted_{count}"] for row in rows for count in LANDMARK_LOOKS)
+    most = max(row[f"true_rms_{count}"] for row in rows for count in LANDMARK_LOOKS)
+    ticks = [at for at in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if least / 2.5 <= at <= 2.5 * most]
+    errors.set_xscale("log")
+    errors.set_xticks(ticks, [f"{at:g}" for at in ticks])
+    errors.set_xticks([], minor=True)
+    errors.set_yticks([-row for row in range(len(rows))], [row["case"] for row in rows])
+    errors.set(xlabel="error of the taxels (mm rms), modules method", title="Second simulator: predicted and true error")
+    shares.axvline(0.95, color=BLACK, linewidth=1.0)
+    shares.axvline(0.80, color=GREY, linewidth=1.0, linestyle="--")
+    shares.set(
+        xlim=(0.0, 1.02),
+        xlabel="share of taxels inside their 95 % ellipsoid",
+        title="Inside: 0.95 expected, at least 0.80 required",
+    )
+    for axes in (errors, shares):
+        axes.grid(visible=True)
+        axes.legend(loc="best")

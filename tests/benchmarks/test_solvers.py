@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from skincal.mesh.search import build_tree, nearest_to_rows
@@ -16,7 +17,7 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
 from skincal.simulate.benches import SHAPES, Bench
-from skincal.studies import alternatives, runtime
+from skincal.studies import baselines, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.skincal.session.test_session_scale import write_pokes
@@ -48,21 +49,21 @@ def torso_contacts(torso):
 def test_a_poke_of_seven_taxels_in_a_session(benchmark, forearm, forearm_contacts):
     """Taken in, solved by both methods, shown."""
     session = runtime.solved_session(forearm, forearm_contacts)
-    touching = runtime.touching(forearm, forearm_contacts[0])
+    touching = runtime.with_neighbours(forearm, forearm_contacts[0])
 
     def poke():
         session.add(replace(touching, poke=session.last_poke + 1))
         return session.snapshot()
 
     snapshot = benchmark.pedantic(poke, rounds=50, warmup_rounds=5)
-    assert len(snapshot.touched) == runtime.TOUCHED
+    assert len(snapshot.touched) == runtime.TAXELS_PER_POKE
 
 
 def test_seven_taxels_solved_by_both_methods(benchmark, forearm, forearm_contacts):
     ledger = ContactTable(forearm_contacts)
-    channels = runtime.touching(forearm, forearm_contacts[0]).channels.tolist()
+    channels = runtime.with_neighbours(forearm, forearm_contacts[0]).channels.tolist()
     found = benchmark(estimate_from, ledger, channels, BOTH, forearm.scene.noise, forearm.surface)
-    assert len(found[Method.SURFACE]) == runtime.TOUCHED
+    assert len(found[Method.SURFACE]) == runtime.TAXELS_PER_POKE
 
 
 @pytest.mark.parametrize("method", BOTH)
@@ -86,15 +87,15 @@ def test_the_whole_body_from_a_sessions_ledger(benchmark, torso, torso_contacts,
 
 
 def test_the_whole_bodys_search(benchmark, torso, torso_contacts):
-    systems = alternatives.systems(torso_contacts, torso.channels, torso.scene.noise)
-    arguments = (torso.surface, systems.roots, systems.offsets, systems.pushes)
+    problems = baselines.taxel_problems(torso_contacts, torso.channels, torso.scene.noise).values()
+    arguments = (torso.surface, *(np.array(part) for part in zip(*problems, strict=True)))
     found = benchmark.pedantic(nearest_to_rows, arguments, rounds=3, warmup_rounds=1)
     assert (found.triangles >= 0).all()
 
 
 def test_one_taxel_by_every_triangle_of_the_whole_body(benchmark, torso, torso_contacts):
-    systems = alternatives.systems(torso_contacts, torso.channels[:1], torso.scene.noise)
-    point = benchmark(alternatives.every_triangle, torso.surface, systems.roots[0], systems.offsets[0], systems.pushes[0])
+    problems = baselines.taxel_problems(torso_contacts, torso.channels[:1], torso.scene.noise)
+    point = benchmark(baselines.by_every_triangle, torso.surface, next(iter(problems.values())))
     assert point.shape == (3,)
 
 

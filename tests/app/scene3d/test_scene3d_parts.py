@@ -19,7 +19,7 @@ from app.scene3d.part_layers import SurfaceLayer
 from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
-from skincal.studies.figures import LOOKS
+from skincal.palette import METHODS
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, estimate, laid, layout, scene
 from tests.app.view3d_on_screen import make_plotter
@@ -136,7 +136,7 @@ def test_seven_modules_have_seven_hues_and_the_eighth_repeats_the_first():
 def test_a_method_has_one_colour_in_window_3d_view_and_figures():
     for method in Method:
         hue = theme.LIGHT.methods[method.value]
-        assert LOOKS[method.value].colour == hue
+        assert METHODS[method.value] == hue
         assert "#{:02X}{:02X}{:02X}".format(*LIGHT.tints[Tint(method.value)]) == hue
 
 
@@ -155,7 +155,7 @@ from pathlib import Path
 sys.path[:0] = {path!r}
 from tests.app.scene3d_support import box, estimate, laid, layout, scene, snapshot
 from app.scene3d.offscreen import picture
-from skincal.studies.figures import LOOKS
+from skincal.palette import METHODS
 from skincal.taxels.result import Method
 plan = layout()
 session = snapshot(1, {{3: estimate(3, (-0.018, 0.02, 0.01))}})

@@ -7,7 +7,7 @@ import numpy as np
 from skincal.mesh.search import NearestMany, nearest_to_rows, solver_copy
 from skincal.mesh.surface import Surface, make_surface
 from skincal.solver.machine import INTEGER
-from skincal.studies.alternatives import closest_in_triangles
+from skincal.studies.baselines import closest_in_triangles
 
 
 def grid(points) -> Surface:

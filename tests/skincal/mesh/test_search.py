@@ -8,7 +8,7 @@ from mesh_support import Nearest, nearest_in_metric, tube
 
 from skincal.mesh.search import nearest_points, nearest_to_rows
 from skincal.mesh.surface import Surface, make_surface
-from skincal.studies.alternatives import closest_in_triangles
+from skincal.studies.baselines import closest_in_triangles
 
 
 def to_rows(surface, root, offset, push):

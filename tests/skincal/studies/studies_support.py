@@ -6,18 +6,15 @@ from functools import lru_cache
 from typing import Any
 
 from skincal.studies import runtime
-from skincal.studies.runtime import PartSizes, RuntimeSizes
+from skincal.studies.runtime import PartPlan, RuntimeSizes
 
 FOREARM = "icub-forearm"
 TINY = RuntimeSizes(
-    small=PartSizes(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
-    large=PartSizes(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
+    small=PartPlan(FOREARM, 2, 1, (300,), (1,), budget_s=0.02),
+    large=PartPlan(FOREARM, 1, 1, (1_000,), (), (24,), budget_s=0.02),
     per_taxel=2,
     live_pokes=3,
     live_per_taxel=(2,),
-    resolved=100,
-    memory_pokes=84,
-    log_pokes=2,
 )
 
 

@@ -2,14 +2,14 @@
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
+from skincal.plotting import render
 from skincal.simulate.courses import WAYS, Conditions
 from skincal.studies import guidance_study
-from skincal.studies.figures import write_figure
 from skincal.studies.guidance_study import QUICK
 
 TINY = replace(
@@ -44,10 +44,9 @@ def test_a_process_makes_its_part_once():
     assert guidance_study._bench() is guidance_study._bench()
 
 
-def test_the_figure_is_drawn(tmp_path):
+def test_the_figure_is_drawn():
     found, _ = result()
-    paths = write_figure(lambda figure: guidance_study.draw(found, figure), tmp_path, "guidance")
-    assert all(path.stat().st_size > 10_000 for path in paths)
+    assert all(len(data) > 10_000 for data in render(partial(guidance_study.draw, found), (12.0, 7.0), ("svg", "png"), 100))
 
 
 def test_an_interval_holds_the_median_and_is_null_where_it_is_not_reached():

@@ -2,15 +2,16 @@
 
 import json
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 
 from skincal.guide.verdict import Check, is_believed
+from skincal.plotting import render
 from skincal.rig.correction_fit import NOISIER, LandmarkAgreement
 from skincal.studies import unmodelled as study
-from skincal.studies.measuring import bars_of
+from skincal.studies.benchmarking import check_limits
 from skincal.studies.unmodelled import (
     FoundByMethod,
     along,
@@ -182,7 +183,7 @@ def made(case="nothing", **numbers):
 
 
 def failing(*found):
-    return {name.removeprefix("unmodelled_") for name, bar in bars_of(unmodelled_bars(found)).items() if not bar["holds"]}
+    return {name.removeprefix("unmodelled_") for name, bar in check_limits(unmodelled_bars(found)).items() if not bar["holds"]}
 
 
 def test_bars_are_those_that_were_asked_for():
@@ -214,6 +215,20 @@ def test_bars_are_those_that_were_asked_for():
 )
 def test_a_bar_falls_by_the_case_and_number_that_it_is_of(row, names):
     assert failing(row) == names
+
+
+def test_the_study_gives_rows_limits_lines_and_a_figure():
+    said = []
+    found = study.run(True, said.append, 1, ["nothing", "gaussian"])
+    json.dumps(found, allow_nan=False)
+    assert [row["case"] for row in found["unmodelled"]] == ["nothing", "gaussian"]
+    assert {"unmodelled_inside_as_modelled", "unmodelled_plain_inside_most"} < set(found["bars"])
+    assert "unmodelled_inside_worst" not in found["bars"], "none of its cases is among them"
+    lines = study.summary(found)
+    assert len(said) == 2
+    assert all(any(line.strip() == sentence for line in lines) for sentence in said)
+    (picture,) = render(partial(study.draw, found), (12.0, 7.0), ("svg",), 100)
+    assert b"gaussian" in picture
 
 
 def test_a_prediction_is_off_alike_where_it_is_too_small_and_too_large():

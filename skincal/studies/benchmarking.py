@@ -1,4 +1,4 @@
-"""How the studies measure: bars, work side by side, and how long something takes.
+"""Timers, limits and worker processes of the studies.
 
 Times are the CPU time of the whole process, all its threads together, with the garbage collector off. Other programs on a busy
 machine do not count. Work that two threads share counts in full, so that it compares with work of one thread. Where the
@@ -25,12 +25,12 @@ from skincal.session.session import Session
 
 
 def finite(number: float) -> float | None:
-    """Return a number as JSON can hold it: None where it is not finite."""
+    """Convert a number for JSON, which has no infinity: `None` if it is not finite."""
     return float(number) if np.isfinite(number) else None
 
 
 def side_by_side(trees: Sequence[Any]) -> Any:
-    """Return mappings and lists of one shape as one of them, which holds the list of all their numbers in place of each."""
+    """Combine equally shaped trees into one tree whose leaves are lists."""
     first = trees[0]
     if isinstance(first, dict):
         shape = cast("dict[Any, Any]", first)
@@ -38,12 +38,16 @@ def side_by_side(trees: Sequence[Any]) -> Any:
     return [side_by_side(some) for some in zip(*trees, strict=True)] if isinstance(first, list) else list(trees)
 
 
-def bars_of(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[str, Any]]:
-    """Return each bar of a study: its value (None: not reached), on which side of its limit it must be, and whether it is.
+def check_limits(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[str, Any]]:
+    """Check each limit of a study.
 
     Parameters
     ----------
     numbers : name to value, ">=" or "<=", and limit
+
+    Returns
+    -------
+    JSON by name: `value` (`None` if it is not finite), `sign`, `limit` and `holds`
     """
     return {
         name: {
@@ -54,10 +58,10 @@ def bars_of(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, dict[s
     }  # fmt: skip
 
 
-def bar_lines(bars: Mapping[str, Mapping[str, Any]], digits: int = 3) -> list[str]:
-    """Return each bar in words."""
+def limit_lines(limits: Mapping[str, Mapping[str, Any]], digits: int = 3) -> list[str]:
+    """Describe each limit in a line."""
     lines: list[str] = []
-    for name, bar in bars.items():
+    for name, bar in limits.items():
         value = "not reached" if bar["value"] is None else f"{bar['value']:.{digits}g}"
         lines.append(f"{name}: {value}, bar {bar['sign']} {bar['limit']:g}: {'holds' if bar['holds'] else 'DOES NOT HOLD'}")
     return lines
@@ -77,25 +81,22 @@ def usable_cores() -> int:
 
 Result = TypeVar("Result")
 
-FINE_S = 1e-6
-"""s. A clock that steps by more cannot tell the pieces that are measured."""
-CPU_TIME = time.get_clock_info("process_time").resolution <= FINE_S
+CLOCK_STEP_MAX_S = 1e-6
+"""s. A coarser clock cannot time the pieces that are measured."""
+CPU_TIME = time.get_clock_info("process_time").resolution <= CLOCK_STEP_MAX_S
 clock: Callable[[], float] = time.process_time if CPU_TIME else time.perf_counter
-CLOCK = (
-    "time.process_time, the CPU time of all threads" if CPU_TIME else "time.perf_counter"
-) + "; no garbage is collected within"
-"""The clock in words."""
+CLOCK = ("time.process_time, the CPU time of all threads" if CPU_TIME else "time.perf_counter") + "; garbage collector off"
 
 
 def quartiles(numbers: Sequence[float]) -> dict[str, Any]:
-    """Return median, quartiles and count of at least one number."""
+    """Summarise at least one number: median, quartiles, count."""
     low, middle, high = np.percentile(np.asarray(numbers, dtype=float), [25, 50, 75]).tolist()
     return {"median": middle, "q1": low, "q3": high, "count": len(numbers)}
 
 
 @contextmanager
-def at_rest() -> Generator[None]:
-    """Collect no garbage within."""
+def gc_disabled() -> Generator[None]:
+    """Switch the garbage collector off."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -106,11 +107,11 @@ def at_rest() -> Generator[None]:
 
 
 def timed(works: Iterable[Callable[[], Result]], budget_s: float = float("inf")) -> tuple[list[float], list[Result]]:
-    """Do one piece of work after another, at least one, until `budget_s` has passed; return seconds and result of each."""
+    """Time pieces of work in turn, at least one, until `budget_s` of wall time is used; returns seconds and results."""
     seconds: list[float] = []
     results: list[Result] = []
     end = time.perf_counter() + budget_s
-    with at_rest():
+    with gc_disabled():
         for work in works:
             if seconds and time.perf_counter() >= end:
                 break
@@ -120,8 +121,8 @@ def timed(works: Iterable[Callable[[], Result]], budget_s: float = float("inf"))
     return seconds, results
 
 
-def poke_seconds(session: Session, contacts: Iterable[Contact]) -> list[float]:
-    """Return the seconds that each contact takes: taken in by the session, solved, shown."""
+def time_session_pokes(session: Session, contacts: Iterable[Contact]) -> list[float]:
+    """Time each contact: added to the session, solved, in a snapshot."""
 
     def poke(contact: Contact) -> None:
         session.add(contact)
@@ -131,7 +132,7 @@ def poke_seconds(session: Session, contacts: Iterable[Contact]) -> list[float]:
 
 
 def time_words(ms: float) -> str:
-    """Return a time with three digits in the unit that suits it."""
+    """Write a time with three digits and its unit."""
     for unit, size in (("h", 3.6e6), ("min", 6e4), ("s", 1e3)):
         if ms >= 2 * size or (unit == "s" and ms >= size):
             return f"{ms / size:.3g} {unit}"
