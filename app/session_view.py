@@ -80,7 +80,7 @@ from skincal.words.units import ChannelNames
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
-    from skincal.files.reference import PlaceSet, Reference
+    from skincal.files.reference import Reference, TaxelPositions
     from skincal.guide.verdict import Verdict
     from skincal.modules.health import LayoutMend
 
@@ -678,7 +678,7 @@ class SessionView(QObject):
         if path:
             self._controller.find_places(Path(path), partial(self._take_places, Path(path)))
 
-    def _take_places(self, path: Path, sets: tuple[PlaceSet, ...]) -> None:
+    def _take_places(self, path: Path, sets: tuple[TaxelPositions, ...]) -> None:
         """Offer sets of places in the panel that compares; the first is chosen."""
         for found in sets:
             source = other_source(found.name, path, self.workspace.compare.others)

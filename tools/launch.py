@@ -12,15 +12,15 @@ from app.preflight import LIBRARIES, X_LIBRARIES
 from tools import checkout, install
 from tools.checkout import StopError, say
 
-INTERRUPTED = 130
+INTERRUPTED_EXIT_CODE = 130
 """Exit code of a program ended with Ctrl-C."""
 
 PYTEST = ("-m", "pytest", "-p", "no:cacheprovider")
-PROCESSORS = ("sse2", "sse4.1", "avx")
+TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 """As on which the tests of what the 3D view must show run again."""
-CAPABILITIES = "GALLIUM_OVERRIDE_CPU_CAPS"
+PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's switch for what its software OpenGL may use of a processor."""
-APART = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
+SLOW_CORE_TESTS = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
 """Tests of the core that take about as long as its others."""
 WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
@@ -31,20 +31,26 @@ CHECKS = {
     "ruff format --check": ("-m", "ruff", "format", "--check"),
     "pytest of the window": (*PYTEST, "-m", "not quiet", "tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
     "pytest of the window's parts": (*PYTEST, "-m", "not quiet", *WINDOW_PARTS),
-    "pytest of the core": (*PYTEST, "-m", "not quiet", "tests", *(f"--ignore={folder}" for folder in ("tests/app", *APART))),
-    f"pytest {' '.join(APART)}": (*PYTEST, "-m", "not quiet", *APART),
+    "pytest of the core": (
+        *PYTEST,
+        "-m",
+        "not quiet",
+        "tests",
+        *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS)),
+    ),
+    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST, "-m", "not quiet", *SLOW_CORE_TESTS),
     "pyright": ("-m", "pyright"),
-    **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", "tests/app/scene3d/test_pixels.py") for caps in PROCESSORS},
+    **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", "tests/app/scene3d/test_pixels.py") for caps in TESTED_PROCESSORS},
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
 """Name of each check, and the arguments for Python: long ones first, so that two cores are done at about the same time."""
-AT_ONCE = 3
+PARALLEL_CHECKS = 3
 """Checks that run beside each other on two cores: tests of devices and windows wait a quarter of their time. What measures
-time is among `QUIET`."""
-QUIET = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
+time is among `TIMING_TESTS`."""
+TIMING_TESTS = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
 """Tests that nothing may run beside."""
 
-PROBE = """
+IMPORT_CHECK = """
 import PySide6.QtWidgets, PySide6.QtOpenGLWidgets, PySide6.QtSvg, vtkmodules.vtkRenderingOpenGL2
 import ctypes, matplotlib.font_manager, pyvista.plotting, scipy.optimize, sys
 for plugin in sys.argv[1:]:
@@ -63,7 +69,7 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
         return checkout.USER_CAN_HELP
     except KeyboardInterrupt:
         say("\nStopped. What is unfinished is done at the next start.")
-        return INTERRUPTED
+        return INTERRUPTED_EXIT_CODE
 
 
 def start(arguments: Sequence[str]) -> int:
@@ -99,7 +105,7 @@ def check(arguments: Sequence[str]) -> int:
     if arguments:
         return 1 if _python(("-m", "pytest", *arguments), environment).returncode else 0
     failed = _run_beside_each_other(environment)
-    for name, words in QUIET.items():
+    for name, words in TIMING_TESTS.items():
         say(f"\n$ {name}")
         failed += [name] if _python(words, environment).returncode else []
     say(f"\nFailed: {', '.join(failed)}" if failed else "\nAll checks passed.")
@@ -110,7 +116,7 @@ def _provide_drawing(fresh: bool, *, shown: bool) -> None:
     if not (install.provide({**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES) or fresh):
         return
     plugins = checkout.VENV.glob("lib/*/site-packages/PySide6/Qt/plugins/platforms/libqxcb.so") if shown else ()
-    probe = _python(("-P", "-c", PROBE, *map(str, plugins)), install.environment(), subprocess.PIPE)
+    probe = _python(("-P", "-c", IMPORT_CHECK, *map(str, plugins)), install.environment(), subprocess.PIPE)
     if probe.returncode:
         why = probe.stdout.decode(errors="replace").strip().rpartition("\n")[2] or f"it ended with {probe.returncode}"
         raise StopError(f"Everything is installed, but Qt or VTK does not load here: {why}")
@@ -119,13 +125,13 @@ def _provide_drawing(fresh: bool, *, shown: bool) -> None:
 def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
     """Run the checks, show what each said once it is done, and return the names of those that failed."""
     failed: list[str] = []
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(PARALLEL_CHECKS) as pool:
         running = {}
         for name, words in CHECKS.items():
             caps = name.removeprefix("pytest as on ")
-            own = {**environment, CAPABILITIES: caps} if caps in PROCESSORS else environment
+            own = {**environment, PROCESSOR_VARIABLE: caps} if caps in TESTED_PROCESSORS else environment
             running[pool.submit(_python, words, own, subprocess.PIPE)] = name
-        say(f"\n{len(running)} checks, {AT_ONCE} at a time; what each says is shown at its end.")
+        say(f"\n{len(running)} checks, {PARALLEL_CHECKS} at a time; what each says is shown at its end.")
         try:
             for done in as_completed(running):
                 say(f"\n$ {running[done]}\n{done.result().stdout.decode(errors='replace').rstrip()}")

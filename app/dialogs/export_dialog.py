@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLine
 
 from app.dialogs.task_dialog import TaskDialog
 from app.panels.widgets import quiet
-from skincal.files.formats import FORMATS, ExportFormat, FormatWords
+from skincal.files.formats import EXPORT_FORMATS, ExportFormat, FormatInfo
 from skincal.taxels.result import Method
 from skincal.words.units import count
 
@@ -25,7 +25,7 @@ class ExportDialog(TaskDialog):
         self._stem = stem
         self._named_by_hand = False
         self.format = QComboBox()
-        for format_, words in FORMATS.items():
+        for format_, words in EXPORT_FORMATS.items():
             self.format.addItem(words.title, format_)
         self.about = quiet(wrap=True)
         self.path = QLineEdit()
@@ -74,8 +74,8 @@ class ExportDialog(TaskDialog):
     def _chosen(self) -> ExportFormat:
         return self.format.currentData()
 
-    def _words(self) -> FormatWords:
-        return FORMATS[self._chosen()]
+    def _words(self) -> FormatInfo:
+        return EXPORT_FORMATS[self._chosen()]
 
     def _format_chosen(self) -> None:
         words = self._words()

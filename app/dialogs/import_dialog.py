@@ -57,7 +57,7 @@ from app.text_size import scaled
 from app.theme import GAP, Colours
 from app.workers.processes import JobService, Watch, import_job, look_job
 from app.workers.threads import ThreadService
-from skincal.files.importers.overview import RecordingFiles, RecordingPreview, find_files
+from skincal.files.importers.overview import RecordingFiles, RecordingPreview, guess_streams
 from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -499,7 +499,7 @@ class ImportDialog(QDialog):
 
 def _find(paths: Sequence[Path]) -> RecordingFiles:
     try:
-        return find_files(paths)
+        return guess_streams(paths)
     except OSError as error:
         raise InputError(str(error)) from error
 

@@ -10,7 +10,7 @@ from skincal.model.errors import plain_text
 
 
 def make_copyable(view: QAbstractItemView) -> None:
-    """Have Ctrl+C in a table copy whole rows, as `rows_text` gives them."""
+    """Have Ctrl+C in a table copy whole rows, as `positions_text` gives them."""
     shortcut = QShortcut(QKeySequence(QKeySequence.StandardKey.Copy), view)
     shortcut.setContext(Qt.ShortcutContext.WidgetShortcut)
     shortcut.activated.connect(lambda: QGuiApplication.clipboard().setText(rows_text(view)))

@@ -37,7 +37,7 @@ from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
-    from skincal.files.reference import PlaceSet, Reference
+    from skincal.files.reference import Reference, TaxelPositions
     from skincal.guide.guidance import Guidance
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
@@ -687,10 +687,10 @@ class Controller(QObject):
 
         def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
-            from skincal.files.formats import FORMATS, ExportFormat
+            from skincal.files.formats import EXPORT_FORMATS, ExportFormat
             from skincal.session.checked import checked, verdicts_of
 
-            methods = session.methods if FORMATS[ExportFormat(format_)].every_method else (method,)
+            methods = session.methods if EXPORT_FORMATS[ExportFormat(format_)].every_method else (method,)
             verdicts = verdicts_of(part, snapshot, methods, rig)
             _make_folder(path.parent)
             return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
@@ -749,7 +749,7 @@ class Controller(QObject):
         self._recording.pipeline.sync()
         self._start_job(report_job, (self._recording.storage.folder, path, method), done, failed)
 
-    def find_places(self, path: Path, done: Callable[[tuple[PlaceSet, ...]], None]) -> None:
+    def find_places(self, path: Path, done: Callable[[tuple[TaxelPositions, ...]], None]) -> None:
         """Read the places in a file or another session, in a process of its own, and hand them to `done`."""
         from app.workers.processes import places_job
 

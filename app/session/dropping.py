@@ -58,11 +58,11 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
 
 
 def _is_recording(path: Path) -> bool:
-    from skincal.files.importers.overview import TABLES, is_table
+    from skincal.files.importers.overview import TABLE_SUFFIXES, is_table
     from skincal.files.importers.yarp_folder import DATA
 
     if not path.is_dir():
         return path.is_file() and (is_table(path) or path.suffix.lower() == LOG_SUFFIX)
     # A port has a folder; no deeper, since it may be a whole disk that was dropped.
-    patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", *(f"*{suffix}" for suffix in TABLES))
+    patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", *(f"*{suffix}" for suffix in TABLE_SUFFIXES))
     return any(next(path.glob(pattern), None) is not None for pattern in patterns)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
 
     from skincal.files.importers.overview import RecordingFiles, RecordingPreview
-    from skincal.files.reference import PlaceSet
+    from skincal.files.reference import TaxelPositions
     from skincal.session.importing import Imported, ImportRequest
     from skincal.taxels.result import Method
 
@@ -315,7 +315,7 @@ def report_job(session: Path, path: Path, method: Method) -> str:
     return write_report(session, path, method)
 
 
-def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceSet, ...]:
+def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelPositions, ...]:
     """Return the places in a file or a session; see `places_for`."""
     from skincal.session.named_places import places_for
 
@@ -324,9 +324,9 @@ def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceS
 
 def look_job(files: RecordingFiles, wanted: Wanted) -> RecordingPreview:
     """Look at a recording of another program."""
-    from skincal.files.importers.overview import look
+    from skincal.files.importers.overview import preview_recording
 
-    return look(files, wanted)
+    return preview_recording(files, wanted)
 
 
 def import_job(request: ImportRequest, wanted: Wanted) -> Imported:

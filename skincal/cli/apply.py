@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 
-DRY = "nothing was sent, and of these only what the robot has otherwise would be: that is not known before it is asked"
+DRY_RUN_NOTICE = "dry run: nothing was sent. A real run skips taxels whose position on the robot is already the same"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -72,7 +72,7 @@ def apply(
             for question in (positions.question(channel), positions.trust(channel))
         ]
         result = {"part": positions.part, "would_send": asked, "verdict": verdict}
-        report.print_result({**result, "text": [*lines, *asked, f"{len(positions.rows)} taxels; {DRY}"]}, as_json)
+        report.print_result({**result, "text": [*lines, *asked, f"{len(positions.rows)} taxels; {DRY_RUN_NOTICE}"]}, as_json)
         return
     kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
     if kept.exists() and kept.samefile(source):
@@ -92,7 +92,7 @@ def _say(line: str) -> None:
 def _positions(
     source: Path, of: tuple[Method | None, str | None], layout: Path | None, ways: tuple[bool, bool]
 ) -> tuple[Positions, str | None]:
-    """Return what to send, and what the session has come to; `of` method and part, `ways` whether to correct and to replay."""
+    """Choose the positions to send and their verdict; `of` is method and part, `ways` is (correct, replay)."""
     from skincal.robot.skin_manager import calibrated_positions, file_positions
 
     method, part = of

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.files.formats import FORMATS, ExportFormat, formats_help
+from skincal.files.formats import EXPORT_FORMATS, ExportFormat, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -319,7 +319,7 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     methods = tuple(calibration.estimates)
     names: list[tuple[str, str, Method]] = []
-    for format_, words in FORMATS.items():
+    for format_, words in EXPORT_FORMATS.items():
         stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
         own = [(format_.value, f"{stem}-{method.value}{words.ending}", method) for method in methods]
         names += [(format_.value, f"calibration{words.ending}", methods[0])] if words.every_method else own
@@ -374,7 +374,7 @@ def export(
     summary = report.method_summary(calibration.estimates[chosen], None, pipeline.session.scene.skin.layout)
     used = {} if layout is None else {"layout": layout}
     lead = report.LEADS if chosen is leads else ""
-    verdict, off = calibration.verdicts[chosen], calibration.unchecked[chosen]
+    verdict, off = calibration.verdicts[chosen], calibration.unmodelled_rig_error_m[chosen]
     unchecked = [] if off is None else [unchecked_sentence(off, len(pipeline.session.landmark_pokes))]
     text = [report.method_line(chosen, summary) + lead, *unchecked, f"{verdict}.", *findings, f"wrote {out}"]
     result = {"file": out, "format": format_.value, "method": chosen.value, **used, **summary}

@@ -9,7 +9,7 @@ import typer
 from skincal.cli.calibrate import Json
 
 if TYPE_CHECKING:
-    from skincal.files.reference import PlaceSet
+    from skincal.files.reference import TaxelPositions
     from skincal.geometry import IntArray
     from skincal.taxels.differences import Repeatability
 
@@ -39,7 +39,7 @@ def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_js
 
 
 def comparison_result(
-    sets: tuple[PlaceSet, PlaceSet], channels: IntArray, modules: IntArray, found: Repeatability
+    sets: tuple[TaxelPositions, TaxelPositions], channels: IntArray, modules: IntArray, found: Repeatability
 ) -> dict[str, Any]:
     """Return what a comparison says, millimetres and degrees; `channels` and `modules` as from `compare_sets`."""
     import numpy as np

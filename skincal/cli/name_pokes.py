@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from skincal.session.session import Session
     from skincal.session.undo import HistoryEntry
 
-NOWHERE = "-"
+NO_LANDMARK = "-"
 """Stands for no landmark, as an empty name does."""
-HEADERS = (["poke", "landmark"], ["start_s", "end_s", "landmark"])
+TABLE_HEADERS = (["poke", "landmark"], ["start_s", "end_s", "landmark"])
 Names: TypeAlias = dict[int, str]
 """Number of a poke to the landmark that it was at; empty for none."""
 NewLandmark: TypeAlias = tuple[str, float, float, float]
@@ -153,26 +153,29 @@ def _number(text: str, where: str) -> int:
 
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     """Return what each row of a file says."""
-    from skincal.files.importers.csv_log import SEPARATORS
+    from skincal.files.importers.csv_log import COLUMN_SEPARATORS
 
     try:
         content = read_regular(path, TEXT_MOST).decode("utf-8-sig")
         first = next(filter(str.strip, content.splitlines()), "")
-        mark = next((mark for mark in SEPARATORS if mark in first), ",")
+        mark = next((mark for mark in COLUMN_SEPARATORS if mark in first), ",")
         rows = csv.reader(StringIO(content, newline=""), delimiter=mark)
         lines = [(number, [field.strip() for field in row]) for number, row in enumerate(rows, 1) if any(row)]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read ({error}); expected a CSV file.") from None
     header = lines[0][1] if lines else []
-    if header not in HEADERS:
+    if header not in TABLE_HEADERS:
         seen = ",".join(header) or "nothing"
-        raise InputError(f"{path}: begins with {seen}; expected the line {' or '.join(','.join(names) for names in HEADERS)}.")
+        raise InputError(
+            f"{path}: begins with {seen}; expected the line {' or '.join(','.join(names) for names in TABLE_HEADERS)}."
+        )
     names: list[Names] = []
     for number, row in lines[1:]:
         where = f"{path}, line {number}"
         if len(row) != len(header):
             raise InputError(
-                f"{where}: has {plural(len(row), 'field')}; expected {len(header)}: a name with a {SEPARATORS[mark]} in quotes."
+                f"{where}: has {plural(len(row), 'field')}; expected {len(header)}: a name with a {COLUMN_SEPARATORS[mark]} "
+                "in quotes."
             )
         names.append({_number(row[0], where): row[1]} if len(header) == 2 else _between(known, begin_s, row, where))
     return names
@@ -207,10 +210,10 @@ def _in_order(known: Session, order: str) -> Names:
     before = [poke for poke in silent if poke < first]
     for pokes in (silent, before):
         if len(pokes) == len(names):
-            return dict(zip(pokes, ["" if name == NOWHERE else name for name in names], strict=True))
+            return dict(zip(pokes, ["" if name == NO_LANDMARK else name for name in names], strict=True))
     raise InputError(
         f"--order names {plural(len(names), 'landmark')}, but no taxel answered {plural(len(silent), 'poke')}, {len(before)} "
-        f"of them before the first that one answered; expected a landmark for each, or {NOWHERE} for a poke at none."
+        f"of them before the first that one answered; expected a landmark for each, or {NO_LANDMARK} for a poke at none."
     )
 
 

@@ -141,7 +141,7 @@ def record(
                 reader.stop()
             items.finish()
             while not items.empty():
-                _take(pipeline, items.get())
+                _handle_item(pipeline, items.get())
             pipeline.close()
         if stop.is_set():
             say("stopped", err=True)
@@ -198,7 +198,7 @@ def _read_orders(file: int, items: Inbox) -> None:
         items.put(OrderLine(time.monotonic_ns(), line))
 
 
-def _take(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
+def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
     """Let the pipeline take what arrived; an order that cannot be done is said, and left out."""
     if not isinstance(item, OrderLine):
         pipeline.feed(item)
@@ -260,7 +260,7 @@ def _loop(
             states[item.link] = item.state
         if not isinstance(item, OrderLine):
             silence.hear(item)
-        _take(pipeline, item)
+        _handle_item(pipeline, item)
         pipeline.tick(item.host_ns)
         reported = _report_new_pokes(pipeline, reported)
         if (pokes is not None and reported >= pokes) or (robot is not None and robot.enough):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
 
-FLICKER = 2e-6
+SERVED_NOISE_NM = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
 SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
@@ -127,8 +127,8 @@ def simulate(
     # Streams of their own: another operator meets the same rig and the same devices.
     rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
-    hand = _hand(operator, rig, habits, operator_rng, (pokes, names))
-    settings = DeviceSettings(speakers=_speakers(speak_as, loaded), flicker=FLICKER)
+    hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
+    settings = DeviceSettings(speakers=_speakers(speak_as, loaded), flicker=SERVED_NOISE_NM)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})
@@ -176,7 +176,7 @@ def _streams(seed: int, run: int) -> list[np.random.Generator]:
     return [rig, *(np.random.default_rng((seed, run)).spawn(2) if run else others)]
 
 
-def _hand(
+def _make_operator(
     kind: OperatorKind, rig: Rig, habits: Habits, rng: np.random.Generator, course: tuple[int | None, tuple[str, ...]]
 ) -> Auto | Told:
     from skincal.simulate.operator import Auto, Guided, Told
@@ -237,7 +237,7 @@ class PokeLine:
             say("", err=True)
 
 
-TAKES = {
+STDIN_HELP = {
     OperatorKind.AUTO: "Standard input is read for its end alone",
     OperatorKind.TOLD: "Standard input takes orders, one a line: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME",
     OperatorKind.GUIDED: "Pokes what --targets asks for; standard input takes pace TIMES",
@@ -265,7 +265,7 @@ def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int |
     listener = hand if isinstance(hand, Told | Guided) else None
     terminal, progress = sys.stderr.isatty(), PokeLine(pokes)
     if terminal:
-        say(f"{TAKES[operator]}. {ENDS.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
+        say(f"{STDIN_HELP[operator]}. {ENDS.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
     ended = threading.Event()
     with stopping() as stop:
         # A daemon: it waits in a read that nothing can interrupt.

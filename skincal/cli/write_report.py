@@ -11,7 +11,7 @@ from skincal.cli.calibrate import Correct, Json, SessionArgument
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
-PAGES = (".html", ".htm")
+PAGE_SUFFIXES = (".html", ".htm")
 
 
 def add_to(app: typer.Typer) -> None:
@@ -33,7 +33,7 @@ def write(
     from skincal.cli import report
     from skincal.reporting.page import write_report
 
-    if out.suffix.lower() not in PAGES:
+    if out.suffix.lower() not in PAGE_SUFFIXES:
         raise InputError(f"{out}: a report is a page for the browser; expected --out with a name that ends in .html.")
     verdict = write_report(session, out, method, correct=correct)
     report.print_result({"file": out, "verdict": verdict, "text": [verdict, f"wrote {out}"]}, as_json)

@@ -70,10 +70,10 @@ class Calibration:
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
     verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
     """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
-    unchecked: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
+    unmodelled_rig_error_m: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
     """m, by method as `verdicts`: how far the rig's errors may move the taxels beside what is predicted (`unchecked_of`)."""
 
-    def of(self, method: Method) -> tuple[Estimate, ...]:
+    def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
 
         Raises InputError: the session has no such estimates.
@@ -85,11 +85,11 @@ class Calibration:
             )
         return self.estimates[method]
 
-    def checked_words(self, method: Method) -> tuple[str, ...]:
+    def verdict_comments(self, method: Method) -> tuple[str, ...]:
         """Return the verdict on a method and its predicted error, with what that leaves out, for comments; none without."""
         if method not in self.verdicts:
             return ()
-        error = error_words(predicted_error(self.of(method)), self.unchecked.get(method))
+        error = error_words(predicted_error(self.estimates_by(method)), self.unmodelled_rig_error_m.get(method))
         return self.verdicts[method], f"predicted error: {error}"
 
     @property
@@ -102,7 +102,7 @@ class Calibration:
 
     def gains(self, method: Method) -> tuple[TaxelGain, ...]:
         """Return how much each taxel answers to a newton, in the order of `channels`, by the normals of a method."""
-        return taxel_gains(self.used_contacts, self.of(method))
+        return taxel_gains(self.used_contacts, self.estimates_by(method))
 
     def module_id(self, channel: int) -> int | None:
         """Return the id of the module that carries a channel; None where the layout does not say."""

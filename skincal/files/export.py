@@ -26,7 +26,7 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
-from skincal.files.formats import FORMATS, ExportFormat
+from skincal.files.formats import EXPORT_FORMATS, ExportFormat
 from skincal.files.frames import mjcf_text, npz_bytes, sdf_text, urdf_text
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, parse_icub, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
@@ -45,9 +45,9 @@ from skincal.taxels.shared_errors import predicted_error
 from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_sentence
 
-BOX_MARGIN = 0.020
+BOX_MARGIN_M = 0.020
 """m. A taxel lies on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
-SAME_PLACE = 1e-6
+DUPLICATE_MAX_M = 1e-6
 """m. Positions nearer than the file's last digit are one position."""
 UNIT_TOLERANCE = 1e-6
 """A unit vector of doubles is unit to 1e-15; more than this was never normalised."""
@@ -62,7 +62,7 @@ SPACING_RATIOS = (0.7, 1.4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LintReference:
+class ExpectedSurface:
     """Where the skin should be, as far as it is known otherwise."""
 
     points: FloatArray
@@ -73,9 +73,9 @@ class LintReference:
     """Such as `"the surface"`."""
 
 
-def lint(calibration: Calibration, method: Method, reference: LintReference | None = None) -> tuple[str, ...]:
+def lint(calibration: Calibration, method: Method, reference: ExpectedSurface | None = None) -> tuple[str, ...]:
     """Return one sentence for each fault of one method's positions; none if it is fit to be loaded."""
-    taxels = placed_taxels(calibration.of(method))
+    taxels = placed_taxels(calibration.estimates_by(method))
     name = method.value
     if not len(taxels.channels):
         return (f"{name}: no taxel has a position; poke some more before you load such a file.",)
@@ -84,7 +84,7 @@ def lint(calibration: Calibration, method: Method, reference: LintReference | No
     faults = [(taxels.channels[~finite], "NaN or infinite position or normal: channels {}."), *_own_faults(good)]
     if reference is not None:
         outward = None if reference.normals is None else reference.normals[finite]
-        faults += _faults_beside(good, reference, outward)
+        faults += _faults_against(good, reference, outward)
     layout = calibration.scene.skin.layout
     if layout is not None:
         faults += _layout_faults(good, layout)
@@ -99,7 +99,7 @@ def _own_faults(taxels: PlacedTaxels) -> Iterator[Fault]:
     at_origin = np.abs(taxels.positions).max(axis=1, initial=0.0) <= ORIGIN_RADIUS
     yield taxels.channels[at_origin], "at 0 0 0, which readers take as no taxel: channels {}."
     # Neighbouring cells are not compared: copies agree in every digit.
-    cells = np.round(taxels.positions / SAME_PLACE).astype(np.int64)
+    cells = np.round(taxels.positions / DUPLICATE_MAX_M).astype(np.int64)
     _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     shared = taxels.channels[count[group.ravel()] > 1]
     yield shared, "the same position for several taxels, so at most one is right: channels {}."
@@ -109,12 +109,12 @@ def _own_faults(taxels: PlacedTaxels) -> Iterator[Fault]:
     yield taxels.channels[lengths == 0], "no normal, written as 0 0 0: channels {}."
 
 
-def _faults_beside(taxels: PlacedTaxels, reference: LintReference, outward: FloatArray | None) -> Iterator[Fault]:
-    low, high = reference.points.min(axis=0) - BOX_MARGIN, reference.points.max(axis=0) + BOX_MARGIN
+def _faults_against(taxels: PlacedTaxels, reference: ExpectedSurface, outward: FloatArray | None) -> Iterator[Fault]:
+    low, high = reference.points.min(axis=0) - BOX_MARGIN_M, reference.points.max(axis=0) + BOX_MARGIN_M
     beyond = np.maximum(low - taxels.positions, taxels.positions - high).max(axis=1)
     yield (
         taxels.channels[beyond > 0],
-        f"more than {BOX_MARGIN * 1e3:.0f} mm outside the box of {reference.what}, by up to "
+        f"more than {BOX_MARGIN_M * 1e3:.0f} mm outside the box of {reference.what}, by up to "
         f"{beyond.max(initial=0.0) * 1e3:.0f} mm more: channels {{}}; check units, frame and arm pose.",
     )
     if outward is not None:
@@ -228,14 +228,14 @@ def ply_text(calibration: Calibration, method: Method) -> str:
     Properties: `x y z`, unit normal `nx ny nz` (0 0 0 where unknown), `channel`, `method` (0 free, 1 surface, 2 modules),
     `sd_mm` (-1 where it is not determined).
     """
-    taxels, frame = placed_taxels(calibration.of(method)), " ".join(calibration.scene.link.split())
+    taxels, frame = placed_taxels(calibration.estimates_by(method)), " ".join(calibration.scene.link.split())
     header = [
         "ply",
         "format ascii 1.0",
         f"comment skincal {calibration.version}, {method.value} method, metres, frame {frame}",
         "comment method 0 is free, 1 is surface, 2 is modules; sd_mm -1 is not determined; normal 0 0 0 is not known",
         *(f"comment {correction_words(used)}" for used in calibration.corrections),
-        *(f"comment {words}" for words in calibration.checked_words(method)),
+        *(f"comment {words}" for words in calibration.verdict_comments(method)),
         f"element vertex {len(taxels.channels)}",
         *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")),
         "property int channel",
@@ -335,8 +335,12 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
 
 def _error(calibration: Calibration, method: Method) -> dict[str, float | None] | None:
     """Return the predicted error of a method; None where it knows no taxel."""
-    found = predicted_error(calibration.of(method))
-    return None if found is None else {**_written(found, ERROR_KEYS), "unchecked_rig_m": calibration.unchecked.get(method)}
+    found = predicted_error(calibration.estimates_by(method))
+    return (
+        None
+        if found is None
+        else {**_written(found, ERROR_KEYS), "unchecked_rig_m": calibration.unmodelled_rig_error_m.get(method)}
+    )
 
 
 def _closing(closing: Closing) -> dict[str, Any]:
@@ -462,8 +466,8 @@ def write_calibration(
 
 def _other_ending(path: Path, written: ExportFormat) -> tuple[str, ...]:
     """Say that a file's name ends as those of another format; any other ending is the operator's."""
-    ending, right = path.suffix.lower(), FORMATS[written].ending
-    others = [format_.value for format_, words in FORMATS.items() if words.ending == ending != right]
+    ending, right = path.suffix.lower(), EXPORT_FORMATS[written].ending
+    others = [format_.value for format_, words in EXPORT_FORMATS.items() if words.ending == ending != right]
     return tuple(
         f"{path.name} ends in {path.suffix} and holds the format {written.value}; expected the ending {right}: rename the "
         f"file, or choose the format {other}."
@@ -483,14 +487,14 @@ def calibration_file(
         raise InputError(f"the format is {format!r}; expected one of {', '.join(names)}.")
     wanted = names[format]
     # Refuses a method without estimates before the mesh is loaded.
-    calibration.of(method)
+    calibration.estimates_by(method)
     shape = _part(calibration)
     content = _content(calibration, wanted, method, part, shape)
-    methods = tuple(calibration.estimates) if FORMATS[wanted].every_method else (method,)
+    methods = tuple(calibration.estimates) if EXPORT_FORMATS[wanted].every_method else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
-        sentences += _left_out(calibration.of(each), each)
+        sentences += _left_out(calibration.estimates_by(each), each)
     if wanted is ExportFormat.ICUB:
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, content.decode("utf-8"))]
     return content, tuple(sentences)
@@ -534,23 +538,23 @@ def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[Finding, ...
     return load_surface(spec)
 
 
-def _reference(calibration: Calibration, method: Method, shape: _Part) -> LintReference | None:
+def _reference(calibration: Calibration, method: Method, shape: _Part) -> ExpectedSurface | None:
     """Return where the skin should be: the surface, or else the layout as planned."""
-    taxels = placed_taxels(calibration.of(method))
+    taxels = placed_taxels(calibration.estimates_by(method))
     finite = np.isfinite(taxels.positions).all(axis=1)
     if shape.surface is not None:
         normals = np.zeros((len(taxels.channels), 3))
         if finite.any():
             _, triangles = nearest_points(shape.surface, taxels.positions[finite])
             normals[finite] = shape.surface.normals[triangles]
-        return LintReference(shape.surface.vertices, normals, "the surface")
+        return ExpectedSurface(shape.surface.vertices, normals, "the surface")
     if shape.laid is None:
         return None
     places: FloatArray = shape.laid.places
     known = np.isfinite(places).all(axis=1)
     if not known.any():
         return None
-    return LintReference(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
+    return ExpectedSurface(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
 
 
 def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
@@ -567,7 +571,7 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
     """Return what the robot's own readers would trip on; see `skincal.files.icub`."""
     sentences: list[str] = []
     last = calibration.scene.skin.channels - 1
-    if any(estimate.channel == last and estimate.position is not None for estimate in calibration.of(method)):
+    if any(estimate.channel == last and estimate.position is not None for estimate in calibration.estimates_by(method)):
         sentences.append(
             f"channel {last} is the last row and has a position: the skinPart reader of icub-main drops the last row; "
             "skinManager reads it."
@@ -584,5 +588,5 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
 def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
     """Return which positions a reader does not find in the text."""
     placed = np.flatnonzero(parse_icub(text, "the file as written")[:, :3].any(axis=1))
-    lost = np.setdiff1d(placed_taxels(calibration.of(method)).channels, placed).tolist()
+    lost = np.setdiff1d(placed_taxels(calibration.estimates_by(method)).channels, placed).tolist()
     return [f"the file as written has no position for channel {channel}." for channel in lost]

@@ -24,7 +24,7 @@ class ExportFormat(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class FormatWords:
+class FormatInfo:
     """What is said of a format."""
 
     title: str
@@ -36,35 +36,33 @@ class FormatWords:
     """Whether it holds all methods, not one that is chosen."""
 
 
-FORMATS: Mapping[ExportFormat, FormatWords] = {
-    ExportFormat.ICUB: FormatWords(
+EXPORT_FORMATS: Mapping[ExportFormat, FormatInfo] = {
+    ExportFormat.ICUB: FormatInfo(
         "iCub position file",
         ".txt",
         "What skinManager and skinGui load: every channel, unit normals, taxel2Repr.",
     ),
-    ExportFormat.JSON: FormatWords(
+    ExportFormat.JSON: FormatInfo(
         "JSON, complete",
         ".json",
         "Covariances, gains, contacts and settings: everything needed to compute it again.",
         every_method=True,
     ),
-    ExportFormat.CSV: FormatWords(
+    ExportFormat.CSV: FormatInfo(
         "CSV, all methods",
         ".csv",
         "One row a channel and method, metres and millimetres, with the taxel's gain.",
         every_method=True,
     ),
-    ExportFormat.PLY: FormatWords("PLY points", ".ply", "For mesh viewers: positions with normals."),
-    ExportFormat.URDF: FormatWords(
+    ExportFormat.PLY: FormatInfo("PLY points", ".ply", "For mesh viewers: positions with normals."),
+    ExportFormat.URDF: FormatInfo(
         "URDF frames", ".urdf", "For ROS: a link and a fixed joint a taxel, its z axis along the normal."
     ),
-    ExportFormat.SDF: FormatWords(
-        "SDF frames", ".sdf", "For Gazebo: a frame a taxel on the link, its z axis along the normal."
-    ),
-    ExportFormat.MJCF: FormatWords(
+    ExportFormat.SDF: FormatInfo("SDF frames", ".sdf", "For Gazebo: a frame a taxel on the link, its z axis along the normal."),
+    ExportFormat.MJCF: FormatInfo(
         "MuJoCo touch sites", ".xml", "For MuJoCo: a site a taxel on the link's body, and a touch sensor on it."
     ),
-    ExportFormat.NPZ: FormatWords(
+    ExportFormat.NPZ: FormatInfo(
         "NumPy arrays", ".npz", "For own programs: channel, position, normal, quaternion and covariance, metres."
     ),
 }
@@ -73,4 +71,4 @@ FORMATS: Mapping[ExportFormat, FormatWords] = {
 
 def formats_help() -> str:
     """Return all formats with a line each, for the help of a command, which keeps paragraphs apart."""
-    return "\n\n".join(f"{format_.value}: {words.about}" for format_, words in FORMATS.items())
+    return "\n\n".join(f"{format_.value}: {words.about}" for format_, words in EXPORT_FORMATS.items())

@@ -32,7 +32,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 def urdf_text(calibration: Calibration, method: Method) -> str:
     """Return URDF: the calibrated link, and for each taxel a link `taxel_CHANNEL` by a fixed joint."""
-    taxels, link = placed_taxels(calibration.of(method)), _name(calibration.scene.link)
+    taxels, link = placed_taxels(calibration.estimates_by(method)), _name(calibration.scene.link)
     root = _root("robot", {"name": _name(calibration.scene.name)}, calibration, method)
     ET.SubElement(root, "link", name=link)
     for name, position, angles in _poses(taxels):
@@ -46,7 +46,7 @@ def urdf_text(calibration: Calibration, method: Method) -> str:
 
 def sdf_text(calibration: Calibration, method: Method) -> str:
     """Return SDF 1.9: a model with the calibrated link, and for each taxel a frame `taxel_CHANNEL` attached to it."""
-    taxels, link = placed_taxels(calibration.of(method)), _name(calibration.scene.link)
+    taxels, link = placed_taxels(calibration.estimates_by(method)), _name(calibration.scene.link)
     root = _root("sdf", {"version": "1.9"}, calibration, method)
     model = ET.SubElement(root, "model", name=_name(calibration.scene.name))
     ET.SubElement(model, "link", name=link)
@@ -62,7 +62,7 @@ def mjcf_text(calibration: Calibration, method: Method) -> str:
     A touch sensor adds up the normal forces of the contacts within its site. The sites' radius is half of the layout's
     spacing, so that neighbours do not feel the same contact.
     """
-    taxels, layout = placed_taxels(calibration.of(method)), calibration.scene.skin.layout
+    taxels, layout = placed_taxels(calibration.estimates_by(method)), calibration.scene.skin.layout
     radius = SITE_RADIUS if layout is None or not np.isfinite(layout.spacing) else layout.spacing / 2
     root = _root("mujoco", {"model": _name(calibration.scene.name)}, calibration, method)
     body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=_name(calibration.scene.link))
@@ -82,7 +82,7 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
     `quaternion_wxyz` (n, 4) float, of the taxel's frame; `covariance` (n, 3, 3) float, m^2; `frame`, `method`, `units` and
     `version` (text).
     """
-    estimates = [estimate for estimate in calibration.of(method) if estimate.position is not None]
+    estimates = [estimate for estimate in calibration.estimates_by(method) if estimate.position is not None]
     taxels, unknown = placed_taxels(estimates), np.full((3, 3), np.nan)
     covariances = [unknown if estimate.covariance is None else estimate.covariance for estimate in estimates]
     out = io.BytesIO()
@@ -132,7 +132,7 @@ def _root(tag: str, attributes: dict[str, str], calibration: Calibration, method
         f"skincal {calibration.version}, {method.value} method, metres and radians in {calibration.scene.link}",
         "z axis of a taxel: its outward normal; the link's own where that is not known",
         *(correction_words(used) for used in calibration.corrections),
-        *calibration.checked_words(method),
+        *calibration.verdict_comments(method),
     )
     for line in lines:
         # Two hyphens end a comment.

@@ -21,7 +21,7 @@ half of a pair. Ours stand after the last row: some programs skip a fixed number
 
 Two traps of `skinPart`: it drops the last row, and it fails where the file's name is given without a slash.
 
-Positions and normals have `DECIMALS` decimals: a micrometre, a thousandth of the best taxel's uncertainty.
+Positions and normals have `POSITION_DECIMALS` decimals: a micrometre, a thousandth of the best taxel's uncertainty.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.rig_words import correction_words
 
-DECIMALS = 6
+POSITION_DECIMALS = 6
 NO_TAXEL = -1
 THERMAL_PAD = -2
-ORIGIN_RADIUS = 0.5 * 10.0**-DECIMALS
+ORIGIN_RADIUS = 0.5 * 10.0**-POSITION_DECIMALS
 """m. A position nearer to the origin is written as zeros, which readers take as no taxel."""
 SKIN_PARTS = (
     "l_hand", "l_forearm", "l_upper_arm", "r_hand", "r_forearm", "r_upper_arm", "chest",
@@ -89,7 +89,7 @@ def representatives(layout: Layout | None, width: int, placed: IntArray) -> IntA
 def icub_text(calibration: Calibration, method: Method, part: str | None = None) -> str:
     """Return the position file of one method, a row for every channel of the skin; `part` as for `skin_part`."""
     width = calibration.scene.skin.channels
-    estimates = calibration.of(method)
+    estimates = calibration.estimates_by(method)
     taxels = placed_taxels(estimates)
     rows = np.zeros((width, 6))
     rows[taxels.channels] = np.hstack([taxels.positions, taxels.normals])
@@ -98,7 +98,7 @@ def icub_text(calibration: Calibration, method: Method, part: str | None = None)
     return _text(skin_part(calibration, part), _word(calibration.scene.link), mapping, rows, comments)
 
 
-def rows_text(part: str, rows: FloatArray, comment: str) -> str:
+def positions_text(part: str, rows: FloatArray, comment: str) -> str:
     """Return a position file of rows (n, 6), metres and normals, of which no more is known than their part."""
     mapping = representatives(None, len(rows), np.flatnonzero(rows[:, :3].any(axis=1)))
     return _text(part, "", mapping, rows, [comment])
@@ -117,20 +117,20 @@ def _text(part: str, frame: str, mapping: IntArray, rows: FloatArray, comments: 
     return "\n".join(lines) + "\n"
 
 
-def named_part(path: Path) -> str:
+def part_name(path: Path) -> str:
     """Return the skin part that a position file is of; empty where it names none."""
     found = re.search(r"^name\s+(\S+)", read_regular(path, TEXT_MOST).decode("utf-8", "replace"), re.MULTILINE)
     return "" if found is None else found[1]
 
 
-def said_in(path: Path, comment: str) -> bool:
-    """Return whether a position file has a comment, as `rows_text` writes it."""
+def has_comment(path: Path, comment: str) -> bool:
+    """Return whether a position file has a comment, as `positions_text` writes it."""
     return f"# {comment}" in read_regular(path, TEXT_MOST).decode("utf-8", "replace").splitlines()
 
 
 def _format_row(row: list[float]) -> str:
     # Rounded first: adding 0.0 turns the -0 that rounding may leave into 0.
-    return " ".join(f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in row)
+    return " ".join(f"{round(value, POSITION_DECIMALS) + 0.0:.{POSITION_DECIMALS}f}" for value in row)
 
 
 def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimate, ...]) -> list[str]:
@@ -139,7 +139,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
         f"skincal {calibration.version}, {method.value} method, metres in {_word(calibration.scene.link)}",
         f"{placed} of {len(estimates)} taxels have a position; rows of six zeros are no positions",
         *(correction_words(used) for used in calibration.corrections),
-        *calibration.checked_words(method),
+        *calibration.verdict_comments(method),
     ]
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]

@@ -24,7 +24,7 @@ from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
 """A simulated session has one next to its segments."""
-FORMS = "a truth.json, a calibration's JSON or CSV, or an iCub position file"
+REFERENCE_FORMS = "a truth.json, a calibration's JSON or CSV, or an iCub position file"
 RIG_KEY = "rig"
 """In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
@@ -64,7 +64,7 @@ class ErrorSummary:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaceSet:
+class TaxelPositions:
     """Places of taxels from one source, to be compared with another."""
 
     name: str
@@ -87,7 +87,7 @@ def read_reference(path: Path) -> dict[int, FloatArray]:
     return dict(read_places(path).places)
 
 
-def read_places(path: Path, method: Method | None = None) -> PlaceSet:
+def read_places(path: Path, method: Method | None = None) -> TaxelPositions:
     """Read the places in a file: a `truth.json`, a calibration's JSON or CSV, or an iCub position file.
 
     Parameters
@@ -110,7 +110,7 @@ def read_places(path: Path, method: Method | None = None) -> PlaceSet:
     return sets[0]
 
 
-def compare_sets(first: PlaceSet, second: PlaceSet) -> tuple[IntArray, IntArray, Repeatability]:
+def compare_sets(first: TaxelPositions, second: TaxelPositions) -> tuple[IntArray, IntArray, Repeatability]:
     """Return the taxels that either set knows, the modules' ids, and how well the sets repeat each other.
 
     The differences are of the first, ascending; the numbers of the modules count the second.
@@ -143,11 +143,11 @@ def load_reference(path: Path, link: str, channels: Collection[int], origin: Ori
     Raises InputError: as for `read_places`; also if the file is of another link or knows none of the channels.
     """
     read = read_places(path)
-    check_part(read, path, link, channels)
+    require_same_part(read, path, link, channels)
     return Reference(origin, path.name, read.places)
 
 
-def check_part(found: PlaceSet, path: Path, link: str, channels: Collection[int]) -> None:
+def require_same_part(found: TaxelPositions, path: Path, link: str, channels: Collection[int]) -> None:
     """Raise InputError where places read from `path` are of another link than `link`, or know none of `channels`."""
     # An iCub file names no link; the operator answers for it.
     if found.link and found.link != link:
@@ -174,7 +174,7 @@ def plan_reference(name: str, places: FloatArray) -> Reference | None:
     return Reference(Origin.PLAN, name, known) if known else None
 
 
-def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
+def read_place_sets(path: Path) -> tuple[TaxelPositions, ...]:
     """Read all sets of places in a file, at least one: of several methods the one that leads comes first.
 
     Raises InputError: as for `read_places`.
@@ -194,17 +194,17 @@ def read_place_sets(path: Path) -> tuple[PlaceSet, ...]:
     try:
         rows = read_icub(path)
     except InputError as error:
-        raise InputError(f"{error} Known places are read from {FORMS}.") from None
+        raise InputError(f"{error} Known places are read from {REFERENCE_FORMS}.") from None
     # Zeros stand for no position in such a file.
     places = {channel: place for channel, place in enumerate(rows[:, :3]) if np.any(place != 0.0)}
-    return (PlaceSet(path.name, "", places),)
+    return (TaxelPositions(path.name, "", places),)
 
 
-def _json_sets(path: Path) -> tuple[PlaceSet, ...]:
+def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
     document: Any = parse_json(read_regular(path, DOCUMENT_MOST))
     if "estimates" not in document:
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
-        return (PlaceSet(path.name, str(document.get("link", "")), places),)
+        return (TaxelPositions(path.name, str(document.get("link", "")), places),)
     rows = [
         (Method(name), taxel["channel"], taxel["module"], taxel["position_m"], taxel["rms_m"])
         for name, taxels in document["estimates"].items()
@@ -213,7 +213,7 @@ def _json_sets(path: Path) -> tuple[PlaceSet, ...]:
     return _method_sets(path, str(document["frame"]), rows)
 
 
-def _csv_sets(path: Path) -> tuple[PlaceSet, ...]:
+def _csv_sets(path: Path) -> tuple[TaxelPositions, ...]:
     """Return the sets of a calibration's CSV, which tells no predicted error but its largest part, the sd."""
     rows: list[_Row] = []
     with io.StringIO(read_regular(path, DOCUMENT_MOST).decode("utf-8"), newline="") as file:
@@ -229,17 +229,17 @@ _Row: TypeAlias = tuple[Method, int, int | None, Any, float | None]
 """Method, channel, id of the module, position as three numbers or None, and predicted error in metres, or None."""
 
 
-def _method_sets(path: Path, link: str, rows: Sequence[_Row]) -> tuple[PlaceSet, ...]:
+def _method_sets(path: Path, link: str, rows: Sequence[_Row]) -> tuple[TaxelPositions, ...]:
     methods = list(dict.fromkeys(row[0] for row in rows))
     if not methods:
         raise ValueError
     modules = {int(channel): int(module) for _, channel, module, _, _ in rows if module is not None}
-    sets: dict[Method, PlaceSet] = {}
+    sets: dict[Method, TaxelPositions] = {}
     errors: dict[Method, list[float]] = {}
     for method in methods:
         own = [row for row in rows if row[0] is method and row[3] is not None]
         places = {int(channel): _place(place) for _, channel, _, place, _ in own}
-        sets[method] = PlaceSet(f"{path.name}, {method.value} method", link, places, modules, method)
+        sets[method] = TaxelPositions(f"{path.name}, {method.value} method", link, places, modules, method)
         errors[method] = [float(error) for *_, error in own if error is not None]
     leads = leading_by(errors)
     return tuple(sets[method] for method in sorted(methods, key=lambda method: method is not leads))

@@ -48,37 +48,37 @@ from skincal.model.tables import shown
 from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
-LINKS_MOST = len(Stream)
+MAX_LINKS = len(Stream)
 """Links of a session: each carries another stream."""
-_END = b"]\n"
-_HEAD = 12
+_LINE_END = b"]\n"
+_CHECKSUM_HEAD_BYTES = 12
 """Bytes before what the checksum covers: `["`, eight digits, `",`."""
-LINES_MOST = 64 << 20
+MAX_LINES_BYTES = 64 << 20
 """Bytes of the lines of a segment, which lasts five minutes: ten thousand pokes have 15 MB."""
 _TOTALS, _NO_KEY, _CLOSED = b'"totals"', b'""', b'"closed"'
-FORMAT = 4
+JOURNAL_FORMAT = 4
 """Version of the folder's form; a reader refuses a newer one. 1 had no notes, 2 no lines beside the segments, and up to 3 each
 streamed arm pose was named by its rounded angles."""
 FORMAT_WITH_NOTES = 2
 FORMAT_WITH_GROUPED_POSES = 4
-_INTEGERS = ("channels",)
+_INTEGER_ARRAYS = ("channels",)
 """Arrays of whole numbers; all others are float."""
-_MISSING = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")
+_OPTIONAL_FIELDS = ("still", "link_from_sensor", "after", "force", "moment", "thresholds")
 """What may be missing; elsewhere null is a float that is none."""
 SECONDS_MAX = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
-_PREFIX = b"\x00\x01\x00\x00"
-_SEPARATOR = "=" * 80
+_CDR_HEADER = b"\x00\x01\x00\x00"
+_SCHEMA_SEPARATOR = "=" * 80
 _HEADER = (
-    f"{_SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    f"{_SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    f"{_SCHEMA_SEPARATOR}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+    f"{_SCHEMA_SEPARATOR}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
 )
-SCHEMAS: dict[str, str] = {
+MESSAGE_SCHEMAS: dict[str, str] = {
     "skincal_msgs/msg/Chunk": "uint64 host_ns\nuint8[] data\n",
     "geometry_msgs/msg/WrenchStamped": (
         "std_msgs/Header header\ngeometry_msgs/Wrench wrench\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
-        f"{_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
+        f"{_SCHEMA_SEPARATOR}\nMSG: geometry_msgs/Wrench\ngeometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
+        f"{_SCHEMA_SEPARATOR}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{_HEADER}"
     ),
     "skincal_msgs/msg/Taxels": f"std_msgs/Header header\nuint32 seq\nuint64 device_time_us\nfloat32[] values\n{_HEADER}",
     "sensor_msgs/msg/Temperature": f"std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n{_HEADER}",
@@ -206,9 +206,9 @@ def read_document(data: bytes, path: Path) -> SessionEvent | Note:
     try:
         document = parse_json(data)
     except ValueError as error:
-        raise InputError(f"{path}: an event or note is no JSON ({error}); {_PLAY}.") from None
+        raise InputError(f"{path}: an event or note is no JSON ({error}); {_DAMAGED_OR_FOREIGN}.") from None
     if not isinstance(document, dict):
-        raise InputError(f"{path}: an event or note is {shown(document)}; expected a table; {_PLAY}.")
+        raise InputError(f"{path}: an event or note is {shown(document)}; expected a table; {_DAMAGED_OR_FOREIGN}.")
     return from_document(cast("dict[str, Any]", document), path)
 
 
@@ -221,7 +221,7 @@ def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Not
         It is of a newer version, or not one that skincal wrote.
     """
     kind = document.get("type")
-    read = _READERS.get(kind) if isinstance(kind, str) else None
+    read = _READER_BY_TYPE.get(kind) if isinstance(kind, str) else None
     if read is None:
         raise InputError(
             f"{path}: has an event or note {shown(kind)}, which this version does not know; open it with a newer skincal."
@@ -231,14 +231,16 @@ def from_document(document: Mapping[str, Any], path: Path) -> SessionEvent | Not
         return read(_whole(document.get("host_ns", 0)), body)
     except (_NewerError, InputError) as error:
         raise InputError(f"{path}: {error}") from None
-    except _MISFIT as error:
-        raise InputError(f"{path}: an event or note of kind {kind!r} does not fit ({error!r}); {_PLAY}.") from None
+    except _PARSE_ERRORS as error:
+        raise InputError(
+            f"{path}: an event or note of kind {kind!r} does not fit ({error!r}); {_DAMAGED_OR_FOREIGN}."
+        ) from None
 
 
-_PLAY = "it is damaged, or another program wrote it"
-_MISFIT = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, AssertionError)
+_DAMAGED_OR_FOREIGN = "it is damaged, or another program wrote it"
+_PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, AssertionError)
 """What the readers below raise on JSON that skincal never wrote."""
-NUMBER_MOST = 1e12
+MAX_MEASURED_NUMBER = 1e12
 """Of forces, moments and responses, in their units: no sensor has more, and their squares stay numbers."""
 
 
@@ -264,8 +266,8 @@ def _link_event(host_ns: int, body: Mapping[str, Any]) -> LinkEvent:
 
 
 def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
-    if _whole(body["format"]) > FORMAT:
-        raise _NewerError(f"was written by skincal {body['skincal']}, a newer one; expected format {FORMAT} at most.")
+    if _whole(body["format"]) > JOURNAL_FORMAT:
+        raise _NewerError(f"was written by skincal {body['skincal']}, a newer one; expected format {JOURNAL_FORMAT} at most.")
     return SegmentMark(
         number=_whole(body["segment"]),
         host_ns=host_ns,
@@ -280,8 +282,10 @@ def _mark(host_ns: int, body: Mapping[str, Any]) -> SegmentMark:
 
 def _links(documents: Sequence[Mapping[str, Any]]) -> tuple[LinkSpec, ...]:
     """Return the links of a segment: all of their addresses are shown before any is connected."""
-    if len(documents) > LINKS_MOST:
-        raise InputError(f"has {len(documents)} links; expected at most {LINKS_MOST}, one for each stream; {_PLAY}.")
+    if len(documents) > MAX_LINKS:
+        raise InputError(
+            f"has {len(documents)} links; expected at most {MAX_LINKS}, one for each stream; {_DAMAGED_OR_FOREIGN}."
+        )
     return tuple(
         LinkSpec(
             _text_of(link["name"]),
@@ -347,20 +351,20 @@ def _contact(document: Mapping[str, Any]) -> Contact:
     )
     # In plain numbers, which is ten times quicker than in arrays.
     numbers = (*document["force"], *document["moment"], *responses, contact.start_s, contact.end_s)
-    bounded = all(-NUMBER_MOST <= number <= NUMBER_MOST for number in numbers)  # false for NaN
+    bounded = all(-MAX_MEASURED_NUMBER <= number <= MAX_MEASURED_NUMBER for number in numbers)  # false for NaN
     right = type(contact.poke) is int and type(contact.pose) is str and type(contact.final) is bool
-    right &= 0 < contact.poke < POKES_MOST and contact.force.shape == contact.moment.shape == (3,)
+    right &= 0 < contact.poke < MAX_POKE_NUMBER and contact.force.shape == contact.moment.shape == (3,)
     right &= len(channels) == len(responses) > 0 and channels == sorted(set(channels)) and min(responses) > 0
     if not right or not bounded or not any(document["force"]):
         raise ValueError(f"poke {shown(contact.poke)} is none that was measured")
     return contact
 
 
-POSE_MOST = 1e3
+MAX_POSE_M = 1e3
 """m. Of a pose's numbers: no sensor is a kilometre away."""
-POKES_MOST = 1 << 31
+MAX_POKE_NUMBER = 1 << 31
 """Numbers of pokes end here: a poke a second would take a lifetime."""
-_SHAPES = {"force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
+_ARRAY_SHAPES = {"force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
 Checked = TypeVar("Checked", Rejection, FinishedPress, StillMean, Tare)
 
 
@@ -373,7 +377,7 @@ def _checked(value: Checked) -> Checked:
             continue
         if "Array" in wanted:
             shape = np.shape(cast("FloatArray", found))
-            right = type(found) is np.ndarray and shape == _SHAPES.get(item.name, shape[:1])
+            right = type(found) is np.ndarray and shape == _ARRAY_SHAPES.get(item.name, shape[:1])
         else:
             right = type(found).__name__ in {"float": ("float", "int")}.get(wanted, (wanted.removesuffix(" | None"),))
         if not right:
@@ -385,7 +389,7 @@ def _checked(value: Checked) -> Checked:
 def _pose(raw: bytes) -> FloatArray:
     """Return a pose, (4, 4), from its bytes: one array for all pokes in it, and not to be written to."""
     pose = np.frombuffer(raw).reshape(4, 4)
-    if not np.abs(pose).max() < POSE_MOST:  # nor NaN
+    if not np.abs(pose).max() < MAX_POSE_M:  # nor NaN
         raise ValueError("a pose is none of a robot")
     return pose
 
@@ -436,9 +440,9 @@ def _values(document: Mapping[str, Any]) -> dict[str, Any]:
 def _value(key: str, value: Any) -> Any:
     if isinstance(value, list):
         # As a float, null becomes NaN and "inf" infinity.
-        return np.array(value, dtype=np.int64 if key in _INTEGERS else np.float64)
+        return np.array(value, dtype=np.int64 if key in _INTEGER_ARRAYS else np.float64)
     if value is None:
-        return None if key in _MISSING else math.nan
+        return None if key in _OPTIONAL_FIELDS else math.nan
     if value in ("inf", "-inf"):
         return float(value)
     return value
@@ -457,7 +461,7 @@ def _side_reading(document: Mapping[str, Any]) -> SideReading:
     return SideReading(*(_number(document[item.name]) for item in fields(SideReading)))
 
 
-_READERS: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
+_READER_BY_TYPE: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
     "taken": lambda _, body: _taken_from_json(body),
     "totals": lambda _, body: _totals_from_json(body),
     "link": _link_event,
@@ -470,12 +474,12 @@ _READERS: dict[str, Callable[[int, Mapping[str, Any]], SessionEvent | Note]] = {
 
 def encode_chunk(host_ns: int, data: bytes) -> bytes:
     """Return a `skincal_msgs/msg/Chunk`: when bytes arrived (host's monotonic clock, ns), and the bytes."""
-    return _PREFIX + struct.pack("<QI", host_ns, len(data)) + data
+    return _CDR_HEADER + struct.pack("<QI", host_ns, len(data)) + data
 
 
 def decode_chunk(message: bytes) -> tuple[int, bytes]:
     """Return arrival (ns) and bytes of a `skincal_msgs/msg/Chunk`; InputError where it is none."""
-    if len(message) < 16 or message[:4] != _PREFIX:
+    if len(message) < 16 or message[:4] != _CDR_HEADER:
         raise InputError("A chunk in the session is not encoded as expected; the session was written by another program.")
     host_ns, size = struct.unpack_from("<QI", message, 4)
     if len(message) != 16 + size:
@@ -486,13 +490,13 @@ def decode_chunk(message: bytes) -> tuple[int, bytes]:
 def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDArray[np.uint8]:
     """Return a `geometry_msgs/msg/WrenchStamped` each, (n, bytes), of (n,) times and (n, 6) wrenches, N and N m."""
     body = _stamped(0, frame)
-    alike = _PREFIX + body + bytes(-len(body) % 8)
+    alike = _CDR_HEADER + body + bytes(-len(body) % 8)
     messages = np.empty(len(wrenches), np.dtype([("alike", "u1", (len(alike),)), ("wrench", "<f8", (6,))]))
     messages["alike"], messages["wrench"] = np.frombuffer(alike, np.uint8), wrenches
     rows = messages.view(np.uint8).reshape(len(wrenches), -1)
     seconds, rest = np.divmod(unix_ns, 1_000_000_000)
     clock = np.column_stack([np.minimum(seconds, SECONDS_MAX), rest]).astype("<u4")
-    rows[:, len(_PREFIX) : len(_PREFIX) + 8] = clock.view(np.uint8)
+    rows[:, len(_CDR_HEADER) : len(_CDR_HEADER) + 8] = clock.view(np.uint8)
     return rows
 
 
@@ -501,7 +505,7 @@ def encode_taxels(unix_ns: int, frame: str, seq: int, device_us: int, values: Fl
     body = _stamped(unix_ns, frame)
     body += bytes(-len(body) % 4) + struct.pack("<I", seq & 0xFFFFFFFF)
     body += bytes(-len(body) % 8) + struct.pack("<QI", device_us, len(values))
-    return _PREFIX + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
+    return _CDR_HEADER + body + np.ascontiguousarray(values, dtype="<f4").tobytes()
 
 
 def encode_joints(unix_ns: int, frame: str, names: Sequence[str], angles: FloatArray) -> bytes:
@@ -514,13 +518,13 @@ def encode_joints(unix_ns: int, frame: str, names: Sequence[str], angles: FloatA
     # CDR aligns where a number is written: an empty sequence has no padding behind its length.
     if len(angles):
         body += bytes(-len(body) % 8) + np.ascontiguousarray(angles, dtype="<f8").tobytes()
-    return _PREFIX + body + struct.pack("<II", 0, 0)
+    return _CDR_HEADER + body + struct.pack("<II", 0, 0)
 
 
 def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
     """Return a `sensor_msgs/msg/Temperature`, degC, its variance 0, which stands for unknown."""
     body = _stamped(unix_ns, frame)
-    return _PREFIX + body + bytes(-len(body) % 8) + struct.pack("<dd", celsius, 0.0)
+    return _CDR_HEADER + body + bytes(-len(body) % 8) + struct.pack("<dd", celsius, 0.0)
 
 
 def _stamped(unix_ns: int, frame: str) -> bytes:
@@ -592,7 +596,7 @@ class LineWriter:
         self._file.close()
 
     def _add(self, body: bytes) -> None:
-        body += _END
+        body += _LINE_END
         # Over all lines before it too: one that is lost or moved breaks the chain there.
         self._sum = zlib.crc32(body, self._sum)
         self._file.write(b'["%08x",%s' % (self._sum, body))
@@ -618,16 +622,16 @@ class Lines:
 def read_lines(segment: Path) -> Lines | None:
     """Return the lines beside a segment; None where there are none, as in older sessions."""
     path = lines_path(segment)
-    data = read_regular(path, LINES_MOST) if path.exists() else b""
+    data = read_regular(path, MAX_LINES_BYTES) if path.exists() else b""
     kept: list[bytes] = []
     totals: list[bytes] = []
     body, last_key, checksum, size = b"0]\n", _NO_KEY, 0, 0
     # One by one up to the first that is damaged: a list of all could take more than the file by far.
     for line in BytesIO(data):
-        found = zlib.crc32(line[_HEAD:], checksum)
-        if line[:_HEAD] != b'["%08x",' % found:
+        found = zlib.crc32(line[_CHECKSUM_HEAD_BYTES:], checksum)
+        if line[:_CHECKSUM_HEAD_BYTES] != b'["%08x",' % found:
             break
-        body, checksum = line[_HEAD:], found
+        body, checksum = line[_CHECKSUM_HEAD_BYTES:], found
         size += len(line)
         _, *rest = body.split(b",", 2)
         if len(rest) < 2:
@@ -641,9 +645,9 @@ def read_lines(segment: Path) -> Lines | None:
             kept.pop()
         kept.append(document)
         last_key = key
-    documents = tuple(document[: -len(_END)] for document in kept + totals)
+    documents = tuple(document[: -len(_LINE_END)] for document in kept + totals)
     try:
-        items = int(body.split(b",")[0].removesuffix(_END))
+        items = int(body.split(b",")[0].removesuffix(_LINE_END))
     except ValueError:
-        raise InputError(f"{path}: a line begins with no count of items; {_PLAY}.") from None
-    return Lines(documents, items, body.endswith(_CLOSED + _END), checksum, size, len(data) - size) if data else None
+        raise InputError(f"{path}: a line begins with no count of items; {_DAMAGED_OR_FOREIGN}.") from None
+    return Lines(documents, items, body.endswith(_CLOSED + _LINE_END), checksum, size, len(data) - size) if data else None

@@ -23,7 +23,7 @@ LOCK_NAME = "session.lock"
 _PATIENCE_S = 0.3
 """s. A reader that looks holds a shared lock for some microseconds; a writer tries again for so long."""
 _RETRY_S = 0.02
-_HELD = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+_LOCK_HELD_ERRNOS = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 _TEXT_BYTES = 400
 
 if sys.platform == "win32":
@@ -102,7 +102,7 @@ def writer_of(folder: Path) -> str:
         try:
             _take(file, shared=True)
         except OSError as error:
-            return _words_of(path) if error.errno in _HELD else ""
+            return _words_of(path) if error.errno in _LOCK_HELD_ERRNOS else ""
     return ""
 
 
@@ -119,7 +119,7 @@ def _locked(path: Path) -> FileIO | None:
         if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
             return file
     except OSError as error:
-        if error.errno not in (*_HELD, errno.ENOENT):
+        if error.errno not in (*_LOCK_HELD_ERRNOS, errno.ENOENT):
             file.close()
             raise
     file.close()

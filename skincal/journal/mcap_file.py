@@ -26,16 +26,16 @@ from skincal.model.given import open_regular, parse_json
 EVENT_TOPIC = "/events"
 NOTE_TOPIC = "/session"
 RAW_TOPIC = "/raw/"
-RECORD_MOST = 64 << 20
+MAX_RECORD_BYTES = 64 << 20
 """Bytes of a record, and of a chunk when it is unpacked: four times what the writer makes. What says more is damaged."""
-SUMMARY_MOST = 64 << 20
+MAX_SUMMARY_BYTES = 64 << 20
 """Bytes of the index at the end: it grows by 2 kB a second, and segments end after five minutes."""
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER_BYTES = 9 + 20 + len(_MAGIC)
 """The footer's record, and what follows it."""
-_HEAD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
+_RECORD_HEAD_STRUCT = struct.Struct("<BQ")
+_MESSAGE_HEAD_STRUCT = struct.Struct("<HIQQ")
+_RECORD_READERS: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.CHUNK: Chunk.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -45,7 +45,7 @@ _READ: dict[int, Callable[[ReadDataStream], McapRecord]] = {
     Opcode.FOOTER: Footer.read,
 }
 """What reads the records that are looked at; all others are passed over."""
-DAMAGE = (
+DAMAGE_ERRORS = (
     McapError,
     zstandard.ZstdError,
     struct.error,
@@ -99,7 +99,7 @@ class McapFile:
                     if not self.complete:
                         self._good_bytes = file.tell()
                     yield record
-            except DAMAGE as error:
+            except DAMAGE_ERRORS as error:
                 raise DamagedError(_words_of(error)) from None
 
     def _demand_next(self, message: Message) -> None:
@@ -139,7 +139,7 @@ def is_closed(path: Path) -> bool:
         opcode, length, begin, _, checksum = struct.unpack_from("<BQQQI", tail)
         if (opcode, length) != (Opcode.FOOTER, 20) or not tail.endswith(_MAGIC):
             return False
-        if not 0 < begin < size or size - begin > SUMMARY_MOST:
+        if not 0 < begin < size or size - begin > MAX_SUMMARY_BYTES:
             return False
         file.seek(begin)
         # The checksum stands behind all that it covers.
@@ -175,10 +175,10 @@ def _records(file: BinaryIO) -> Iterator[McapRecord]:
 
 def _framed(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
     """Yield kind and content of each record; `EOFError` where the last one is cut."""
-    while head := stream.read(_HEAD.size):
-        opcode, length = _HEAD.unpack(head)
-        if length > RECORD_MOST:
-            raise DamagedError(f"a record says it has {length} bytes; {RECORD_MOST} at most were expected")
+    while head := stream.read(_RECORD_HEAD_STRUCT.size):
+        opcode, length = _RECORD_HEAD_STRUCT.unpack(head)
+        if length > MAX_RECORD_BYTES:
+            raise DamagedError(f"a record says it has {length} bytes; {MAX_RECORD_BYTES} at most were expected")
         content = stream.read(length)
         if len(content) < length:
             raise EOFError
@@ -188,9 +188,9 @@ def _framed(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
 def _parsed(opcode: int, content: bytes) -> McapRecord | None:
     """Return what a record holds; None for one that is not looked at."""
     if opcode == Opcode.MESSAGE:
-        channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(content)
-        return Message(channel, log_time, content[_MESSAGE.size :], publish_time, sequence)
-    return _READ[opcode](ReadDataStream(BytesIO(content))) if opcode in _READ else None
+        channel, sequence, log_time, publish_time = _MESSAGE_HEAD_STRUCT.unpack_from(content)
+        return Message(channel, log_time, content[_MESSAGE_HEAD_STRUCT.size :], publish_time, sequence)
+    return _RECORD_READERS[opcode](ReadDataStream(BytesIO(content))) if opcode in _RECORD_READERS else None
 
 
 def _unpacked(chunk: Chunk) -> bytes:
@@ -201,8 +201,8 @@ def _unpacked(chunk: Chunk) -> bytes:
     if chunk.compression:
         # The frame says it, too, and would be believed.
         claimed = max(chunk.uncompressed_size, zstandard.frame_content_size(data))
-        if claimed > RECORD_MOST:
-            raise DamagedError(f"a chunk says it unpacks to {claimed} bytes; {RECORD_MOST} at most were expected")
+        if claimed > MAX_RECORD_BYTES:
+            raise DamagedError(f"a chunk says it unpacks to {claimed} bytes; {MAX_RECORD_BYTES} at most were expected")
         data = zstandard.decompress(data, chunk.uncompressed_size) if chunk.uncompressed_size else b""
     if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
         raise DamagedError("a checksum does not fit")
@@ -217,7 +217,7 @@ def _document(data: bytes) -> dict[str, Any]:
 
 
 def _words_of(error: Exception) -> str:
-    """Say what is wrong with bytes that raised one of `DAMAGE`."""
+    """Say what is wrong with bytes that raised one of `DAMAGE_ERRORS`."""
     if "EndOfFile" in type(error).__name__ or isinstance(error, EOFError | struct.error):
         return "it ends in the middle of a record"
     return "its bytes make no sense"

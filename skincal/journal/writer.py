@@ -41,7 +41,7 @@ from skincal import __version__
 from skincal.geometry import FloatArray
 from skincal.journal import documents
 from skincal.journal.documents import (
-    FORMAT,
+    JOURNAL_FORMAT,
     Ending,
     Item,
     LineWriter,
@@ -72,7 +72,7 @@ SEGMENT_NS = 300_000_000_000
 kill it is written anew, which takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
-SCENE_FILES_MOST = 16
+MAX_SCENE_FILES = 16
 """TOML files of a scene's folder: a scene and its layout are two, and each may have 4 MB."""
 SCENE_FOLDER = "scene"
 """The folder in a session's folder that holds copies of the scene's files, so that it opens on another machine."""
@@ -80,7 +80,7 @@ NAMED_FILES = (("skin", "modules"), ("surface", "mesh"))
 """Table and key of each file that a scene names."""
 DIGEST_OF_ALL_FILES = "all-files:"
 """Begins a digest that covers the mesh, too. Digests without it are of the TOML files alone."""
-_DECODED = {
+_DECODED_TOPICS = {
     "/wrench": "geometry_msgs/msg/WrenchStamped",
     "/taxels": "skincal_msgs/msg/Taxels",
     "/joints": "sensor_msgs/msg/JointState",
@@ -335,7 +335,7 @@ class JournalWriter:
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
         self._mcap.start(profile="ros2", library=f"skincal {__version__}")
         about = {
-            "format": FORMAT,
+            "format": JOURNAL_FORMAT,
             "segment": self._number,
             "continues": continues,
             "skincal": __version__,
@@ -348,10 +348,12 @@ class JournalWriter:
         }
         texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in about.items()}
         self._mcap.add_metadata("skincal", texts)
-        schemas = {name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in documents.SCHEMAS.items()}
+        schemas = {
+            name: self._mcap.register_schema(name, "ros2msg", text.encode()) for name, text in documents.MESSAGE_SCHEMAS.items()
+        }
         json_schema = self._mcap.register_schema("skincal.event", "jsonschema", b'{"type": "object"}')
         carried = {RAW_TOPIC + link.name: "skincal_msgs/msg/Chunk" for link in self._links}
-        carried |= _DECODED if self.wants_decoded else {}
+        carried |= _DECODED_TOPICS if self.wants_decoded else {}
         self._channels = {topic: self._mcap.register_channel(topic, "json", json_schema) for topic in (EVENT_TOPIC, NOTE_TOPIC)}
         self._channels |= {topic: self._mcap.register_channel(topic, "cdr", schemas[name]) for topic, name in carried.items()}
         self._add_event({"host_ns": host_ns, "type": "segment", **about})
@@ -512,8 +514,8 @@ def toml_digest(folder: Path) -> str:
     """
     digest = hashlib.sha256()
     paths = sorted(folder.glob("*.toml"))
-    if len(paths) > SCENE_FILES_MOST:
-        raise InputError(f"{folder}: has {len(paths)} TOML files; expected at most {SCENE_FILES_MOST}: move the others away.")
+    if len(paths) > MAX_SCENE_FILES:
+        raise InputError(f"{folder}: has {len(paths)} TOML files; expected at most {MAX_SCENE_FILES}: move the others away.")
     for path in paths:
         text = read_regular(path, TEXT_MOST)
         digest.update(f"{path.name} {len(text)}\n".encode())

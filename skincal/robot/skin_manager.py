@@ -20,7 +20,7 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.icub import DECIMALS, SKIN_PARTS, named_part, read_icub, rows_text, said_in, skin_part
+from skincal.files.icub import POSITION_DECIMALS, SKIN_PARTS, has_comment, part_name, positions_text, read_icub, skin_part
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, list_channels, plain_text, plural, shortened
 from skincal.streams.device_links import AskedPort, Ports, asked_device
@@ -32,7 +32,7 @@ Ask: TypeAlias = Callable[[Sequence[str | int | float]], list[float | str]]
 
 ANSWER_S = 2.0
 """s. skinManager answers between two of its cycles, of 20 to 50 ms; while it calibrates it may take a cycle more."""
-SAME = 2.0 * 10.0**-DECIMALS
+SAME = 2.0 * 10.0**-POSITION_DECIMALS
 """m. Positions nearer than this are the same: a file has so many decimals."""
 HAD = "positions that skinManager had before others were applied"
 """By this line a file says that its zeros are what the robot had; in every other zeros say that no position is known."""
@@ -61,7 +61,13 @@ class Positions:
     def question(self, channel: int) -> Question:
         """Return what sets one taxel."""
         # Adding zero makes 0 of -0. Whole numbers would be taken for a taxel's number, so all of them are floats.
-        return ["set", "pose", self.number, channel, *(round(value, DECIMALS) + 0.0 for value in self.rows[channel].tolist())]
+        return [
+            "set",
+            "pose",
+            self.number,
+            channel,
+            *(round(value, POSITION_DECIMALS) + 0.0 for value in self.rows[channel].tolist()),
+        ]
 
     def trust(self, channel: int) -> Question:
         """Return what tells the robot whether there is a taxel, as it takes it from a file."""
@@ -71,7 +77,7 @@ class Positions:
 
 def calibrated_positions(calibration: Calibration, method: Method, part: str | None) -> Positions:
     """Return the positions of a session by one method; `part` as for `skin_part`. Raises InputError."""
-    taxels = placed_taxels(calibration.of(method))
+    taxels = placed_taxels(calibration.estimates_by(method))
     rows = np.hstack([taxels.positions, taxels.normals])
     return _positions(skin_part(calibration, part), calibration.scene.skin.channels, taxels.channels.tolist(), rows)
 
@@ -82,8 +88,8 @@ def file_positions(path: Path, part: str | None) -> Positions:
     Raises InputError.
     """
     rows = read_icub(path)
-    sent = np.arange(len(rows)) if said_in(path, HAD) else np.flatnonzero(rows[:, :3].any(axis=1))
-    return _positions(part or named_part(path), len(rows), sent.tolist(), rows[sent])
+    sent = np.arange(len(rows)) if has_comment(path, HAD) else np.flatnonzero(rows[:, :3].any(axis=1))
+    return _positions(part or part_name(path), len(rows), sent.tolist(), rows[sent])
 
 
 def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray) -> Positions:
@@ -96,7 +102,7 @@ def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray)
 
 def question_words(question: Sequence[str | int | float]) -> str:
     """Return a question as one would type it."""
-    return " ".join(f"{word:.{DECIMALS}f}" if isinstance(word, float) else str(word) for word in question)
+    return " ".join(f"{word:.{POSITION_DECIMALS}f}" if isinstance(word, float) else str(word) for word in question)
 
 
 def answer_words(answer: Sequence[float | str]) -> str:
@@ -186,7 +192,7 @@ class Application:
         if not due:
             return applied
         # Also where the same was begun before: what it left of the older positions is kept beside it.
-        write_atomically(self._before, rows_text(positions.part, had[:, :6], HAD).encode())
+        write_atomically(self._before, positions_text(positions.part, had[:, :6], HAD).encode())
         applied.before = self._before
         # Whole, and first: where it ends half way one has it to copy.
         self._tell(f"the old positions are in {self._before}: `{self._command}` brings them again")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from skincal.files.reference import TRUTH_NAME, PlaceSet, check_part, plan_reference, read_place_sets, read_places
+from skincal.files.reference import TRUTH_NAME, TaxelPositions, plan_reference, read_place_sets, read_places, require_same_part
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
@@ -19,7 +19,7 @@ WORDS = (*(method.value for method in Method), PLAN, TRUTH)
 """What may stand after the colon."""
 
 
-def find_places(named: str) -> PlaceSet:
+def find_places(named: str) -> TaxelPositions:
     """Return the places that a name stands for.
 
     Parameters
@@ -45,7 +45,7 @@ def find_places(named: str) -> PlaceSet:
     return read_places(path, Method(which) if which else None)
 
 
-def session_places(folder: Path, which: str = "") -> PlaceSet:
+def session_places(folder: Path, which: str = "") -> TaxelPositions:
     """Return places of a recorded session; `which` is one of `WORDS`, empty for the method that leads.
 
     Raises InputError: it is no session, or does not have what is named.
@@ -53,7 +53,7 @@ def session_places(folder: Path, which: str = "") -> PlaceSet:
     name = folder.resolve().name
     if which == TRUTH:
         truth = read_places(folder / TRUTH_NAME)
-        return PlaceSet(f"{name}, truth", truth.link, truth.places)
+        return TaxelPositions(f"{name}, truth", truth.link, truth.places)
     pipeline = load(folder)
     if which == PLAN:
         return _plan_of(pipeline, name)
@@ -65,7 +65,7 @@ def session_places(folder: Path, which: str = "") -> PlaceSet:
     return chosen
 
 
-def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceSet, ...]:
+def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelPositions, ...]:
     """Return all places of the taxels of a part that a file, or the folder of a session by each of its methods, knows.
 
     The method that leads comes first.
@@ -76,11 +76,11 @@ def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[PlaceS
     # A method that knows nothing yet is nothing to compare with; a file without any place is refused as such.
     sets = tuple(found for found in read if found.places) or read[:1]
     for found in sets:
-        check_part(found, path, link, channels)
+        require_same_part(found, path, link, channels)
     return sets
 
 
-def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[PlaceSet, ...]:
+def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
     """Return the places that each method of a session knows; InputError where none knows any."""
     estimates, scene, name = pipeline.snapshot().estimates, pipeline.scene, folder.resolve().name
     leads, modules = leading_method(estimates), _modules_of(scene.skin.layout)
@@ -91,16 +91,16 @@ def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[PlaceSet, ...]:
         for method, found in estimates.items()
     }
     order = sorted(filter(known.__getitem__, known), key=lambda method: method is not leads)
-    return tuple(PlaceSet(f"{name}, {each.value} method", scene.link, known[each], modules, each) for each in order)
+    return tuple(TaxelPositions(f"{name}, {each.value} method", scene.link, known[each], modules, each) for each in order)
 
 
-def _plan_of(pipeline: Pipeline, name: str) -> PlaceSet:
+def _plan_of(pipeline: Pipeline, name: str) -> TaxelPositions:
     scene = pipeline.scene
     part = lay_part(scene, pipeline.session.surface, ())
     plan = None if part.laid is None else plan_reference(scene.name, part.laid.places)
     if plan is None:
         raise InputError(f"{name}: its scene does not say where the layout lies on the part, so there is no plan.")
-    return PlaceSet(f"{name}, plan", scene.link, plan.places, _modules_of(scene.skin.layout))
+    return TaxelPositions(f"{name}, plan", scene.link, plan.places, _modules_of(scene.skin.layout))
 
 
 def _modules_of(layout: Layout | None) -> dict[int, int]:

@@ -43,33 +43,35 @@ from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import STAMP_MAX
 from skincal.streams.links import LinkSpec
 
-LINE_MOST = 4 << 20
+MAX_LINE_CHARS = 4 << 20
 """Letters of a row: 100,000 channels have a quarter."""
-SHOWN = 40
+SHOWN_CHARS = 40
 """Letters of a field that a sentence shows."""
-BLOCK = 64
+BLOCK_ROWS = 64
 """Rows that are read at a time."""
 TEXTS_MAX = 1 << 12
-SLOWEST = 0.2
+MAX_ROW_INTERVAL_S = 0.2
 """s from row to row. A tool holds still for 0.3 s in a poke: rows further apart, of a time without a unit, are not seconds."""
-SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
+COLUMN_SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
 """What may part the columns, by its name: the first of these that is in the first line."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 UNIX_NS = (1e18, 5e18)
 """Nanoseconds since 1970 of the years 2001 to 2128; as seconds they would be no time of any clock."""
-_TIME = re.compile(r"(?:t|[%_]*time|datetime|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?")
-_NUMBER = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,12}))?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
+_TIME_COLUMN_RE = re.compile(
+    r"(?:t|[%_]*time|datetime|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?"
+)
+_COUNTER_COLUMN_RE = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
+_DATE_RE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,12}))?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
 # What ROS sends with values.
-_ABOUT = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
-_AXIS = re.compile(
+_HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
+_WRENCH_AXIS_RE = re.compile(
     r"(?:.*[./])?(?:wrench_)?([fmt]|force|torque|moment)[._/ ]?([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?"
 )
-_NUMBERED = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
-_QUOTED = re.compile(r'"[^"]*"')
-_JOINT = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
-_MILLI = ("nmm", "n.mm")
+_NUMBERED_COLUMN_RE = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
+_QUOTED_FIELD_RE = re.compile(r'"[^"]*"')
+_JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
+_NEWTON_MILLIMETRES = ("nmm", "n.mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,7 @@ class _Dates(dict[tuple[str, str, str], float | None]):
 
     def seconds(self, field: str) -> float | None:
         """Return the time of a field; None where it is no such date."""
-        found = _DATE.fullmatch(field)
+        found = _DATE_RE.fullmatch(field)
         if found is None:
             return None
         day, clock, fraction, zone = found.groups(default="")
@@ -146,18 +148,18 @@ class _Table:
         if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
             raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
         self.stream, self.path = stream, path
-        unquoted = _QUOTED.sub("", first[0])
-        self._separator = next((mark for mark in SEPARATORS if mark in unquoted), None)
+        unquoted = _QUOTED_FIELD_RE.sub("", first[0])
+        self._separator = next((mark for mark in COLUMN_SEPARATORS if mark in unquoted), None)
         row = _fields(header, self._separator) if header else next(_rows(path, self._separator))
         self._skips_header = not header
-        self.named = any(_to_float(field) is None and _DATE.fullmatch(field) is None for field in row if field)
+        self.named = any(_to_float(field) is None and _DATE_RE.fullmatch(field) is None for field in row if field)
         """It has a header."""
         if self.named:
             self.columns = _named_columns(stream, [name.lower() for name in row], path)
         else:
             self.columns = _columns_by_place(stream, len(row), path)
         self._time_of: Callable[[str], float | None] = _to_float
-        if (date := _DATE.fullmatch(self.first_time)) is not None:
+        if (date := _DATE_RE.fullmatch(self.first_time)) is not None:
             self._take_dates(row, zoned=date.group(4) is not None)
         elif self.columns.finding:
             self._find_nanoseconds(row)
@@ -200,7 +202,7 @@ class _Table:
         self.skipped = 0
         # Of a row nothing is read behind its time.
         rows = self._rows(self.columns.time + 1)
-        while block := list(islice(rows, BLOCK)):
+        while block := list(islice(rows, BLOCK_ROWS)):
             stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
             if len(stamps) < len(block):
                 self.skipped += len(block) - len(stamps)
@@ -215,14 +217,14 @@ class _Table:
             other = row[self.columns.time] if self.columns.time < len(row) else ""
             if _time_kind(other) not in ("", _time_kind(first)):
                 raise InputError(
-                    f"{self.path}: its times are {first[:SHOWN]!r} and {other[:SHOWN]!r}; expected one kind in the "
+                    f"{self.path}: its times are {first[:SHOWN_CHARS]!r} and {other[:SHOWN_CHARS]!r}; expected one kind in the "
                     "whole column: numbers, dates with a zone, or dates without one. Export them anew."
                 )
 
     def lines(self) -> Iterator[RecordedLines]:
         """Give the rows that have a time."""
         rows = enumerate(self._rows())
-        while block := list(islice(rows, BLOCK)):
+        while block := list(islice(rows, BLOCK_ROWS)):
             lines = [(seconds, self._line(*each, seconds)) for each in block if (seconds := self._seconds(each[1])) is not None]
             if lines:
                 stamps, data = zip(*lines, strict=True)
@@ -276,7 +278,7 @@ def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecord
         name = table.stream.value
         timeline = RecordedTimes(name, table.stamps())
         if not timeline.lines:
-            seen = f"seen {table.first_time[:SHOWN]!r} as the time; " if table.first_time else ""
+            seen = f"seen {table.first_time[:SHOWN_CHARS]!r} as the time; " if table.first_time else ""
             raise InputError(
                 f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
                 "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
@@ -298,8 +300,8 @@ def _check_dates(table: _Table, timeline: RecordedTimes) -> None:
     """Raise InputError: the times are dates without fractions of a second."""
     if table.columns.dates and timeline.lines > 1 and not timeline.interval:
         raise InputError(
-            f"{table.path}: most of its rows have the time of the row before, such as {table.first_time[:SHOWN]!r}; expected "
-            "fractions of a second: export the times with them."
+            f"{table.path}: most of its rows have the same time as the row before, such as {table.first_time[:SHOWN_CHARS]!r}. "
+            "Export times with fractions of a second."
         )
 
 
@@ -311,11 +313,11 @@ def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
         and not columns.dates
         and columns.to_s == TIME_UNITS["s"]
         and table.stream is not Stream.JOINTS
-        and timeline.interval > SLOWEST
+        and timeline.interval > MAX_ROW_INTERVAL_S
     ):
         raise InputError(
             f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
-            f"seconds; expected no more than {SLOWEST:g} s: name the time's column t_ms, t_us or t_ns."
+            f"seconds; expected no more than {MAX_ROW_INTERVAL_S:g} s: name the time's column t_ms, t_us or t_ns."
         )
 
 
@@ -336,10 +338,10 @@ def guess_csv(path: Path) -> tuple[Stream | None, int]:
 def _commented_header(path: Path) -> str:
     """Read a header that stands in a comment, as `numpy.savetxt` writes it; empty if the first line is none."""
     with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
-        line = file.readline(LINE_MOST).strip()
+        line = file.readline(MAX_LINE_CHARS).strip()
         text = line.lstrip("# ")
-        names = _fields(text, next((mark for mark in SEPARATORS if mark in text), None))
-        if line.startswith("#") and len(names) > 1 and any(_TIME.fullmatch(name.lower()) for name in names):
+        names = _fields(text, next((mark for mark in COLUMN_SEPARATORS if mark in text), None))
+        if line.startswith("#") and len(names) > 1 and any(_TIME_COLUMN_RE.fullmatch(name.lower()) for name in names):
             return text
     return ""
 
@@ -347,8 +349,8 @@ def _commented_header(path: Path) -> str:
 def _fields(line: str, separator: str | None, splits: int = -1) -> list[str]:
     """Split a line into its fields. A separator within double quotes belongs to its field."""
     if '"' in line and separator is not None:
-        quoted = _QUOTED.findall(line)
-        fields = _QUOTED.sub("\0", line).split(separator, splits)
+        quoted = _QUOTED_FIELD_RE.findall(line)
+        fields = _QUOTED_FIELD_RE.sub("\0", line).split(separator, splits)
         found = iter(quoted)
         fields = [re.sub("\0", lambda _: next(found), field) for field in fields]
     else:
@@ -365,9 +367,9 @@ def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[
     try:
         # Spreadsheets begin a file with a byte order mark.
         with TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
-            for text in iter(partial(file.readline, LINE_MOST), ""):
-                if len(text) == LINE_MOST:
-                    raise InputError(f"{path}: a line has {LINE_MOST} letters or more; expected a row a reading.")
+            for text in iter(partial(file.readline, MAX_LINE_CHARS), ""):
+                if len(text) == MAX_LINE_CHARS:
+                    raise InputError(f"{path}: a line has {MAX_LINE_CHARS} letters or more; expected a row a reading.")
                 # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
@@ -392,7 +394,7 @@ def _to_float(field: str) -> float | None:
 
 def _time_kind(field: str) -> str:
     """Return what kind of time a field is; empty where it is none."""
-    date = _DATE.fullmatch(field)
+    date = _DATE_RE.fullmatch(field)
     if date is None:
         return "" if _to_float(field) is None else "number"
     return "date with a zone" if date.group(4) else "date without one"
@@ -410,14 +412,14 @@ def _columns_by_place(stream: Stream, width: int, path: Path) -> _Columns:
 
 
 def _named_columns(stream: Stream, names: list[str], path: Path) -> _Columns:
-    time = next((index for index, name in enumerate(names) if _TIME.fullmatch(name)), None)
+    time = next((index for index, name in enumerate(names) if _TIME_COLUMN_RE.fullmatch(name)), None)
     if time is None:
         seen = ", ".join(names[:8])
         raise InputError(f"{path}: no column is the time; seen {seen}; expected one named t_s, t_ms, t_us or t_ns.")
-    found = _TIME.fullmatch(names[time])
+    found = _TIME_COLUMN_RE.fullmatch(names[time])
     unit = found.group(1) if found else None
-    number = next((index for index, name in enumerate(names) if _NUMBER.fullmatch(name)), None)
-    others = [k for k, name in enumerate(names) if name and k not in (time, number) and not _ABOUT.fullmatch(name)]
+    number = next((index for index, name in enumerate(names) if _COUNTER_COLUMN_RE.fullmatch(name)), None)
+    others = [k for k, name in enumerate(names) if name and k not in (time, number) and not _HEADER_FIELD_RE.fullmatch(name)]
     values, factors = _VALUE_COLUMNS[stream](names, others, path)
     finding = "" if unit else f"the time column {names[time]!r} names no unit and was read as seconds."
     return _Columns(len(names), time, TIME_UNITS[unit or "s"], number, values, factors, finding)
@@ -427,7 +429,7 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
     at: dict[str, int] = {}
     factor: dict[str, float] = {}
     for index in others:
-        found = _AXIS.fullmatch(names[index])
+        found = _WRENCH_AXIS_RE.fullmatch(names[index])
         if found is not None:
             axis = ("f" if found.group(1).startswith("f") else "m") + found.group(2)
             if axis in at:
@@ -436,7 +438,7 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
                     "leave out those of the other."
                 )
             at[axis] = index
-            factor[axis] = 1e-3 if found.group(3) in _MILLI else 1.0
+            factor[axis] = 1e-3 if found.group(3) in _NEWTON_MILLIMETRES else 1.0
     lacking = [axis for axis in WRENCH_AXES if axis not in at]
     if lacking:
         raise InputError(
@@ -449,7 +451,9 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
 def _skin_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
     if not others:
         raise InputError(f"{path}: no column besides the time; expected one a channel, such as t0, t1, ...")
-    numbers = {index: int(found.group(1)) for index in others if (found := _NUMBERED.fullmatch(names[index])) is not None}
+    numbers = {
+        index: int(found.group(1)) for index in others if (found := _NUMBERED_COLUMN_RE.fullmatch(names[index])) is not None
+    }
     if len(set(numbers.values())) == len(others):
         others = sorted(others, key=numbers.__getitem__)
     return tuple(others), (1.0,) * len(others)
@@ -458,7 +462,7 @@ def _skin_columns(names: list[str], others: list[int], path: Path) -> tuple[tupl
 def _joint_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
     factors: list[float] = []
     for index in others:
-        found = _JOINT.fullmatch(names[index])
+        found = _JOINT_COLUMN_RE.fullmatch(names[index])
         if found is None:
             raise InputError(f"{path}: column {names[index]!r} names no unit; expected names such as j0_deg or j0_rad.")
         factors.append(1.0 if found.group(1) == "deg" else math.degrees(1.0))

@@ -24,7 +24,7 @@ from skincal.streams.decoders.detect import LinkDecoder
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
 
-TABLES = (".csv", ".tsv", ".txt")
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 """Endings of what is read as a table; all else is a log of `yarpdatadumper`, or none."""
 LOOK_S = 60.0
 """s. So much of a recording is decoded for a look at it: several pokes, in a second or two."""
@@ -34,7 +34,7 @@ JOINTS_MOST = 16
 """Values of a row that nothing else is known of: arms have fewer joints, skins more taxels."""
 MAX_FILES_TRIED = 2000
 """Files of a folder whose stream is guessed: each costs about a millisecond."""
-ROW = 6
+SHOWN_VALUES = 6
 """Values of the first row that are shown."""
 _NAMES = (
     (Stream.SKIN, re.compile(r"skin|tactile|taxel|touch")),
@@ -87,10 +87,10 @@ class RecordingFiles:
 
 def is_table(path: Path) -> bool:
     """Return whether a path is taken for a table, by its name."""
-    return path.suffix.lower() in TABLES
+    return path.suffix.lower() in TABLE_SUFFIXES
 
 
-def find_files(paths: Sequence[Path]) -> RecordingFiles:
+def guess_streams(paths: Sequence[Path]) -> RecordingFiles:
     """Return which of some files, or of those in a folder, hold which stream, by their names and their first lines.
 
     Raises InputError: none of them is a recording.
@@ -196,7 +196,7 @@ class RecordingPreview:
         return tuple(found)
 
 
-def look(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> RecordingPreview:
+def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> RecordingPreview:
     """Look at a recording: all its times, and the readings of its first `LOOK_S`; nothing is written.
 
     Parameters
@@ -216,7 +216,7 @@ def look(files: RecordingFiles, wanted: Callable[[], bool] = lambda: True) -> Re
     for link, timeline in zip(opened.links, opened.timelines, strict=True):
         values = _values(readings[link.name])
         rate = 1.0 / timeline.interval if timeline.interval else 0.0
-        first = tuple(values[0, :ROW].tolist()) if len(values) else ()
+        first = tuple(values[0, :SHOWN_VALUES].tolist()) if len(values) else ()
         seconds = timeline.last - timeline.first
         path = link.address.removeprefix("file:")
         streams.append(StreamPreview(link.carries[0], path, timeline.lines, rate, seconds, values.shape[1], first))

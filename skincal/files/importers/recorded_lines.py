@@ -54,7 +54,7 @@ TOGETHER_LINES = 128
 """Lines of one chunk, whatever their stamps say: a bound for memory."""
 FIRST_INTERVALS = 500
 """Intervals from which the usual interval is taken: 5 s at 100 Hz."""
-SAID = 3
+MAX_CLOCK_SENTENCES = 3
 """Times that a clock was set, which are said one by one."""
 START_NS = 1_000_000_000
 """ns. Where a recording begins on the host's clock; 0 means never there."""
@@ -148,9 +148,9 @@ class RecordedTimes:
             )
         found += [
             f"{self.name}: the clock was wrong by {off:+.3f} s for {seconds:.1f} s; the lines meanwhile are placed without it."
-            for off, seconds in self._errors[:SAID]
+            for off, seconds in self._errors[:MAX_CLOCK_SENTENCES]
         ]
-        if more := self._errors[SAID:]:
+        if more := self._errors[MAX_CLOCK_SENTENCES:]:
             seconds = sum(seconds for _, seconds in more)
             found.append(
                 f"{self.name}: the clock was wrong {plural(len(more), 'more time')}, for {seconds:.1f} s in all; "
@@ -158,7 +158,9 @@ class RecordedTimes:
             )
         backs = [back for line, back in self.jumps.items() if line not in self._error_lines]
         if backs:
-            amounts = ", ".join([*(f"{back:.3f} s" for back in backs[:SAID]), *["..."][: len(backs) > SAID]])
+            amounts = ", ".join(
+                [*(f"{back:.3f} s" for back in backs[:MAX_CLOCK_SENTENCES]), *["..."][: len(backs) > MAX_CLOCK_SENTENCES]]
+            )
             found.append(
                 f"{self.name}: the clock was set back {plural(len(backs), 'time')} ({amounts}); "
                 "the lines after it follow on without a break, but a poke that it cuts may be wrong."
@@ -276,7 +278,7 @@ def _steps(before: float, stamps: FloatArray) -> FloatArray:
     return steps
 
 
-def agree(timelines: Sequence[RecordedTimes]) -> None:
+def share_clock_jumps(timelines: Sequence[RecordedTimes]) -> None:
     """Give jumps of the same amount in several files the same shift, that of the first file."""
     known: list[float] = []
     for timeline in timelines:
@@ -322,7 +324,7 @@ def merged(timelines: Sequence[RecordedTimes], sources: Sequence[Lines], alone: 
     Of the files named in `alone` a chunk holds no more than the lines before the next chunk of another file, so that each comes
     before all later lines of the others.
     """
-    agree(timelines)
+    share_clock_jumps(timelines)
     origin = min(timeline.first for timeline in timelines)
     placed = [
         _pieces(file, _placed(timeline, lines(), origin), together=timeline.name not in alone)

@@ -50,11 +50,11 @@ BINARY_LEVELS = ({0.0, 100.0}, {0.0, 255.0})
 """Values of a binarised skin: skinManager writes 0 and 100, its help and the simulator say 255."""
 INFO_MOST = 1 << 16
 """Bytes of `info.log`, which has some lines."""
-BLOCK = 1 << 16
+BLOCK_BYTES = 1 << 16
 """bytes that are read at a time: some 600 wrenches."""
 TOO_LONG = b"...\n"
 """Stands for a line that is too long: no record, so that it is counted as unreadable."""
-FORMATS = {1: "yarp", 2: "yarp-tx-rx"}
+FORMAT_BY_STAMPS = {1: "yarp", 2: "yarp-tx-rx"}
 """Number of stamps to the name of the decoder..."""
 BY_RECEIVER = "yarp-rx"
 """...and of that for two stamps of which the sender's is not always there."""
@@ -175,7 +175,7 @@ def _open_log(stream: Stream, place: Path) -> _Log:
     stamps, clock, found = _grammar(path)
     name = stream.value
     sentences = tuple(f"{name}: {sentence}" for sentence in (*findings, *found))
-    return _Log(name, stream, path, stamps, clock, FORMATS[stamps], sentences)
+    return _Log(name, stream, path, stamps, clock, FORMAT_BY_STAMPS[stamps], sentences)
 
 
 def find_log(place: Path) -> tuple[Path, list[str]]:
@@ -220,7 +220,7 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
     found = _STAMP_LINE.search(text)
     if found is not None:
         clocks = found.group(1).split("+")
-        if len(clocks) in FORMATS and set(clocks) <= {"tx", "rx"}:
+        if len(clocks) in FORMAT_BY_STAMPS and set(clocks) <= {"tx", "rx"}:
             return len(clocks), clocks[-1], []
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
     first = islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES)
@@ -251,7 +251,7 @@ def _whole_lines(path: Path) -> Iterator[list[bytes]]:
     try:
         with open_regular(path, advice="check the path and its rights") as file:
             rest, cut = b"", False
-            while data := file.read(BLOCK):
+            while data := file.read(BLOCK_BYTES):
                 lines = BytesIO(rest + data).readlines()
                 rest = b"" if lines[-1].endswith(b"\n") else lines.pop()
                 if lines and (cut or max(map(len, lines)) > LINE_MAX + 1):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import POKES_MOST, OrderLine, _take, find_scene
+from skincal.cli.record import POKES_MOST, OrderLine, _handle_item, find_scene
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.importing import new_session
@@ -264,7 +264,7 @@ def test_a_file_that_ends_as_another_format_is_remarked_on(run, tmp_path, sessio
 @pytest.mark.parametrize("line", [b"[" * 100_000, b'{"do": "exclude", "poke": NaN}', b"7"])
 def test_an_order_that_is_none_is_said_and_left_out(capsys, line):
     """Beyond the interpreter's depth `json` raises a RecursionError, which would end the recording."""
-    _take(None, OrderLine(1, line))
+    _handle_item(None, OrderLine(1, line))
     assert "not done" in capsys.readouterr().err
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.files.importers.overview import RecordingFiles, RecordingKind, find_files, look
+from skincal.files.importers.overview import RecordingFiles, RecordingKind, guess_streams, preview_recording
 from skincal.geometry import Arm, DhLink
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -18,33 +18,33 @@ SAMPLES = some_pokes(small_scene(), 3).samples
 
 def test_a_folder_of_ports_is_told_apart(tmp_path):
     folder = write_yarp(tmp_path / "log", SAMPLES, joints=5)
-    found = find_files([folder])
+    found = guess_streams([folder])
     assert found == RecordingFiles(folder / "left_ft", folder / "left_forearm_skin", folder / "left_arm")
     assert found.kind is RecordingKind.YARP
     # One port of it, the logs themselves, and a folder above lead to the same.
-    assert find_files([folder / "left_ft"]) == found
-    assert find_files([tmp_path]) == found
+    assert guess_streams([folder / "left_ft"]) == found
+    assert guess_streams([tmp_path]) == found
     logs = [folder / name / "data.log" for name in ("left_arm", "left_ft", "left_forearm_skin")]
-    assert find_files(logs) == RecordingFiles(logs[1], logs[2], logs[0])
+    assert guess_streams(logs) == RecordingFiles(logs[1], logs[2], logs[0])
 
 
 def test_tables_are_told_apart_by_their_columns(tmp_path):
     folder = write_csv(tmp_path, SAMPLES)
     (folder / "c.csv").write_text("t_s,first_deg,second_rad\n0,1,2\n")
-    found = find_files([folder])
+    found = guess_streams([folder])
     assert found == RecordingFiles(folder / "a.csv", folder / "b.csv", folder / "c.csv")
     assert found.kind is RecordingKind.CSV
-    assert find_files([folder / "b.csv", folder / "a.csv"]) == RecordingFiles(folder / "a.csv", folder / "b.csv")
+    assert guess_streams([folder / "b.csv", folder / "a.csv"]) == RecordingFiles(folder / "a.csv", folder / "b.csv")
 
 
 def test_without_a_header_the_number_of_columns_and_the_name_say_it(tmp_path):
     for name, width in (("one.csv", 6), ("two.csv", 24), ("three.csv", 7), ("joints.tsv", 6)):
         (tmp_path / name).write_text("\t".join(["0"] * (1 + width)) + "\n")
-    assert find_files([tmp_path]) == RecordingFiles(tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "three.csv")
+    assert guess_streams([tmp_path]) == RecordingFiles(tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "three.csv")
     log = write_log(tmp_path / "y" / "loadcell", [0.0, 0.1], [np.arange(6.0)] * 2)
-    assert find_files([log]).wrench == log
+    assert guess_streams([log]).wrench == log
     state = write_log(tmp_path / "z" / "joint_state", [0.0, 0.1], [np.arange(6.0)] * 2)
-    assert find_files([state]) == RecordingFiles(joints=state)
+    assert guess_streams([state]) == RecordingFiles(joints=state)
 
 
 def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
@@ -52,7 +52,7 @@ def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
         (tmp_path / f"a{index:02d}.csv").write_text("t_s,first_deg,second_rad\n0,1,2\n")
     folder = write_csv(tmp_path, SAMPLES)
     (folder / "b.csv").rename(folder / "zz_skin.csv")
-    assert find_files([folder]).skin == folder / "zz_skin.csv"
+    assert guess_streams([folder]).skin == folder / "zz_skin.csv"
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
@@ -60,7 +60,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
     (tmp_path / "empty").mkdir()
     for paths in ([tmp_path / "note.csv"], [tmp_path / "empty"], [tmp_path / "gone"]):
         with pytest.raises(InputError, match="no recording was found"):
-            find_files(paths)
+            guess_streams(paths)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_two_kinds_do_not_go_together():
 
 
 def test_a_look_says_what_is_there(tmp_path):
-    preview = look(find_files([write_yarp(tmp_path, SAMPLES, joints=5)]))
+    preview = preview_recording(guess_streams([write_yarp(tmp_path, SAMPLES, joints=5)]))
     wrench, skin, joints = preview.streams
     assert (wrench.stream, skin.stream, joints.stream) == (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
     assert (wrench.rows, skin.rows) == (4 * len(SAMPLES), len(SAMPLES))
@@ -98,7 +98,7 @@ def test_a_look_says_what_is_there(tmp_path):
 def test_the_curve_has_the_pokes_beside_the_offset(tmp_path):
     script = Script(small_scene()).quiet(2.0)
     script.press(np.array([0.0, 3.0, -4.0]), np.array([0.0, 0.0, 0.1]), {3: 80.0}, hold_s=0.5).quiet(2.0)
-    preview = look(find_files([write_csv(tmp_path, script.samples)]))
+    preview = preview_recording(guess_streams([write_csv(tmp_path, script.samples)]))
     assert np.nanmax(preview.force) == pytest.approx(5.0, abs=1e-3)
     assert 0.4 <= 0.1 * (preview.force > 4.9).sum() <= 0.8
     assert 2.0 <= preview.times[np.nanargmax(preview.force)] <= 2.6
@@ -112,7 +112,7 @@ def test_gaps_and_missing_numbers_are_said(tmp_path):
     lines[0] += ",seq"
     lines[1:] = [f"{line},{k + (k > 20)}" for k, line in enumerate(lines[1:])]
     (folder / "a.csv").write_text("\n".join(lines) + "\n")
-    found = look(find_files([folder])).findings
+    found = preview_recording(guess_streams([folder])).findings
     assert approved("overview.missing", name="wrench", count=1) in found
     assert sum("1 gap in time, the longest 3.0" in sentence for sentence in found) == 2
 
@@ -120,20 +120,20 @@ def test_gaps_and_missing_numbers_are_said(tmp_path):
 def test_what_does_not_fit_the_scene_is_said(tmp_path):
     arm = ArmSpec(Arm((3,), (DhLink(0.0, 0.1, 0.0, 0.0),), np.eye(4)), {"low": np.array([0.0])})
     scene, wide = small_scene(), small_scene(channels=30, layout=False)
-    preview = look(find_files([write_yarp(tmp_path / "plain", SAMPLES)]))
+    preview = preview_recording(guess_streams([write_yarp(tmp_path / "plain", SAMPLES)]))
     assert preview.misfits(scene, "") == ()
     assert preview.misfits(wide, "") == (approved("overview.width", found=24, scene="script", wanted=30),)
     with_arm = replace(scene, arm=arm)
     assert preview.misfits(with_arm, "low") == ()
     assert preview.misfits(with_arm, "") == (approved("overview.pose"),)
-    few = look(find_files([write_yarp(tmp_path / "few", SAMPLES, joints=2)]))
+    few = preview_recording(guess_streams([write_yarp(tmp_path / "few", SAMPLES, joints=2)]))
     assert few.misfits(with_arm, "") == (approved("overview.joints", found=2, wanted=4),)
-    many = look(find_files([write_yarp(tmp_path / "many", SAMPLES, joints=4)]))
+    many = preview_recording(guess_streams([write_yarp(tmp_path / "many", SAMPLES, joints=4)]))
     assert many.misfits(with_arm, "") == ()
 
 
 def test_a_look_ends_where_nobody_wants_it(tmp_path):
-    preview = look(find_files([write_yarp(tmp_path, SAMPLES)]), lambda: False)
+    preview = preview_recording(guess_streams([write_yarp(tmp_path, SAMPLES)]), lambda: False)
     assert len(preview.force) == 0
     assert preview.streams[0].rows
 
@@ -142,7 +142,7 @@ def test_a_long_recording_is_decoded_for_a_minute(tmp_path):
     times = np.arange(0.0, 200.0, 0.1)
     write_log(tmp_path / "ft", times.tolist(), [np.array([time > 100, 0, 0, 0, 0, 0.0]) for time in times])
     write_log(tmp_path / "skin", times.tolist(), [np.zeros(24)] * len(times))
-    preview = look(find_files([tmp_path]))
+    preview = preview_recording(guess_streams([tmp_path]))
     assert preview.streams[0].seconds == pytest.approx(199.9, abs=1e-3)
     assert preview.times[-1] <= 60.0
     assert np.nanmax(preview.force) == 0.0

@@ -10,9 +10,9 @@ from skincal.files.importers.recorded_lines import (
     TOGETHER_LINES,
     RecordedLines,
     RecordedTimes,
-    agree,
     check_overlap,
     merged,
+    share_clock_jumps,
 )
 from skincal.model.errors import InputError
 from tests.approved import approved, approved_pattern
@@ -72,7 +72,7 @@ def test_two_clocks_set_back_by_other_amounts_keep_their_own_shift():
     wrench = [5.0, 5.01, 5.02, 1.0, 1.01]
     skin = [5.0, 5.02, 4.0, 4.02]
     timelines = [timed("a", wrench), timed("b", skin)]
-    agree(timelines)
+    share_clock_jumps(timelines)
     shifts = [back for timeline in timelines for back in timeline.jumps.values()]
     assert shifts == pytest.approx([4.03, 1.04])
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.files.export import write_calibration
-from skincal.files.reference import PlaceSet, compare_sets, load_reference, read_places
+from skincal.files.reference import TaxelPositions, compare_sets, load_reference, read_places
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 from tests.approved import approved_pattern
@@ -25,7 +25,8 @@ def calibration(part):
     """The surface method predicts the smallest error, and lies 1 mm outside the others."""
     exact, raised = make_calibration(part, unseen=(5,)), make_calibration(part, unseen=(5,), shift=0.001)
     surface = tuple(
-        each if each.rms is None else replace(each, rms=each.rms / 2, sd=each.sd / 2) for each in raised.of(Method.SURFACE)
+        each if each.rms is None else replace(each, rms=each.rms / 2, sd=each.sd / 2)
+        for each in raised.estimates_by(Method.SURFACE)
     )
     return replace(exact, estimates={**exact.estimates, Method.SURFACE: surface})
 
@@ -69,7 +70,7 @@ def test_a_known_motion_between_two_sets_is_found_again_module_by_module(calibra
     first = read_places(tmp_path / "c.json", Method.FREE)
     turn = Rotation.from_rotvec(np.radians([0.0, 0.0, 3.0]))
     moved = {channel: turn.apply(place) + np.array([0.0, 0.002, 0.0]) for channel, place in first.places.items() if channel > 1}
-    channels, modules, found = compare_sets(first, PlaceSet("moved", "", moved))
+    channels, modules, found = compare_sets(first, TaxelPositions("moved", "", moved))
     assert channels.tolist() == sorted(first.places)
     assert found.summary.known == len(first.places) - 2
     assert np.degrees(found.motion.turn) == pytest.approx(3.0, abs=1e-9)
@@ -78,17 +79,17 @@ def test_a_known_motion_between_two_sets_is_found_again_module_by_module(calibra
     assert [each.known for each in found.modules] == [9, 10, 12]
     assert max(each.shape for each in found.modules) < 1e-12
     # The other way round it is the same motion back.
-    back = compare_sets(PlaceSet("moved", "", moved), first)[2]
+    back = compare_sets(TaxelPositions("moved", "", moved), first)[2]
     assert (back.motion.turn, back.summary.mean) == (
         pytest.approx(found.motion.turn), pytest.approx(found.summary.mean),
     )  # fmt: skip
 
 
 def test_sets_of_other_frames_are_refused_and_sets_without_a_common_taxel_say_nothing():
-    here, there = (PlaceSet(name, name, {0: np.zeros(3)}) for name in ("one", "two"))
+    here, there = (TaxelPositions(name, name, {0: np.zeros(3)}) for name in ("one", "two"))
     with pytest.raises(InputError, match=approved_pattern("places.frames", first="one", second="two")):
         compare_sets(here, there)
-    found = compare_sets(here, PlaceSet("other", "one", {1: np.zeros(3)}))[2]
+    found = compare_sets(here, TaxelPositions("other", "one", {1: np.zeros(3)}))[2]
     assert (found.summary, found.motion, found.modules) == (None, None, ())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.files.importers.recorded_lines import START_NS
-from skincal.files.importers.yarp_folder import BLOCK, read_yarp
+from skincal.files.importers.yarp_folder import BLOCK_BYTES, read_yarp
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.streams.decoders.detect import make_decoder
@@ -388,4 +388,4 @@ def test_a_long_log_takes_no_more_memory_than_a_short_one(tmp_path):
     short, long = (memory_of_reading(tmp_path / str(seconds), seconds) for seconds in (120, 240))
     assert long < 1.1 * short, (short, long)
     # Some blocks of each of the three files.
-    assert long < 32 * BLOCK, long
+    assert long < 32 * BLOCK_BYTES, long

@@ -394,7 +394,7 @@ def test_an_index_has_a_limit(recorded, monkeypatch):
     assert is_closed(path)
     size = path.stat().st_size
     begin = int.from_bytes(path.read_bytes()[-28:-20], "little")
-    monkeypatch.setattr(mcap_file, "SUMMARY_MOST", size - begin - 1)
+    monkeypatch.setattr(mcap_file, "MAX_SUMMARY_BYTES", size - begin - 1)
     assert not is_closed(path)
     assert contacts_of(load(recorded)) == contacts_of(replay(recorded))
 

@@ -244,19 +244,19 @@ def test_alignment_holds_for_every_length_of_a_name(frame):
     from mcap_ros2._dynamic import generate_dynamic
 
     name = "geometry_msgs/msg/WrenchStamped"
-    decode = generate_dynamic(name, documents.SCHEMAS[name])[name]
+    decode = generate_dynamic(name, documents.MESSAGE_SCHEMAS[name])[name]
     times = np.array([3, 1_500_000_000_000_000_007])
     message = decode(documents.encode_wrenches(times, frame, np.arange(-6.0, 6.0).reshape(2, 6))[1].tobytes())
     assert message.header.frame_id == frame
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_500_000_000, 7)
     assert [message.wrench.force.x, message.wrench.torque.z] == [0.0, 5.0]
     name = "skincal_msgs/msg/Taxels"
-    message = generate_dynamic(name, documents.SCHEMAS[name])[name](
+    message = generate_dynamic(name, documents.MESSAGE_SCHEMAS[name])[name](
         documents.encode_taxels(3, frame, 9, 77, np.array([1.5, 2.5]))
     )
     assert (message.seq, message.device_time_us, list(message.values)) == (9, 77, [1.5, 2.5])
     name = "sensor_msgs/msg/JointState"
-    message = generate_dynamic(name, documents.SCHEMAS[name])[name](
+    message = generate_dynamic(name, documents.MESSAGE_SCHEMAS[name])[name](
         documents.encode_joints(3, frame, ("x", frame), np.array([1.0, 2.0]))
     )
     assert (list(message.name), list(message.position), list(message.effort)) == (["x", frame], [1.0, 2.0], [])

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from skincal.cli import main
 from skincal.contacts.detector import ContactDetector
-from skincal.files.importers.overview import find_files
+from skincal.files.importers.overview import guess_streams
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
@@ -40,7 +40,7 @@ def request_of(tmp_path):
     samples = some_pokes(scene, POKES).samples
 
     def make(write=write_yarp, folder=tmp_path / "deep" / "session"):
-        return ImportRequest(find_files([write(tmp_path / write.__name__, samples)]), scene.path, "", folder)
+        return ImportRequest(guess_streams([write(tmp_path / write.__name__, samples)]), scene.path, "", folder)
 
     return make
 
@@ -244,7 +244,7 @@ def unpoked(tmp_path, samples, write=write_yarp):
     """What is said of a recording without a poke, by the window's import and by the command's text."""
     scene = write_scene(tmp_path / "source")
     logs = write(tmp_path / "logs", samples(scene).samples)
-    done = import_recording(ImportRequest(find_files([logs]), scene.path, "", tmp_path / "s"))
+    done = import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
     assert (done.pokes, done.accepted) == (0, 0)
     return done.unpoked
 

@@ -358,7 +358,7 @@ def test_a_note_that_is_missing_ends_the_reading_and_is_said(scene, tmp_path, mo
 
 def test_a_journal_without_notes_is_played(scene, tmp_path, monkeypatch):
     write = JournalWriter.write
-    monkeypatch.setattr(writer, "FORMAT", 1)
+    monkeypatch.setattr(writer, "JOURNAL_FORMAT", 1)
     monkeypatch.setattr(JournalWriter, "write", lambda self, item, _=(): write(self, item))
     live = record(scene, tmp_path / "s", some_pokes(scene, 3), [(0.9, Exclude(1))])
     live.close()
