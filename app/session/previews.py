@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skincal.devices.link import LinkError
 from skincal.geometry import FloatArray
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
-from skincal.streams.failures import LinkFailure
 from skincal.streams.intake import LinkIntake
-from skincal.streams.links import Inbox, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
-from skincal.streams.verdicts import values_of
+from skincal.streams.link_diagnosis import values_of
+from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 
 CURVE_POINTS = 80
 """Points of a small curve: eight seconds at ten looks a second."""
@@ -27,7 +27,7 @@ def places_here() -> list[tuple[str, str]]:
     """Return address and description of each serial port, and of YARP ports if a name server answers; it may take seconds."""
     try:
         ports = [(f"yarp:{name}", f"YARP port at {host}:{number}") for name, (host, number) in yarp_ports()]
-    except LinkFailure:
+    except LinkError:
         ports = []
     return [*serial_ports(), *ports]
 
@@ -47,7 +47,7 @@ class _Preview:
     """One link while it is looked at."""
 
     def __init__(self, spec: LinkSpec, channels: int, joints: int) -> None:
-        self._inbox, self._intake = Inbox(), LinkIntake(channels, spec, joints)
+        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints)
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
         self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=CURVE_POINTS) for stream in spec.carries}

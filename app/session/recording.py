@@ -16,7 +16,7 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import Inbox, LinkSpec, Reader
+    from skincal.streams.links import ChunkQueue, LinkSpec, Reader
 
 
 class SessionFolder:
@@ -105,10 +105,10 @@ class Recording:
         """Arrival of the newest item that the pipeline has worked on."""
 
     @staticmethod
-    def _new_inbox() -> Inbox:
-        from skincal.streams.links import Inbox
+    def _new_inbox() -> ChunkQueue:
+        from skincal.streams.links import ChunkQueue
 
-        return Inbox()
+        return ChunkQueue()
 
     def start(self) -> None:
         """Begin to read the links; returns at once."""

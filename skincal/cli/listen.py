@@ -18,8 +18,8 @@ from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkState, Loss, SkinBatch, Stream, WrenchBatch
 
 if TYPE_CHECKING:
-    from skincal.streams.decoders.detect import LinkDecoder
-    from skincal.streams.links import Inbox
+    from skincal.streams.decoders.auto_detect import LinkDecoder
+    from skincal.streams.links import ChunkQueue
 
 LISTEN_S = 3.0
 """s on each serial port: three baud rates."""
@@ -47,16 +47,17 @@ class Watched:
     """What one link brought: readings, rate, losses and what its device says."""
 
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
-        from skincal.streams.decoders.detect import AUTO, LinkDecoder
-        from skincal.streams.device_address import format_of
-        from skincal.streams.verdicts import LinkEar
+        from skincal.devices.family import AUTO
+        from skincal.streams.decoders.auto_detect import LinkDecoder
+        from skincal.streams.link_diagnosis import LinkMonitor
+        from skincal.streams.links import format_of
         from skincal.words.link_words import link_verdict_words
 
         # Now: imported at the first line, what comes meanwhile would count for the second.
         self._verdict_words = link_verdict_words
         # Without the width of a skin everything fits: who names one stream hears of another in its place.
         named = carries if len(carries) == 1 else ()
-        self._ear = LinkEar(
+        self._ear = LinkMonitor(
             named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, tuple(Stream))
         )
         self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
@@ -97,8 +98,8 @@ class Watched:
             "newest": {stream.value: words for stream, words in self.newest.items()},
             "units": {stream.value: words for stream, words in self._decoder.units.items() if stream in self.newest},
             "losses": {loss.value: count for loss, count in losses.items() if count},
-            "beside": {name: asdict(found) for name, found in self._decoder.beside.items()},
-            "note": self._decoder.note,
+            "beside": {name: asdict(found) for name, found in self._decoder.side_readings.items()},
+            "note": self._decoder.device_message,
         }
 
 
@@ -142,11 +143,11 @@ def watch(
     """Show what a link says, live: readings, rate, losses and what the device says of itself; a line each second."""
     import json
 
-    from skincal.streams.links import Inbox, LinkSpec, Reader, parse_address
+    from skincal.streams.links import ChunkQueue, LinkSpec, Reader, parse_address
 
     parse_address(link)
     streams = tuple(Stream) if carries is Carries.ANY else (Stream(carries.value),)
-    items = Inbox()
+    items = ChunkQueue()
     watched, reader = Watched(link, streams), Reader(LinkSpec("link", link, streams), items)
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
     reader.start()
@@ -164,7 +165,7 @@ def watch(
         raise InputError(f"{link} could not be opened, as said above; `skincal devices` lists what is here.")
 
 
-def _take(watched: Watched, items: Inbox, due_s: float) -> None:
+def _take(watched: Watched, items: ChunkQueue, due_s: float) -> None:
     """Take what comes until `due_s` of the monotonic clock; say what becomes of the link."""
     while (left_s := due_s - time.monotonic()) > 0:
         try:
@@ -202,15 +203,15 @@ def _ports() -> list[tuple[str, str]]:
 
 def _on_port(name: str, description: str) -> dict[str, str]:
     """Listen to a serial port: nothing is sent to what may be another machine's console."""
-    from skincal.streams.baud_search import SearchingLink
-    from skincal.streams.failures import LinkFailure
+    from skincal.devices.link import LinkError
     from skincal.streams.links import LinkSpec, open_link
+    from skincal.streams.transports.baud_search import BaudSearchLink
 
     streams = tuple(Stream)
     watched = Watched(name, streams)
     try:
         link = open_link(LinkSpec("link", name, streams))
-    except LinkFailure as failure:
+    except LinkError as failure:
         return {"address": name, "what": f"{description}: {failure}"}
     came, end_s = 0, time.monotonic() + LISTEN_S
     tried: tuple[int, ...] = ()
@@ -219,15 +220,15 @@ def _on_port(name: str, description: str) -> dict[str, str]:
             data = link.read(0.1)
             came += len(data)
             watched.take(Chunk("link", time.monotonic_ns(), data))
-            if isinstance(link, SearchingLink) and link.tried != tried:
+            if isinstance(link, BaudSearchLink) and link.tried != tried:
                 tried = link.tried
                 watched.take(LinkEvent("link", time.monotonic_ns(), LinkState.OPEN, tried=tried))
-    except LinkFailure as failure:
+    except LinkError as failure:
         return {"address": name, "what": f"{description}: {failure}"}
     finally:
         link.close()
     figures = watched.figures()
-    if figures["newest"] and isinstance(link, SearchingLink) and link.found:
+    if figures["newest"] and isinstance(link, BaudSearchLink) and link.found:
         return {"address": f"{name}@{link.baud}", "what": f"{description}: {figures['format']}, {_words(figures)}"}
     if came:
         return {"address": name, "what": f"{description}: {figures['verdict']}"}
@@ -236,10 +237,10 @@ def _on_port(name: str, description: str) -> dict[str, str]:
 
 def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
     """Return the ports that the name server of this machine's YARP knows, or why there are none."""
-    from skincal.streams.failures import LinkFailure
+    from skincal.devices.link import LinkError
     from skincal.streams.links import yarp_ports
 
     try:
         return yarp_ports(), ""
-    except LinkFailure as failure:
+    except LinkError as failure:
         return [], str(failure)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from skincal.robot.target_server import TargetServer
     from skincal.session.asking import RobotGuide
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import Inbox, Reader
+    from skincal.streams.links import ChunkQueue, Reader
 
 
 SceneOption = Annotated[
@@ -116,14 +116,14 @@ def record(
     {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
     """
     from skincal.session.importing import new_session
-    from skincal.streams.links import Inbox, Reader, describe_links
+    from skincal.streams.links import ChunkQueue, Reader, describe_links
 
     loaded = find_scene(scene)
     _check_pose(loaded, pose, streamed=joints is not None)
     if method is not None and targets is None:
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
-    items = Inbox()
+    items = ChunkQueue()
     with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, _warn) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
@@ -191,7 +191,7 @@ class OrderLine:
     text: bytes
 
 
-def _read_orders(file: int, items: Inbox) -> None:
+def _read_orders(file: int, items: ChunkQueue) -> None:
     """Stamp every line of a file that is open, and hand it on."""
     # Unbuffered: a buffer's lock, held by a thread that waits for a line, would break the end of the program.
     for line in iter(partial(FileIO(file, closefd=False).readline, ORDER_MAX_BYTES), b""):
@@ -232,7 +232,7 @@ def _choose_pose(pipeline: Pipeline, pose: str | None) -> None:
 
 def _loop(
     pipeline: Pipeline,
-    items: Inbox,
+    items: ChunkQueue,
     readers: Mapping[str, Reader],
     until: tuple[float | None, int | None],
     stop: threading.Event,

@@ -38,6 +38,7 @@ from skincal.contacts.detector import Doubt
 from skincal.contacts.gates import FinishedPress, StillMean
 from skincal.contacts.outcome import Contact, Outcome, Reason, Rejection
 from skincal.contacts.tare import Tare
+from skincal.devices.plain import address_for_journal
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Stamped, from_json, to_json
 from skincal.model.errors import InputError
@@ -45,7 +46,6 @@ from skincal.model.given import parse_json, read_regular
 from skincal.model.readings import Chunk, LinkEvent, LinkHealth, LinkState, Loss, SideReading, Stream, joined
 from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
-from skincal.streams.device_address import label_of
 from skincal.streams.links import LinkSpec
 
 MAX_LINKS = len(Stream)
@@ -289,7 +289,7 @@ def _links(documents: Sequence[Mapping[str, Any]]) -> tuple[LinkSpec, ...]:
     return tuple(
         LinkSpec(
             _text_of(link["name"]),
-            label_of(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
+            address_for_journal(_text_of(link["address"])),  # whoever wrote it: what a session names is not run
             tuple(map(Stream, link["carries"])),
             link["format"],
         )
@@ -306,7 +306,7 @@ def _clock(body: Mapping[str, Any]) -> WallClock | None:
 def link_to_json(link: LinkSpec) -> dict[str, Any]:
     """Return what a link is as a JSON object."""
     carries = [stream.value for stream in link.carries]
-    return {"name": link.name, "address": label_of(link.address), "carries": carries, "format": link.format}
+    return {"name": link.name, "address": address_for_journal(link.address), "carries": carries, "format": link.format}
 
 
 def _taken_from_json(document: Mapping[str, Any]) -> Taken:

@@ -90,7 +90,7 @@ CHUNK_BYTES = 16 << 20
 """More than half a second brings, so that MCAP's writer never parts an item from its notes."""
 
 
-class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkFailure is
+class JournalFailure(Exception):  # noqa: N818 - it is the failure of a device, as LinkError is
     """The journal cannot be written any more: the message says why and what to do. Raised once; the session goes on without."""
 
 

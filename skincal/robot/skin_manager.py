@@ -18,13 +18,13 @@ from typing import TypeAlias
 
 import numpy as np
 
+from skincal.devices.link import LinkError
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
 from skincal.files.icub import POSITION_DECIMALS, SKIN_PARTS, has_comment, part_name, positions_text, read_icub, skin_part
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, list_channels, plain_text, plural, shortened
-from skincal.streams.device_links import AskedPort, Ports, asked_device
-from skincal.streams.failures import LinkFailure
+from skincal.robot.yarp_rpc import YarpRpcClient, parse_rpc_address
 from skincal.taxels.result import Method
 
 Question: TypeAlias = "list[str | int | float]"
@@ -137,8 +137,8 @@ def applied_words(applied: Applied, part: str) -> str:
 def check_port(address: str) -> None:
     """Raise InputError where an address is of no port that could be asked; nothing is opened."""
     try:
-        asked_device(address)
-    except LinkFailure as failure:
+        parse_rpc_address(address)
+    except LinkError as failure:
         raise InputError(f"{failure} {UNCHANGED}") from failure
 
 
@@ -146,11 +146,9 @@ def apply_positions(
     address: str, positions: Positions, before: Path, timeout_s: float, heard: Callable[[str], object] | None = None
 ) -> Applied:
     """Bring positions to the skinManager at an address; see `Application`. Raises InputError."""
-    from skincal.streams.links import SerialLink, TcpLink
-
     try:
-        port = AskedPort(address, Ports(TcpLink, SerialLink), timeout_s)
-    except LinkFailure as failure:
+        port = YarpRpcClient(address, timeout_s)
+    except LinkError as failure:
         raise InputError(f"{failure} {UNCHANGED}") from failure
     try:
         return Application(port.ask, positions, before, f"skincal apply {before} --to {address}", heard).run()
@@ -163,7 +161,7 @@ class Application:
 
     Parameters
     ----------
-    ask : puts one question; raises LinkFailure
+    ask : puts one question; raises LinkError
     before : file for the positions that the robot has now; an older one is kept beside it
     back : command that brings them again
     heard : is told every question with its answer, and the command before anything is changed
@@ -219,7 +217,7 @@ class Application:
         """Put a question that changes nothing; `so_far` is a sentence on what was changed before."""
         try:
             return self._put(question)
-        except LinkFailure as failure:
+        except LinkError as failure:
             raise InputError(f"{failure} Asked was {question_words(question)!r}. {so_far}") from failure
 
     def _demand_part(self) -> None:
@@ -254,7 +252,7 @@ class Application:
         words = question_words(question)
         try:
             answer = self._put(question)
-        except LinkFailure as failure:
+        except LinkError as failure:
             raise InputError(f"{failure} {self._how_far(due, f'whether it did {words!r} is not known')}") from failure
         if answer[:1] not in ([0.0], ["ok"]):
             raise InputError(f"skinManager answers {answer_words(answer)!r} to {words!r}. {self._how_far(due, '')}")

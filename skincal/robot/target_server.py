@@ -32,7 +32,7 @@ from skincal.robot.target_lines import (
     write_answer,
     write_line,
 )
-from skincal.streams.links import enable_keepalive
+from skincal.streams.transports.tcp import enable_keepalive
 
 LOCAL = "127.0.0.1"
 WAKE_S = 0.02

@@ -17,7 +17,7 @@ import time
 from importlib import import_module
 from typing import Any, NoReturn
 
-from skincal.streams.decoders.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
+from skincal.devices.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
 
 KINDS = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": "Bota_Dummy"}
 """Name of the driver's interface: Ethernet, serial port, the maker's simulated sensor."""

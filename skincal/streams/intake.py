@@ -40,6 +40,8 @@ from typing import NamedTuple, TypeAlias, assert_never
 import numpy as np
 from numpy.typing import NDArray
 
+from skincal.devices.decoding import NO_SEQ, WRENCH_WIDTH
+from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray, IntArray, mean_rows
 from skincal.model.errors import InputError
 from skincal.model.readings import (
@@ -58,11 +60,9 @@ from skincal.model.readings import (
     cut,
     joined,
 )
-from skincal.streams.decoders.base import NO_SEQ, WRENCH_WIDTH
-from skincal.streams.decoders.detect import LinkDecoder
-from skincal.streams.device_address import format_of
-from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import Differences, LinkEar, values_of
+from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
+from skincal.streams.link_diagnosis import Differences, LinkMonitor, values_of
+from skincal.streams.links import LinkSpec, format_of
 
 WINDOW_S = 60.0
 """s. Points older than this no longer count: crystals wander with temperature over minutes."""
@@ -94,7 +94,7 @@ Point: TypeAlias = tuple[float, float]
 """A reading's time by the device's clock and its arrival, seconds."""
 
 
-class HullClock:
+class ConvexHullClock:
     """Maps a device's time to the host's: the supporting line of the module's theory, for points as they come."""
 
     def __init__(self, slope_change_max: float = SLOPE_CHANGE_MAX) -> None:
@@ -265,7 +265,7 @@ class IndexClock:
     """
 
     def __init__(self) -> None:
-        self._hull = HullClock(PACE_ERROR_MAX)
+        self._hull = ConvexHullClock(PACE_ERROR_MAX)
         self._restarts: deque[float] = deque()
         self._number, self._numbered = 0, False
         self._learn_anew()
@@ -332,11 +332,11 @@ class IndexClock:
             self._bucket_s = arrival_s
 
 
-class Stamper:
+class Timestamper:
     """Dates the readings of one link: one line for the device's clock, which its streams share, and counts without one."""
 
     def __init__(self) -> None:
-        self._device = HullClock()
+        self._device = ConvexHullClock()
         self._index = defaultdict[Stream, IndexClock](IndexClock)
         self._last: dict[Stream, float] = {}
 
@@ -409,11 +409,7 @@ RATE_NS = 2_000_000_000
 """Nanoseconds over which a rate is counted."""
 RATE_STEP_NS = 100_000_000
 """Nanoseconds of readings counted together for the rate."""
-RECORDED = ("yarp", "yarp-tx-rx", "yarp-rx", "csv")
-"""Formats of recordings, whose files carry one stream each."""
-TOLD = ("rtde",)
-"""Formats whose packets only the decoder of the wanted streams can read."""
-CLOCKLESS_LOSSES = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MISSING)
+LOSSES_THAT_BREAK_COUNTING = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MISSING)
 """Losses after which a count of readings no longer gives the time."""
 
 
@@ -520,12 +516,13 @@ class LinkIntake:
 
     def __init__(self, channels: int, spec: LinkSpec, joints: int = 0) -> None:
         self.spec = spec
-        self.stamper = Stamper()
+        self.stamper = Timestamper()
         name = format_of(spec.address, spec.format)
-        # A robot's packets hold what it was asked for, and say no word of that.
-        streams = spec.carries if name in RECORDED else tuple(Stream)
-        look = None if name in TOLD else lambda: LinkDecoder(name, None, streams)
-        self.ear = LinkEar(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
+        # Frames that need a recipe do not say what they hold, so no other decoder can read them.
+        kind = None if name == AUTO else decoder_class(name)
+        streams = spec.carries if kind is not None and kind.single_stream else tuple(Stream)
+        look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(name, None, streams)
+        self.ear = LinkMonitor(spec.carries, {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}, look)
         self._channels = channels
         self._decoder = self._new_decoder()
         self._ahead: deque[tuple[Chunk, Dated]] = deque()
@@ -600,7 +597,7 @@ class LinkIntake:
 
     def _broken(self) -> int:
         counts = self._decoder.counts
-        return sum(counts[loss] for loss in CLOCKLESS_LOSSES) if counts else 0
+        return sum(counts[loss] for loss in LOSSES_THAT_BREAK_COUNTING) if counts else 0
 
     def _count(self, batches: list[tuple[int, Batch]]) -> None:
         for arrival_ns, batch in batches:
@@ -614,7 +611,7 @@ class LinkIntake:
 
     def health(self, now_ns: int, pairing: Mapping[Loss, int] = MappingProxyType({})) -> LinkHealth:
         """Return the figures of the link; `pairing` holds the losses of the pairing, which count for the skin's link."""
-        text = self._text or (self._decoder.note if self.state is LinkState.OPEN else "")
+        text = self._text or (self._decoder.device_message if self.state is LinkState.OPEN else "")
         losses = self._before + self._decoder.counts + Counter(pairing)
         spec, rate, verdict = self.spec, self._rate_until(now_ns), self.ear.judge(now_ns)
         units = "; ".join(words for stream, words in self._decoder.units.items() if stream in spec.carries)
@@ -636,7 +633,7 @@ class LinkIntake:
 
     def beside(self) -> Mapping[str, SideReading]:
         """Return what the device measured beside its readings."""
-        return joined(self._beside_before, self._decoder.beside)
+        return joined(self._beside_before, self._decoder.side_readings)
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading where that is less."""

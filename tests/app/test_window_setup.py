@@ -30,7 +30,7 @@ from skincal.session.replay import load, replay
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
-from skincal.streams import baud_search
+from skincal.streams.transports import baud_search
 from skincal.taxels.result import State
 from tests.approved import approved
 
@@ -166,7 +166,7 @@ def test_each_verdict_over_tcp(qtbot, page, device, stream, made, words):
 
 @needs_pty
 def test_a_serial_port_that_speaks_otherwise_is_said_with_the_rates_that_were_tried(qtbot, page, device, monkeypatch):
-    monkeypatch.setattr(baud_search, "TRIAL_S", 0.7)
+    monkeypatch.setattr(baud_search, "TRIAL_MAX_S", 0.7)
     name(page, "wrench", device(lambda: bytes(range(128, 168)), PtyOutlet()).address)
     says(qtbot, page, "wrench", approved("links.no_reading_tried", tried="115200, 460800, 19200"))
 
@@ -178,7 +178,7 @@ def test_an_address_where_nobody_listens_says_why(qtbot, page):
     says(qtbot, page, "wrench", "no answer")
     assert "connection refused" in page.rows[Stream.WRENCH].verdict.text()
     too_long = "1001 characters; expected at most 1000"
-    for wrong, why in (("spy:///dev/ttyACM0?file=x", "begins with spy:"), ("x" * 1001, too_long)):
+    for wrong, why in (("spy:///dev/ttyACM0?file=x", "begin with spy:"), ("x" * 1001, too_long)):
         page.fields["wrench"].clear()
         name(page, "wrench", wrong)
         says(qtbot, page, "wrench", why)
@@ -193,7 +193,7 @@ def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypat
         time.sleep(1.5)
         raise AssertionError
 
-    monkeypatch.setattr("skincal.streams.links.TcpLink.__init__", lambda *_: slow(_))
+    monkeypatch.setattr("skincal.streams.transports.tcp.TcpLink.__init__", lambda *_: slow(_))
     monkeypatch.setattr("skincal.streams.links.Reader._say", lambda *_: None)
     begun = time.monotonic()
     name(page, "wrench", "socket://127.0.0.1:9")

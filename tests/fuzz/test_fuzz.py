@@ -16,6 +16,10 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
+from skincal.devices.decoding import pack
+from skincal.devices.link import FailureKind, LinkError
+from skincal.devices.netft import RECORDS
+from skincal.devices.registry import parse_device
 from skincal.files.icub import read_icub
 from skincal.files.importers.csv_log import read_csv
 from skincal.files.reference import read_reference
@@ -28,13 +32,9 @@ from skincal.model.scene import load_scene
 from skincal.model.skin import read_layout
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.simulate.makers import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, XelaTalk, YarpTalk
-from skincal.streams.decoders.detect import NAMES, LinkDecoder
-from skincal.streams.decoders.framing import pack
-from skincal.streams.decoders.rdt import RECORDS
-from skincal.streams.device_address import parse_device
-from skincal.streams.device_links import Ports, open_device
-from skincal.streams.failures import FailureKind, LinkFailure
+from skincal.simulate.makers import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
+from skincal.streams import opening
+from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 INPUTS = int(os.environ.get("SKINCAL_FUZZ", "300"))
@@ -167,7 +167,7 @@ def outcome_of(work, rng):
     """What the program said of the input; empty where it took it."""
     try:
         work(rng)
-    except (InputError, LinkFailure) as error:
+    except (InputError, LinkError) as error:
         return str(error)
     return ""
 
@@ -274,7 +274,7 @@ class Twisting:
             stream, self._stream = self._stream, b""
             self._send(self._talk.wrap(stream))
         if not self._out:
-            raise LinkFailure(FailureKind.VANISHED, "gone")
+            raise LinkError(FailureKind.VANISHED, "gone")
         cut = self._rng.randint(1, len(self._out))
         data, self._out = self._out[:cut], self._out[cut:]
         return data
@@ -298,23 +298,24 @@ TALKS = {
     "bota": ("bota:x", PlainTalk),
     "robotiq": ("robotiq:x", PlainTalk),
     "rtde": ("rtde://h", RtdeTalk),
-    "xela": ("xela://h", XelaTalk),
     "papillarray": ("papillarray:x", PlainTalk),
 }
 """Of each maker the address, and its device's side of the talk."""
 
 
 @pytest.mark.parametrize("maker", TALKS)
-def test_devices(maker):
-    """A sensor's page, a name server's answers, handshakes, frames of a websocket: opened and read until the device is gone."""
+def test_devices(maker, monkeypatch):
+    """A sensor's page, a name server's answers, handshakes: opened and read until the device is gone."""
     (address, talk), carries, stream = TALKS[maker], MAKERS[maker].carries[:1], stream_of(maker)
 
     def work(rng):
         def tcp(_address, _host, port):
             return Twisting(rng, NameTalk({"/p": 7}), b"") if port == YARP_SERVER else Twisting(rng, talk(), stream)
 
-        link = open_device(address, carries, Ports(tcp, lambda *_: Twisting(rng, talk(), stream)))
-        decoder = LinkDecoder(parse_device(address).format, 24, carries)
+        monkeypatch.setattr(opening, "TcpLink", tcp)
+        monkeypatch.setattr(opening, "open_transport", lambda _: Twisting(rng, talk(), stream))
+        link = opening.open_address(parse_device(address), carries)
+        decoder = LinkDecoder(parse_device(address).route.format, 24, carries)
         with contextlib.closing(link):
             for count in range(1000):
                 decoder.feed(link.read(0.0), count * 10_000_000)

@@ -35,12 +35,12 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.devices.decoding import STAMP_MAX_S
 from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
 from skincal.model.readings import Chunk, Stream
-from skincal.streams.decoders.yarp_log import STAMP_MAX
 from skincal.streams.links import LinkSpec
 
 MAX_LINE_CHARS = 4 << 20
@@ -239,7 +239,7 @@ class _Table:
     def _seconds(self, row: list[str]) -> float | None:
         columns = self.columns
         stamp = self._time_of(row[columns.time]) if columns.time < len(row) else None
-        return None if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX else stamp * columns.to_s
+        return None if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX_S else stamp * columns.to_s
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
         """Return a row as a log line. A row of another width keeps it, so that it is counted."""

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skincal.devices.decoding import WRENCH_WIDTH
 from skincal.files.importers.csv_log import guess_csv, open_csv
 from skincal.files.importers.recorded_lines import START_NS, OpenRecording
 from skincal.files.importers.yarp_folder import DATA, guess_yarp, open_yarp
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, JointsBatch, Stream, WrenchBatch
-from skincal.streams.decoders.base import WRENCH_WIDTH
-from skincal.streams.decoders.detect import LinkDecoder
+from skincal.streams.decoders.auto_detect import LinkDecoder
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.devices.decoding import WRENCH_WIDTH
 from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular, read_regular
 from skincal.model.readings import Chunk, Stream
-from skincal.streams.decoders.base import WRENCH_WIDTH
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
     MEASURES_LISTS,

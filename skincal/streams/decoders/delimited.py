@@ -15,10 +15,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import ClassVar
 
+from skincal.devices.decoding import CLOCK_MODULUS_US, NO_SEQ, FrameDecoder
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import NO_SEQ, TIME_MODULUS_US, PieceDecoder
 
-MAX_LINE = 65536
+LINE_MAX_BYTES = 65536
 """Bytes. Some 4,200 values of 12 characters fit."""
 COLUMN_UNITS_S = {"t": 1.0, "time": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6}
 SEQ_COLUMN = "seq"
@@ -26,12 +26,12 @@ NUMBER_MAX = 1e18
 """Largest number or clock that is taken for one: what a batch's integers hold."""
 
 
-class TextDecoder(PieceDecoder):
+class TextDecoder(FrameDecoder):
     """Decodes delimited lines."""
 
     name: ClassVar[str] = "text"
     mark: ClassVar[bytes] = b"\n"
-    limit: ClassVar[int] = MAX_LINE
+    limit: ClassVar[int] = LINE_MAX_BYTES
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -40,8 +40,8 @@ class TextDecoder(PieceDecoder):
         # Of a skin frame whose rows are lines of their own, until the blank line that ends it.
         self._rows: list[list[float]] = []
 
-    def _decode(self, piece: bytes) -> Loss | None:
-        line = piece.strip()
+    def _decode(self, frame: bytes) -> Loss | None:
+        line = frame.strip()
         if not line:
             return None if self._first else self._end_frame()
         if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
@@ -69,28 +69,27 @@ class TextDecoder(PieceDecoder):
             if not lead and self._is_row(numbers):
                 self._rows.append(numbers)
                 return None
-            self._collector.note = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
+            self._problem = f"Lines of {len(numbers)} values arrive where {self._expected(lead)} are expected"
             return Loss.BAD_WIDTH
         if self._rows:
             self.counts[Loss.BAD_WIDTH] += len(self._rows)
             self._rows = []
         seq, device_s, missing = self._columns.read(numbers[:lead])
-        if missing:
-            self.counts[Loss.MISSING] += missing
-        return self._collector.add(stream, seq, device_s, numbers[lead:])
+        self._count_missing(missing)
+        return self._add(stream, seq, device_s, numbers[lead:])
 
     def _is_row(self, numbers: list[float]) -> bool:
         """Return whether a line may be a row of the frame that is begun."""
-        width = self._collector.width(Stream.SKIN)
+        width = self._width(Stream.SKIN)
         return width is not None and sum(map(len, self._rows)) + len(numbers) <= width
 
     def _end_frame(self) -> Loss | None:
         rows, self._rows = self._rows, []
-        return self._collector.add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
+        return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
 
     def _stream_of(self, count: int) -> Stream | None:
         """Say what a line of this many values is, by the widths known and then by one unknown."""
-        widths = {stream: self._collector.width(stream) for stream in self._carries}
+        widths = {stream: self._width(stream) for stream in self._carries}
         for stream, width in widths.items():
             if width == count:
                 return stream
@@ -101,7 +100,7 @@ class TextDecoder(PieceDecoder):
         return None
 
     def _expected(self, lead: int) -> str:
-        widths = (self._collector.width(stream) for stream in self._carries)
+        widths = (self._width(stream) for stream in self._carries)
         return " or ".join(str(width + lead) for width in widths if width is not None)
 
 
@@ -142,8 +141,8 @@ class LeadingColumns:
 
     def _unwrap_us(self, number: float) -> float:
         """Continue a 32-bit clock of microseconds over its wrap."""
-        if number < self._last_us - TIME_MODULUS_US / 2:
-            self._wraps_us += TIME_MODULUS_US
+        if number < self._last_us - CLOCK_MODULUS_US / 2:
+            self._wraps_us += CLOCK_MODULUS_US
         self._last_us = number
         return number + self._wraps_us
 

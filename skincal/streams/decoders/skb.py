@@ -19,10 +19,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from skincal.devices.decoding import CRC_CCITT_START, DeviceTime, FrameDecoder, SequenceCounter
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import DeviceTime, PieceDecoder, SequenceCounter, header_problem, parse_header
 
-CRC_START = 0xFFFF
 HEAD = struct.Struct("<BBHI")
 CRC_BYTES = 2
 MAX_BODY = 1024
@@ -38,7 +37,7 @@ FULL_BLOCK = 255
 """Code of a block of 254 bytes without a 0 after it."""
 
 
-class SkbDecoder(PieceDecoder):
+class SkbDecoder(FrameDecoder):
     """Decodes SKB/1."""
 
     name: ClassVar[str] = "SKB/1"
@@ -49,16 +48,16 @@ class SkbDecoder(PieceDecoder):
         super().__init__(channels, carries)
         self._times: dict[int, DeviceTime] = {}
         self._counters: dict[int, tuple[DeviceTime, SequenceCounter]] = {}
-        """By type and source, in one number: the clock of the source and the counter of its type."""
+        """Clock of the source and counter of its type, by type and source in one number."""
 
-    def _decode(self, piece: bytes) -> Loss | None:
-        if not piece:
+    def _decode(self, frame: bytes) -> Loss | None:
+        if not frame:
             return None
-        frame = unstuffed(piece)
-        if frame is None or len(frame) < HEAD.size + CRC_BYTES:
+        record = unstuffed(frame)
+        if record is None or len(record) < HEAD.size + CRC_BYTES:
             return Loss.UNREADABLE
-        body = frame[:-CRC_BYTES]
-        if binascii.crc_hqx(body, CRC_START) != frame[-2] | frame[-1] << 8:
+        body = record[:-CRC_BYTES]
+        if binascii.crc_hqx(body, CRC_CCITT_START) != record[-2] | record[-1] << 8:
             return Loss.BAD_CHECKSUM
         return self._record(body)
 
@@ -71,8 +70,7 @@ class SkbDecoder(PieceDecoder):
         time, sequence = self._counters.get(kind << 8 | source) or self._new_counters(kind, source)
         device_s = time.unwrap(raw_us)
         seq, missing = sequence.step(raw_seq, device_s)
-        if missing:
-            self.counts[Loss.MISSING] += missing
+        self._count_missing(missing)
         if kind == WRENCH_TYPE:
             return self._wrench(body, seq, device_s)
         if kind == JOINTS_TYPE:
@@ -88,38 +86,36 @@ class SkbDecoder(PieceDecoder):
         if len(body) != HEAD.size + WRENCH.size:
             return Loss.BAD_WIDTH
         *wrench, status = WRENCH.unpack_from(body, HEAD.size)
-        self.good += 1
-        return self._collector.add(Stream.WRENCH, seq, device_s, wrench, status)
+        self.valid_records += 1
+        return self._add(Stream.WRENCH, seq, device_s, wrench, status)
 
     def _values(self, stream: Stream, dtype: np.dtype[np.generic], body: bytes, seq: int, device_s: float) -> Loss | None:
         if (len(body) - HEAD.size) % dtype.itemsize:
             return Loss.BAD_WIDTH
         values = np.frombuffer(body, dtype, offset=HEAD.size)
-        self.good += 1
-        return self._collector.add(stream, seq, device_s, values)
+        self.valid_records += 1
+        return self._add(stream, seq, device_s, values)
 
     def _header(self, body: bytes) -> Loss | None:
         try:
-            header = parse_header(body[HEAD.size :].decode())
+            header = body[HEAD.size :].decode()
         except UnicodeDecodeError:
             return Loss.UNREADABLE
-        self.good += 1
-        # A header that fits takes no other complaint away.
-        self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
-        self._name_unit(header)
+        self.valid_records += 1
+        self._read_header(header)
         return None
 
 
-def unstuffed(piece: bytes) -> bytes | None:
-    """Return what the bytes between two zeros stand for; None if they are no stuffed piece."""
-    out, at, end = bytearray(), 0, len(piece)
+def unstuffed(frame: bytes) -> bytes | None:
+    """Undo COBS for the bytes between two zeros; `None` if they are no COBS block."""
+    out, at, end = bytearray(), 0, len(frame)
     while at < end:
-        code = piece[at]
+        code = frame[at]
         stop = at + code
         if code == 0 or stop > end:
             return None
-        out += piece[at + 1 : stop]
+        out += frame[at + 1 : stop]
         if code != FULL_BLOCK and stop < end:
             out.append(0)
         at = stop
-    return bytes(out) if end and 0 not in piece else None
+    return bytes(out) if end and 0 not in frame else None

@@ -17,49 +17,47 @@ from __future__ import annotations
 import binascii
 from typing import ClassVar
 
-from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import (
+from skincal.devices.decoding import (
+    CLOCK_MODULUS_US,
+    CRC_CCITT_START,
     SEQ_MODULUS,
-    TIME_MODULUS_US,
     WRENCH_WIDTH,
     DeviceTime,
-    PieceDecoder,
+    FrameDecoder,
     SequenceCounter,
-    header_problem,
-    parse_header,
 )
+from skincal.model.readings import Loss, Stream
 
-CRC_START = 0xFFFF
-MAX_LINE = 4096
+LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""
-TAIL = 5
-"""Bytes of `*` and the checksum."""
+TAIL_BYTES = 5
+"""`*` and the checksum."""
 STREAMS = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS}
-LEADING = 3
+LEADING_FIELDS = 3
 """Fields before the values: letter, seq, t_us."""
 
 
-class SktDecoder(PieceDecoder):
+class SktDecoder(FrameDecoder):
     """Decodes SKT/1."""
 
     name: ClassVar[str] = "SKT/1"
     mark: ClassVar[bytes] = b"\n"
-    limit: ClassVar[int] = MAX_LINE
+    limit: ClassVar[int] = LINE_MAX_BYTES
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._time = DeviceTime()
         self._sequences = {stream: SequenceCounter() for stream in Stream}
 
-    def _decode(self, piece: bytes) -> Loss | None:
-        line = piece.removesuffix(b"\r")
+    def _decode(self, frame: bytes) -> Loss | None:
+        line = frame.removesuffix(b"\r")
         if not line or line.startswith(b"#"):
             return None
-        text, tail = line[:-TAIL], line[-TAIL:]
-        if tail != b"*%04X" % binascii.crc_hqx(text, CRC_START):
+        text, tail = line[:-TAIL_BYTES], line[-TAIL_BYTES:]
+        if tail != b"*%04X" % binascii.crc_hqx(text, CRC_CCITT_START):
             return Loss.BAD_CHECKSUM
         # Before the record is read: its checksum proves the format, whatever the record says.
-        self.good += 1
+        self.valid_records += 1
         return self._record(text)
 
     def _record(self, text: bytes) -> Loss | None:
@@ -68,27 +66,24 @@ class SktDecoder(PieceDecoder):
         if stream is not None:
             return self._reading(stream, text.split(b","))
         if letter == b"H":
-            header = parse_header(rest.decode(errors="replace"))
-            self._collector.note = header_problem(header, self._collector.width(Stream.SKIN)) or self._collector.note
-            self._name_unit(header)
+            self._read_header(rest.decode(errors="replace"))
         elif letter == b"E":
-            self._collector.note = f"The board reports error {rest.decode(errors='replace')}"
+            self._problem = f"The board reports error {rest.decode(errors='replace')}"
         return None
 
     def _reading(self, stream: Stream, fields: list[bytes]) -> Loss | None:
         try:
             raw_seq, raw_us = int(fields[1]), int(fields[2])
-            values = [float(field) for field in fields[LEADING:]]
+            values = [float(field) for field in fields[LEADING_FIELDS:]]
             status = 0
             if stream is Stream.WRENCH and len(values) == WRENCH_WIDTH + 1:
                 values.pop()
                 status = int(fields[-1])
         except (ValueError, IndexError):
             return Loss.UNREADABLE
-        if not (0 <= raw_seq < SEQ_MODULUS and 0 <= raw_us < TIME_MODULUS_US):
+        if not (0 <= raw_seq < SEQ_MODULUS and 0 <= raw_us < CLOCK_MODULUS_US):
             return Loss.UNREADABLE
         device_s = self._time.unwrap(raw_us)
         seq, missing = self._sequences[stream].step(raw_seq, device_s)
-        if missing:
-            self.counts[Loss.MISSING] += missing
-        return self._collector.add(stream, seq, device_s, values, status)
+        self._count_missing(missing)
+        return self._add(stream, seq, device_s, values, status)

@@ -21,10 +21,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.devices.decoding import SEQ_MAX, STAMP_MAX_S, FrameDecoder, GapCounter
+from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
-from skincal.streams.decoders.base import PieceDecoder
 
 Item: TypeAlias = "float | str | list[Item]"
 """One value of a bottle."""
@@ -35,10 +35,6 @@ MEASURES_WRENCH = 5
 """Index of the six-axis force/torque sensors in the lists of `measures:o`."""
 MEASURES_LISTS = 10
 """Fewest lists of `measures:o`: 10 in older versions of YARP, 12 now."""
-STAMP_MAX = 5e9
-"""s. Times of any clock are nearer to 0 (the year 2128); beyond, a digit is wrong."""
-SEQ_MAX = 1 << 62
-"""Largest counter that a batch can hold."""
 HEADER_WORDS = (b"Type:", b"Source:", b"Stamp:")
 """Old dumpers wrote what is now `info.log` into the log itself."""
 
@@ -142,7 +138,7 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
         times = tuple(float(word) for word in words[1 : 1 + stamps])
     except ValueError:
         return None
-    if not all(isfinite(time) and abs(time) <= STAMP_MAX for time in times) or abs(seq) > SEQ_MAX:
+    if not all(isfinite(time) and abs(time) <= STAMP_MAX_S for time in times) or abs(seq) > SEQ_MAX:
         return None
     return LogLine(seq, times, words[1 + stamps] if len(words) > 1 + stamps else b"")
 
@@ -151,7 +147,7 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
     """Return the stamps (n, stamps), seconds, of n > 0 lines; None where `split_line` refuses one of them."""
     times = _even_stamps(lines, stamps)
     if times is not None:
-        return times if (times <= STAMP_MAX).all() else None
+        return times if (times <= STAMP_MAX_S).all() else None
     try:
         words = [line.split(None, 1 + stamps) for line in lines]
         numbers = [int(each[0]) for each in words]
@@ -191,7 +187,7 @@ def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
 
 def _in_range(least: int, most: int, times: FloatArray) -> bool:
     # What is not finite is not within the limit, either.
-    return bool((np.abs(times) <= STAMP_MAX).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
+    return bool((np.abs(times) <= STAMP_MAX_S).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
 
 
 def even_width(data: bytes) -> int:
@@ -233,39 +229,11 @@ def is_header(line: bytes) -> bool:
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
 
 
-class Steps:
-    """Counts the numbers missing in a sequence whose usual step is not 1 where the sender publishes on many ports."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-        self._step = 0
-        self._usual = 0
-
-    def missing(self, seq: int) -> int:
-        """Return how many numbers are missing before `seq`; the usual step is the last that came twice in a row."""
-        step = 0 if self._last is None or seq < 0 else seq - self._last
-        # A message without an envelope has the number -1, and nobody knows how many of them were lost.
-        self._last = seq if seq >= 0 else None
-        if step > 0 and step == self._step:
-            self._usual = step
-        self._step = step
-        if self._usual and step > self._usual and step % self._usual == 0:
-            return step // self._usual - 1
-        return 0
-
-    def all_missing(self, numbers: IntArray) -> int:
-        """Return how many numbers are missing before and among `numbers` (n,)."""
-        step, last = self._usual, self._last
-        if step and step == self._step and last is not None and numbers[0] == last + step and (np.diff(numbers) == step).all():
-            self._last = int(numbers[-1])
-            return 0
-        return sum(map(self.missing, numbers.tolist()))
-
-
-class YarpDecoder(PieceDecoder):
+class YarpDecoder(FrameDecoder):
     """Decode log lines with one stamp, of one stream."""
 
     name = "YARP log"
+    single_stream = True
     mark = b"\n"
     limit = LINE_MAX
     stamps = 1
@@ -279,65 +247,64 @@ class YarpDecoder(PieceDecoder):
             raise InputError("An imported file carries one stream; expected one file each for wrench, skin and joints.")
         self._first = False  # A log is read from its first line on: nothing of it is lost.
         self._stream = carries[0]
-        self._steps = Steps()
+        self._gaps = GapCounter()
 
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete."""
         table = self._table([data])
         if table is None:
             return super().feed(data)
-        missing = self._steps.all_missing(table["number"])
-        if missing:
-            self.counts[Loss.MISSING] += missing
-        return [self._batch(table)]
+        self._count_missing(self._gaps.missing_among(table["number"]))
+        return [self._batch_of_table(table)]
 
-    def feed_many(self, pieces: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
-        """Return the readings of the next pieces as one batch, and where those of each end; None, nothing taken, if unusual.
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Return the readings of the next chunks as one batch, and where those of each end; None, nothing taken, if unusual.
 
         Usual are whole lines of plain numbers, of one width, with nothing lost and nothing that is not finite.
         """
-        table, steps = self._table(pieces), copy(self._steps)
-        if table is None or not np.isfinite(table["values"]).all() or steps.all_missing(table["number"]):
+        table, gaps = self._table(chunks), copy(self._gaps)
+        if table is None or not np.isfinite(table["values"]).all() or gaps.missing_among(table["number"]):
             return None
-        self._steps = steps
-        return self._batch(table), list(accumulate(piece.count(b"\n") for piece in pieces))
+        self._gaps = gaps
+        return self._batch_of_table(table), list(accumulate(chunk.count(b"\n") for chunk in chunks))
 
-    def _table(self, pieces: Sequence[bytes]) -> NDArray[Any] | None:
-        """Return the numbers of pieces that are whole lines of plain numbers, all of one width; None where one is otherwise."""
+    def _table(self, chunks: Sequence[bytes]) -> NDArray[Any] | None:
+        """Return the numbers of chunks that are whole lines of plain numbers, all of one width; None where one is otherwise."""
         if (
-            not pieces
-            or self._splitter.holds
-            or not all(0 < len(piece) <= LINE_MAX and piece.endswith(b"\n") for piece in pieces)
+            not chunks
+            or self._splitter.has_partial_frame
+            or not all(0 < len(chunk) <= LINE_MAX and chunk.endswith(b"\n") for chunk in chunks)
         ):
             return None
-        table = read_table(b"".join(pieces))
+        table = read_table(b"".join(chunks))
         if table is None:
             return None
         numbers, values = table["number"], table["values"]
         width = values.shape[1] - self.stamps
         good = width > 0 and _in_range(numbers.min(), numbers.max(), values[:, : self.stamps])
-        return table if good and self._collector.fits(self._stream, width) else None
+        if not good or not self._has_width(self._stream, width):
+            return None
+        self._widths[self._stream] = width
+        return table
 
-    def _batch(self, table: NDArray[Any]) -> Batch:
-        self.good += len(table)
+    def _batch_of_table(self, table: NDArray[Any]) -> Batch:
+        self.valid_records += len(table)
         numbers, values = table["number"].copy(), table["values"]
-        return self._collector.batch(self._stream, numbers, values[:, self.made].copy(), values[:, self.stamps :].copy())
+        return self._batch(self._stream, numbers, values[:, self.made].copy(), values[:, self.stamps :].copy())
 
-    def _decode(self, piece: bytes) -> Loss | None:
-        line = split_line(piece, self.stamps)
+    def _decode(self, frame: bytes) -> Loss | None:
+        line = split_line(frame, self.stamps)
         if line is None:
-            return None if is_header(piece) else Loss.UNREADABLE
-        missing = self._steps.missing(line.seq)
-        if missing:
-            self.counts[Loss.MISSING] += missing
+            return None if is_header(frame) else Loss.UNREADABLE
+        self._count_missing(self._gaps.missing_before(line.seq))
         try:
             values = self._numbers(line.payload)
         except ValueError:
             return Loss.UNREADABLE
         if not values:
             return Loss.BAD_WIDTH
-        self.good += 1
-        return self._collector.add(self._stream, line.seq, line.stamps[self.made], values)
+        self.valid_records += 1
+        return self._add(self._stream, line.seq, line.stamps[self.made], values)
 
     def _numbers(self, payload: bytes) -> list[float]:
         if not any(mark in payload for mark in _NOT_PLAIN):

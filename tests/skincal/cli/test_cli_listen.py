@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from skincal.cli import listen, main
+from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import plain_text
 from skincal.model.readings import Chunk, Stream
 from skincal.simulate.maker_outlets import MakerOutlets
 from skincal.simulate.makers import MAKERS
 from skincal.simulate.outlets import PtyOutlet
-from skincal.streams import baud_search, links
-from skincal.streams.failures import FailureKind, LinkFailure
+from skincal.streams import links
+from skincal.streams.transports import baud_search
 from tests.approved import approved
 from tests.skincal.meanwhile import meanwhile
 
@@ -84,7 +85,7 @@ def test_watch_says_that_a_skin_is_no_wrench(capsys):
 
 @needs_pty
 def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
-    monkeypatch.setattr(baud_search, "TRIAL_S", 0.6)
+    monkeypatch.setattr(baud_search, "TRIAL_MAX_S", 0.6)
     outlet = PtyOutlet()
 
     def send(over):
@@ -106,7 +107,7 @@ def test_watch_of_what_is_never_opened_ends_as_the_users_fault(address, capsys):
 
 def test_watch_refuses_what_is_no_address(capsys):
     assert main(["watch", "spy://x"]) == 2
-    assert "begins with spy:" in capsys.readouterr().err
+    assert "begin with spy:" in capsys.readouterr().err
 
 
 ORDER = "\x1b[2Jgone\u202e\rnot there"
@@ -118,7 +119,7 @@ def hostile(monkeypatch):
     """A device whose driver gives an order to the terminal as its reason."""
 
     def refuse(*_):
-        raise LinkFailure(FailureKind.ADDRESS, ORDER)
+        raise LinkError(FailureKind.ADDRESS, ORDER)
 
     monkeypatch.setattr(links, "open_link", refuse)
     monkeypatch.setattr(listen, "_ports", lambda: [(f"/dev/tty{ORDER}", f"by {ORDER}")])

@@ -6,7 +6,7 @@ import pytest
 from skincal.files.importers.csv_log import read_csv
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss
-from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.auto_detect import make_decoder
 from tests.approved import approved, approved_pattern
 
 TIMES = [0.5, 0.51, 0.52, 0.53]

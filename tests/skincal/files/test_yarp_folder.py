@@ -9,7 +9,7 @@ from skincal.files.importers.recorded_lines import START_NS
 from skincal.files.importers.yarp_folder import BLOCK_BYTES, read_yarp
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.decoders.yarp_log import LINE_MAX
 from skincal.streams.intake import Intake
 from tests.approved import approved, approved_pattern

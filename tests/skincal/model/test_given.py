@@ -15,7 +15,7 @@ from skincal.model import given
 from skincal.model.errors import SENTENCE_MOST, InputError, plain_text
 from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import read_layout
-from skincal.streams.links import LinkFailure, LinkSpec, open_link
+from skincal.streams.links import LinkError, LinkSpec, open_link
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
 
@@ -70,7 +70,7 @@ def test_a_pipe_and_a_device_are_not_read(tmp_path, name, read):
 @pytest.mark.timeout(10)
 def test_a_link_of_a_file_reads_no_pipe(tmp_path):
     os.mkfifo(tmp_path / "a")
-    with pytest.raises(LinkFailure, match="a device or a pipe"):
+    with pytest.raises(LinkError, match="a device or a pipe"):
         open_link(LinkSpec("wrench", f"file:{tmp_path / 'a'}", ()))
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
+from skincal.devices.yarp import read_answer, write_question
 from skincal.files.icub import read_icub
 from skincal.model.scene import resource
 from skincal.simulate.maker_outlets import SkinManagerOutlet, TalkOutlet
 from skincal.simulate.makers import PlainTalk, SkinManagerTalk
-from skincal.streams.decoders.yarp_port import read_answer, write_question
 from tests.approved import approved
 from tests.skincal.robot.robot_support import robot
 
@@ -279,7 +279,7 @@ def test_a_file_is_not_solved_and_another_address_is_no_port(capsys, sample, tmp
     assert "since only a session is solved" in apply(capsys, file, "yarp:/x", "--correct")[2]
     for address in ("/dev/ttyUSB0", "netft://192.0.2.1"):
         for more in ((), ("--dry-run",)):
-            assert "is no port of a YARP network" in apply(capsys, sample, address, *more)[2]
+            assert "is not a YARP port. Example: yarp:" in apply(capsys, sample, address, *more)[2]
 
 
 def test_zeros_of_an_exported_file_erase_nothing(capsys, sample, tmp_path):

@@ -19,7 +19,7 @@ from skincal.simulate.device import (
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits, HandPress, Move, PokeOrder, PoseOrder, Told
 from skincal.simulate.simulated_rig import Rig
-from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.auto_detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 QUIET = DeviceSettings(start_quiet_s=0.2)

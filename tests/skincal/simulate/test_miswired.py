@@ -49,8 +49,8 @@ def recorded(folder, maker, wiring):
     for link in links:
         pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
     if maker == "netft":
-        from skincal.streams.decoders.framing import pack
-        from skincal.streams.decoders.rdt import PAGE, RECORDS, given_page
+        from skincal.devices.decoding import pack
+        from skincal.devices.netft import PAGE, RECORDS, given_page
 
         pipeline.feed(Chunk("wrench", START_NS, pack(PAGE, given_page(1e6, 1e6, "Net F/T"))))
         size = 36

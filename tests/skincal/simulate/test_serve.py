@@ -17,7 +17,7 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.simulate.serve import Server
-from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.auto_detect import make_decoder
 from tests.approved import approved
 from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig

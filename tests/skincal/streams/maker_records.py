@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 
-from skincal.streams.decoders.framing import pack
-from skincal.streams.decoders.rdt import PAGE, RECORDS, given_page
+from skincal.devices.decoding import pack
+from skincal.devices.netft import PAGE, RECORDS, given_page
 
 WRENCH = (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from skincal.model.readings import Stream
-from skincal.streams import baud_search
-from skincal.streams.baud_search import BAUDS, TRIAL_S, SearchingLink
-from skincal.streams.decoders.detect import LinkDecoder
+from skincal.streams.decoders.auto_detect import LinkDecoder
+from skincal.streams.transports import baud_search
+from skincal.streams.transports.baud_search import BAUDS, TRIAL_MAX_S, BaudSearchLink
 from tests.skincal.streams.maker_records import BOTA, ROBOTIQ
 
 TEXT = b"1.5,2.5,3.5,0.1,0.2,0.3\n"
@@ -51,7 +51,7 @@ def clock(monkeypatch):
 @pytest.mark.usefixtures("clock")
 def test_the_rate_is_found_and_kept(record, baud):
     line = Line(record, baud)
-    link = SearchingLink(line, (Stream.WRENCH,))
+    link = BaudSearchLink(line, (Stream.WRENCH,))
     data = b"".join(link.read(0.1) for _ in range(200))
     assert (link.found, link.baud) == (True, baud)
     assert line.trials == list(BAUDS[: BAUDS.index(baud) + 1])
@@ -65,8 +65,8 @@ def test_the_rate_is_found_and_kept(record, baud):
 @pytest.mark.usefixtures("clock")
 def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
     line = Line(BOTA, 1)
-    link = SearchingLink(line, tuple(Stream))
-    for _ in range(int(2 * len(BAUDS) * TRIAL_S / 0.1)):
+    link = BaudSearchLink(line, tuple(Stream))
+    for _ in range(int(2 * len(BAUDS) * TRIAL_MAX_S / 0.1)):
         link.read(0.1)
     assert not link.found
     assert line.trials[: len(BAUDS) + 1] == [*BAUDS, BAUDS[0]]

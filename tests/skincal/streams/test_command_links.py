@@ -16,17 +16,17 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
+from skincal.devices.bota import BotaDecoder, driver_settings
+from skincal.devices.link import FailureKind, LinkError
+from skincal.devices.plain import split_command
+from skincal.devices.registry import parse_device
 from skincal.journal.documents import SegmentMark, link_to_json, read_document
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkState, Loss, Stream
 from skincal.session.replay import resume
 from skincal.streams.bota_child import driver_config, encode_frame
-from skincal.streams.decoders.bota import BotaDecoder
-from skincal.streams.device_address import format_of, parse_device, split_command
-from skincal.streams.device_links import driver_settings
-from skincal.streams.failures import FailureKind, LinkFailure
-from skincal.streams.links import LinkSpec, Reader, open_link, parse_address
+from skincal.streams.links import LinkSpec, Reader, format_of, open_link, parse_address
 from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
 
 PATIENCE_S = 30.0
@@ -44,7 +44,7 @@ def all_of(link):
     while time.monotonic() < end:
         try:
             data += link.read(0.1)
-        except LinkFailure as failure:
+        except LinkError as failure:
             return data, failure
     raise AssertionError(data)
 
@@ -134,20 +134,20 @@ def test_a_command_that_prints_without_end_is_ended_too(tmp_path):
     ],
 )
 def test_a_command_that_ends_at_once_says_why_and_is_not_started_again(tmp_path, text, said):
-    with pytest.raises(LinkFailure, match=re.escape(said)) as failed, opened(script(tmp_path, text)):
+    with pytest.raises(LinkError, match=re.escape(said)) as failed, opened(script(tmp_path, text)):
         pass
     assert failed.value.kind is FailureKind.ADDRESS
 
 
 def test_a_command_that_is_none_is_said():
     with (
-        pytest.raises(LinkFailure, match=r"cannot be started: .*check the command") as failed,
+        pytest.raises(LinkError, match=r"cannot be started: .*check the command") as failed,
         opened("run:no-such-program-here"),
     ):
         pass
     assert failed.value.kind is FailureKind.ADDRESS
     for wrong in ("run:", "run:  ", "run:'open"):
-        with pytest.raises(InputError, match="expected such as run:"):
+        with pytest.raises(InputError, match="Example: run:"):
             parse_address(wrong)
 
 
@@ -165,7 +165,7 @@ def test_on_windows_a_command_is_one_line_and_ends_with_all_that_it_started(tmp_
         monkeypatch.setattr(sys, "platform", "win32")
         for line in ("C:\\O'Brien\\my_sensor.exe --rate 100", '"C:\\my dir\\" x'):
             assert split_command(parse_device(f"run:{line} ").path) == line
-        with pytest.raises(InputError, match="expected such as run:"):
+        with pytest.raises(InputError, match="Example: run:"):
             parse_address("run:  ")
         monkeypatch.setenv("SYSTEMROOT", "W")
         monkeypatch.setattr(subprocess, "run", lambda command, **_: ended.append(command))
@@ -213,7 +213,7 @@ def test_two_commands_are_recorded_and_their_session_never_starts_them(tmp_path,
     pipeline = resume(out)
     try:
         for link in pipeline.links:
-            with pytest.raises(LinkFailure, match="a session starts none; type run:"):
+            with pytest.raises(LinkError, match="a session starts none; type run:"):
                 open_link(link)
     finally:
         pipeline.close()
@@ -268,7 +268,7 @@ def test_the_drivers_frames_arrive_and_its_chatter_does_not(fake_driver):
     assert [row[2] for row in found[:6]] == [False, False, False, False, True, False]
     steps = [later[1] - earlier[1] for earlier, later in pairwise(found)]
     assert steps == pytest.approx([0.002] * len(steps), abs=1e-6)  # over the wrap of 32 bits, too
-    assert decoder.beside[TEMPERATURE].now == 36.5
+    assert decoder.side_readings[TEMPERATURE].now == 36.5
     if sys.platform != "win32":  # there a process is ended without a word
         assert fake_driver.read_text() == "deactivated"
 
@@ -284,21 +284,19 @@ def test_a_serial_number_keeps_its_zeros(monkeypatch):
     given = []
 
     def started(_, command, *_others):
-        given.append(json.loads(command[-1]))
-        raise LinkFailure(FailureKind.VANISHED, "")
+        given.append(json.loads(command.words[-1]))
+        raise LinkError(FailureKind.VANISHED, "")
 
-    monkeypatch.setattr("skincal.streams.device_links.CommandLink", started)
-    monkeypatch.setattr("skincal.streams.device_links.END_S", 0.0)
-    with pytest.raises(LinkFailure):
+    monkeypatch.setattr("skincal.streams.transports.command.CommandLink", started)
+    monkeypatch.setattr("skincal.streams.transports.command.END_MAX_S", 0.0)
+    with pytest.raises(LinkError):
         open_link(LinkSpec("link", "bota:///dev/ttyACM0?serial=00123&product=7&mode=1", (Stream.WRENCH,)))
     assert [(each["serial"], each["product"], each["mode"]) for each in given] == [("00123", "7", 1)]
 
 
 @pytest.mark.usefixtures("fake_driver")
 def test_what_the_driver_says_of_a_sensor_that_is_away_is_said():
-    with pytest.raises(
-        LinkFailure, match="driver has ended with code 3: Failed to open communication with the sensor"
-    ) as failed:
+    with pytest.raises(LinkError, match="driver has ended with code 3: Failed to open communication with the sensor") as failed:
         open_link(LinkSpec("link", "bota://10.0.0.9", (Stream.WRENCH,)))
     assert failed.value.kind is FailureKind.VANISHED
 
@@ -348,7 +346,7 @@ def test_a_driver_that_hangs_goes_with_the_program_that_started_it(hanging):
 
 @pytest.mark.skipif(importlib.util.find_spec("bota_driver") is not None, reason="the maker's driver is installed")
 def test_without_the_driver_one_sentence_says_what_to_install():
-    with pytest.raises(LinkFailure, match="python -m pip install bota-driver") as failed:
+    with pytest.raises(LinkError, match="python -m pip install bota-driver") as failed:
         open_link(LinkSpec("link", "bota://192.168.0.45", (Stream.WRENCH,)))
     assert failed.value.kind is FailureKind.ADDRESS
 
@@ -356,22 +354,22 @@ def test_without_the_driver_one_sentence_says_what_to_install():
 @pytest.mark.parametrize(
     ("address", "kind", "place"),
     [
-        ("bota://192.168.0.45?mode=1&submode=3", "bota-driver", ("192.168.0.45", "")),
-        ("bota:///dev/ttyACM0?baud=230400", "bota-driver", ("", "/dev/ttyACM0")),
-        ("bota:///COM7", "bota-driver", ("", "COM7")),
-        ("bota://dummy", "bota-driver", ("dummy", "")),
-        ("bota:/dev/ttyUSB0", "bota", ("", "/dev/ttyUSB0")),
+        ("bota://192.168.0.45?mode=1&submode=3", "command", ("192.168.0.45", "")),
+        ("bota:///dev/ttyACM0?baud=230400", "command", ("", "/dev/ttyACM0")),
+        ("bota:///COM7", "command", ("", "COM7")),
+        ("bota://dummy", "command", ("dummy", "")),
+        ("bota:/dev/ttyUSB0", "serial", ("", "/dev/ttyUSB0")),
     ],
 )
 def test_which_bota_is_told_by_the_slashes(address, kind, place):
     found = parse_device(address)
     assert found is not None
-    assert (found.scheme, (found.host, found.path), found.format) == (kind, place, "bota")
+    assert (found.route.transport, (found.host, found.path), found.route.format) == (kind, place, "bota")
 
 
 @pytest.mark.parametrize("wrong", ["bota://", "bota://host/path", "bota://host:80", "bota://host?mode=x", "bota://u@host"])
 def test_a_wrong_address_of_the_driver_is_refused(wrong):
-    with pytest.raises(InputError, match="expected such as bota:"):
+    with pytest.raises(InputError, match="Example: bota:"):
         parse_device(wrong)
 
 

@@ -14,11 +14,11 @@ from cobs import cobs as reference_cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skincal.devices.decoding import DeviceTime, SequenceCounter
 from skincal.model.errors import InputError
 from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch
-from skincal.streams.decoders.base import DeviceTime, SequenceCounter
+from skincal.streams.decoders.auto_detect import NAMES, make_decoder
 from skincal.streams.decoders.delimited import TextDecoder
-from skincal.streams.decoders.detect import NAMES, make_decoder
 from skincal.streams.decoders.skb import SkbDecoder, unstuffed
 from skincal.streams.decoders.skt import SktDecoder
 from tests.approved import approved
@@ -98,12 +98,12 @@ def test_published_wrench_record(cls, record):
 def test_published_header_record_is_compared_with_the_scene():
     agreeing, other = SktDecoder(84, ALL), SktDecoder(384, ALL)
     assert agreeing.feed(SKT_HEADER) == []
-    assert agreeing.good == 1
-    assert agreeing.note == ""
+    assert agreeing.valid_records == 1
+    assert agreeing.device_message == ""
     other.feed(SKT_HEADER)
-    assert "left-forearm-A" in other.note
-    assert "84" in other.note
-    assert "384" in other.note
+    assert "left-forearm-A" in other.device_message
+    assert "84" in other.device_message
+    assert "384" in other.device_message
 
 
 # ------------------------------------------------------------------ cuts, garbage, damage
@@ -253,8 +253,8 @@ def test_wrong_width_is_an_error_of_the_board_with_a_sentence():
     for decoder, record in ((SkbDecoder(5, ALL), SKB_TAXELS), (SktDecoder(5, ALL), SKT_TAXELS)):
         assert decoder.feed(record + record) == []
         assert decoder.counts[Loss.BAD_WIDTH] == 1  # the first record after opening is not counted
-        assert "4 values" in decoder.note
-        assert "5 are expected" in decoder.note
+        assert "4 values" in decoder.device_message
+        assert "5 are expected" in decoder.device_message
 
 
 def test_width_without_a_scene_is_that_of_the_first_frame():
@@ -309,7 +309,7 @@ def test_numbers_beyond_every_integer_are_no_fault():
 def test_error_record_is_a_sentence():
     decoder = SktDecoder(4, ALL)
     decoder.feed(skt("E,3,mux stuck"))
-    assert decoder.note == approved("links.board_error", code=3, words="mux stuck")
+    assert decoder.device_message == approved("links.board_error", code=3, words="mux stuck")
 
 
 # ------------------------------------------------------------------ sequences and clocks

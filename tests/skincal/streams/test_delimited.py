@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.model.readings import Loss, Stream
+from skincal.streams.decoders.auto_detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, LinkDecoder
 from skincal.streams.decoders.delimited import TextDecoder
-from skincal.streams.decoders.detect import TEXT_AFTER_BYTES, TEXT_AFTER_NS, LinkDecoder
 
 SKIN = (Stream.SKIN,)
 WRENCH = (Stream.WRENCH,)
@@ -49,8 +49,8 @@ def test_words_are_passed_over_and_wrong_counts_are_counted():
     assert values(decoder.feed(raw)) == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
     # 1,2 · 1,2,3,4 · CFG,8,8 is mostly numbers · 1,,3 · 1,x,3 · the bytes that are no text
     assert decoder.counts == Counter({Loss.BAD_WIDTH: 2, Loss.UNREADABLE: 4})
-    assert "Lines of 4 values" in decoder.note
-    assert "3 are expected" in decoder.note
+    assert "Lines of 4 values" in decoder.device_message
+    assert "3 are expected" in decoder.device_message
 
 
 def test_not_a_number_is_kept_as_such_and_counted():

@@ -13,7 +13,8 @@ from skincal.cli import main
 from skincal.journal.documents import event_to_json, read_document
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.streams.intake import Intake
-from skincal.streams.links import DROP_NS, WAITING_MOST, Inbox, LinkFailure, LinkSpec, Reader, TcpLink
+from skincal.streams.links import DROP_NS, QUEUED_MAX_BYTES, ChunkQueue, LinkError, LinkSpec, Reader
+from skincal.streams.transports.tcp import TcpLink
 
 BLOCK = bytes(65536)
 SECOND = 1_000_000_000
@@ -21,7 +22,7 @@ SECOND = 1_000_000_000
 
 def test_a_flood_is_dropped_counted_and_costs_the_other_link_nothing():
     """2.5 GB in ten seconds on one link, a reading every ten milliseconds on the other."""
-    inbox, taken, others, most = Inbox(), 0, [], 0
+    inbox, taken, others, most = ChunkQueue(), 0, [], 0
     events = []
     begun_ns = time.monotonic_ns() + 1000 * SECOND  # a clock of its own: these ten seconds pass in a moment
     for k in range(40_000):
@@ -55,7 +56,7 @@ def test_a_flood_is_dropped_counted_and_costs_the_other_link_nothing():
 
 
 def test_memory_is_bounded_for_many_small_pieces():
-    inbox = Inbox()
+    inbox = ChunkQueue()
     for k in range(100_000):
         inbox.put(Chunk("wrench", k, b"x"))
     kept = 0
@@ -65,11 +66,11 @@ def test_memory_is_bounded_for_many_small_pieces():
         except queue.Empty:
             break
         kept += 1
-    assert 1000 < kept < WAITING_MOST // 200 + 1
+    assert 1000 < kept < QUEUED_MAX_BYTES // 200 + 1
 
 
 def test_what_was_dropped_is_said_when_the_link_falls_silent():
-    inbox = Inbox()
+    inbox = ChunkQueue()
     for _ in range(20):
         inbox.put(Chunk("wrench", time.monotonic_ns(), BLOCK))
     while not inbox.empty():
@@ -83,7 +84,7 @@ def test_what_was_dropped_is_said_when_the_link_falls_silent():
 
 
 def flooded():
-    inbox = Inbox()
+    inbox = ChunkQueue()
     for _ in range(20):
         inbox.put(Chunk("wrench", time.monotonic_ns(), BLOCK))
     return inbox
@@ -145,7 +146,7 @@ def test_a_silent_server_is_asked_within_ten_seconds():
 def test_a_server_that_lost_its_power_is_noticed_and_connected_anew():
     """A socket in repair mode is closed without a packet: the other end has a connection to nobody."""
     server, port = served()
-    inbox = Inbox()
+    inbox = ChunkQueue()
     reader = Reader(LinkSpec("wrench", f"socket://127.0.0.1:{port}", (Stream.WRENCH,)), inbox)
     reader.start()
     connection, _ = server.accept()
@@ -173,7 +174,7 @@ def test_a_server_that_lost_its_power_is_noticed_and_connected_anew():
 def test_a_link_without_a_server_fails():
     server, port = served()
     server.close()
-    with pytest.raises(LinkFailure):
+    with pytest.raises(LinkError):
         TcpLink("socket://x", "127.0.0.1", port)
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from cobs import cobs as reference_cobs
 
+from skincal.devices.decoding import pack
+from skincal.devices.netft import RECORDS
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
-from skincal.streams.decoders.framing import pack
-from skincal.streams.decoders.rdt import RECORDS
 from skincal.streams.intake import INTERPOLATE_S, RING_READINGS, WAIT_S, Intake, Pairing, WrenchRing
 from skincal.streams.links import LinkSpec
 from tests.skincal.streams.maker_records import rdt_packets, rdt_record

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from skincal.model.readings import Stream
-from skincal.streams.intake import BEHIND_S, WINDOW_S, HullClock, IndexClock, Stamper, lower_hull, supporting_line
+from skincal.streams.intake import BEHIND_S, WINDOW_S, ConvexHullClock, IndexClock, Timestamper, lower_hull, supporting_line
 
 SETTLED_S = 10.0
 
@@ -40,7 +40,7 @@ def test_jitter_is_removed_and_the_least_delay_remains(name, rate, timer_s, drif
     made = 5000.0 + np.arange(60 * rate) / rate + rng.uniform(0, 1e-5, 60 * rate)
     device = 3.0 + (made - made[0]) * (1 + drift)
     arrival = arrivals(made, least_s, timer_s, rng, stalls=stalls)
-    clock = HullClock()
+    clock = ConvexHullClock()
     mapped = np.array([clock.map(x, y) for x, y in zip(device.tolist(), arrival.tolist(), strict=True)])
     assert (mapped <= arrival + 1e-9).all()
     settled = made > made[0] + SETTLED_S
@@ -117,20 +117,20 @@ def run(clock, device, arrival):
 def test_restart_of_the_device_is_followed_at_once():
     host = 10 + np.arange(4000) * 0.01
     device = np.where(np.arange(4000) < 2000, 500 + host, host - host[2000] + 0.3)
-    np.testing.assert_allclose(run(HullClock(), device, host), host, atol=1e-9)
+    np.testing.assert_allclose(run(ConvexHullClock(), device, host), host, atol=1e-9)
 
 
 def test_clock_set_forward_is_followed_at_once():
     host = 10 + np.arange(4000) * 0.01
     device = host + np.where(np.arange(4000) < 2000, 0, 700.0)
-    np.testing.assert_allclose(run(HullClock(), device, host), host, atol=1e-9)
+    np.testing.assert_allclose(run(ConvexHullClock(), device, host), host, atol=1e-9)
 
 
 def test_clock_that_lost_time_is_followed_after_a_while():
     """The device slept for 5 s of which its clock knows nothing: its stamps run on."""
     device = 10 + np.arange(4000) * 0.01
     host = device + np.where(np.arange(4000) < 2000, 0, 5.0)
-    mapped = run(HullClock(), device, host)
+    mapped = run(ConvexHullClock(), device, host)
     late = host[2000:] > host[2000] + BEHIND_S + 0.1
     np.testing.assert_allclose(mapped[2000:][late], host[2000:][late], atol=1e-9)
 
@@ -139,14 +139,14 @@ def test_stall_of_the_program_is_not_a_jump_of_the_clock():
     host = 10 + np.arange(4000) * 0.01
     arrival = host.copy()
     arrival[2000:2150] = host[2150]  # 1.5 s of bytes read at once
-    np.testing.assert_allclose(run(HullClock(), host, arrival), host, atol=1e-9)
+    np.testing.assert_allclose(run(ConvexHullClock(), host, arrival), host, atol=1e-9)
 
 
 def test_records_of_one_board_may_step_back_a_little():
     host = 10 + np.arange(4000) * 0.01
     device = host.copy()
     device[1::20] -= 0.015
-    np.testing.assert_allclose(run(HullClock(), device, host), device, atol=1e-9)
+    np.testing.assert_allclose(run(ConvexHullClock(), device, host), device, atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -173,7 +173,7 @@ def test_a_hull_that_goes_on_is_that_of_all_points(delays, drops):
 
 
 def test_memory_and_work_stay_flat():
-    clock = HullClock()
+    clock = ConvexHullClock()
     for i in range(30_000):
         clock.map(i * 0.01, i * 0.01 + 0.001 * (i % 7))
     assert len(clock._points) <= WINDOW_S / 0.25 + 2
@@ -181,7 +181,7 @@ def test_memory_and_work_stay_flat():
 
 def test_stamps_of_a_stream_always_rise():
     rng = np.random.default_rng(1)
-    stamper = Stamper()
+    stamper = Timestamper()
     last = -np.inf
     for i in range(2000):
         device = i * 0.02 + np.array([0.0, 0.005, 0.004])
@@ -195,7 +195,7 @@ def test_stamps_of_a_stream_always_rise():
 
 def test_streams_of_one_board_share_its_clock():
     """The wrench arrives promptly, the skin through a slow queue: both stamps are of the same line."""
-    stamper = Stamper()
+    stamper = Timestamper()
     for i in range(2000):
         t = i * 0.01
         (wrench,) = stamper.stamp(Stream.WRENCH, np.array([t]), t + 0.001)
@@ -207,7 +207,7 @@ def test_streams_of_one_board_share_its_clock():
 @pytest.mark.parametrize("delay_after", [0.0, 0.004, 0.02])
 @pytest.mark.parametrize("pause", [59.9, 61.0, 4000.0])
 def test_a_device_that_was_silent_for_longer_than_the_window_is_dated_on(pause, delay_after):
-    clock = HullClock()
+    clock = ConvexHullClock()
     for k in range(100):
         clock.map(k * 0.02, 10.0 + k * 0.02)
     later = 2.0 + pause
@@ -226,7 +226,7 @@ DELAYS = st.sampled_from([0.0, 1e-4, 2e-3, 0.016, 0.2, 0.45, 1.5])
 @given(st.lists(st.tuples(st.lists(STEPS, min_size=1, max_size=40), DELAYS), min_size=1, max_size=25))
 def test_readings_that_arrive_together_are_mapped_as_one_by_one_to_the_last_bit(batches):
     """Whatever the clock did before, and whatever it does within a batch, `map_steady` takes a part that `map` need not."""
-    together, alone = HullClock(), HullClock()
+    together, alone = ConvexHullClock(), ConvexHullClock()
     device, arrival = 7.0, 1000.0
     steady = 0
     for steps, delay in batches:
@@ -244,7 +244,7 @@ def test_readings_that_arrive_together_are_mapped_as_one_by_one_to_the_last_bit(
 
 
 def test_a_steady_stream_is_mapped_together_but_for_the_ends_of_buckets():
-    rng, clock, alone = np.random.default_rng(5), HullClock(), 0
+    rng, clock, alone = np.random.default_rng(5), ConvexHullClock(), 0
     device = 3.0 + np.arange(20_000) * 1e-3
     for batch in np.split(device, 1250):
         arrival = 500.0 + batch[-1] + rng.exponential(2e-3)

@@ -19,10 +19,8 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.streams import links
 from skincal.streams.links import (
     NEW_REASON_S,
-    Address,
     FailureKind,
-    LinkFailure,
-    LinkKind,
+    LinkError,
     LinkSpec,
     Reader,
     describe_links,
@@ -186,7 +184,7 @@ def test_port_that_comes_later_is_opened_then(tmp_path):
 def test_port_in_use_is_said_and_taken_when_it_is_free():
     with pty() as device:
         other = serial.Serial(device.path, exclusive=True)
-        with pytest.raises(LinkFailure, match=approved_pattern("links.in_use")) as failure:
+        with pytest.raises(LinkError, match=approved_pattern("links.in_use")) as failure:
             open_link(spec(device.path))
         assert failure.value.kind is FailureKind.IN_USE
         with reading(device.path) as items:
@@ -277,7 +275,7 @@ def test_server_that_restarts_is_taken_up_again_by_itself():
 def test_no_server_is_said_with_the_address():
     with closing(socket.create_server(("127.0.0.1", 0))) as free:
         port = free.getsockname()[1]
-    with pytest.raises(LinkFailure, match=f"socket://127.0.0.1:{port}: connection refused") as failure:
+    with pytest.raises(LinkError, match=f"socket://127.0.0.1:{port}: connection refused") as failure:
         open_link(spec(f"socket://127.0.0.1:{port}"))
     assert failure.value.kind is FailureKind.REFUSED
 
@@ -308,8 +306,8 @@ def test_tcp_peer_that_closes_while_the_link_is_set_up_is_said(monkeypatch):
     def refuse(_connection):
         raise OSError(errno.EINVAL, "Invalid argument")
 
-    monkeypatch.setattr("skincal.streams.links.enable_keepalive", refuse)
-    with closing(Server()) as server, pytest.raises(LinkFailure, match=f"socket://127.0.0.1:{server.port}: "):
+    monkeypatch.setattr("skincal.streams.transports.tcp.enable_keepalive", refuse)
+    with closing(Server()) as server, pytest.raises(LinkError, match=f"socket://127.0.0.1:{server.port}: "):
         open_link(spec(f"socket://127.0.0.1:{server.port}"))
 
 
@@ -346,7 +344,7 @@ def test_file_without_a_device_clock_plays_at_its_baud_rate(tmp_path):
     with closing(open_link(LinkSpec("skin", f"{path}@115200", (Stream.SKIN,), "text"))) as link:
         begun = time.monotonic()
         data = bytearray()
-        with pytest.raises(LinkFailure, match="at its end") as failure:
+        with pytest.raises(LinkError, match="at its end") as failure:
             read_on(link, data)
         assert failure.value.kind is FailureKind.ENDED
         assert data == path.read_bytes()
@@ -354,7 +352,7 @@ def test_file_without_a_device_clock_plays_at_its_baud_rate(tmp_path):
 
 
 def test_missing_file_is_said(tmp_path):
-    with pytest.raises(LinkFailure, match=approved_pattern("links.no_file")) as failure:
+    with pytest.raises(LinkError, match=approved_pattern("links.no_file")) as failure:
         open_link(spec(f"file:{tmp_path / 'nothing.log'}"))
     assert failure.value.kind is FailureKind.ABSENT
 
@@ -366,7 +364,7 @@ def test_missing_file_is_said(tmp_path):
     "address", ["socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999"]
 )
 def test_tcp_address_that_cannot_be_right(address):
-    with pytest.raises(LinkFailure, match="expected socket://HOST:PORT") as failure:
+    with pytest.raises(LinkError, match="expected socket://HOST:PORT") as failure:
         open_link(spec(address))
     assert failure.value.kind is FailureKind.ADDRESS
 
@@ -387,11 +385,11 @@ def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
         parse_address(address)
     begins = address.partition(":")[0]
     assert approved("links.refused_scheme", address=address, scheme=begins) in str(error.value)
-    with pytest.raises(LinkFailure) as failure:
+    with pytest.raises(LinkError) as failure:
         open_link(spec(address))
     assert failure.value.kind is FailureKind.ADDRESS
     assert str(failure.value) == str(error.value)
-    with pytest.raises(InputError, match="begins with"):
+    with pytest.raises(InputError, match="begin with"):
         describe_links({Stream.WRENCH: "/dev/ttyUSB0", Stream.SKIN: address})
     assert kept.read_text() == "a thesis"
 
@@ -399,24 +397,25 @@ def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
 @pytest.mark.parametrize(
     ("address", "kind", "place", "number"),
     [
-        ("/dev/ttyUSB0@460800", LinkKind.SERIAL, "/dev/ttyUSB0", 460800),
-        ("COM3", LinkKind.SERIAL, "COM3", 115200),
-        (r"\\.\COM12@9600", LinkKind.SERIAL, r"\\.\COM12", 9600),
-        ("/dev/pts/7", LinkKind.SERIAL, "/dev/pts/7", 115200),
-        ("/dev/serial/by-id/usb-a:b-if00", LinkKind.SERIAL, "/dev/serial/by-id/usb-a:b-if00", 115200),
-        ("socket://127.0.0.1:7000", LinkKind.TCP, "127.0.0.1", 7000),
-        ("file:C:/logs/skin.bin@9600", LinkKind.FILE, "C:/logs/skin.bin", 9600),
-        (__file__, LinkKind.FILE, __file__, 115200),
+        ("/dev/ttyUSB0@460800", "serial", "/dev/ttyUSB0", 460800),
+        ("COM3", "serial", "COM3", 0),
+        (r"\\.\COM12@9600", "serial", r"\\.\COM12", 9600),
+        ("/dev/pts/7", "serial", "/dev/pts/7", 0),
+        ("/dev/serial/by-id/usb-a:b-if00", "serial", "/dev/serial/by-id/usb-a:b-if00", 0),
+        ("socket://127.0.0.1:7000", "tcp", "127.0.0.1", 7000),
+        ("file:C:/logs/skin.bin@9600", "file", "C:/logs/skin.bin", 9600),
+        (__file__, "file", __file__, 0),
     ],
 )
 def test_what_an_address_names(address, kind, place, number):
-    assert parse_address(address) == Address(kind, place, number)
+    found = parse_address(address)
+    assert (found.route.transport, found.host or found.path, found.baud or found.port) == (kind, place, number)
 
 
 def test_a_port_s_name_is_never_a_url(monkeypatch):
     """Were the check above gone, pyserial still would not look for a handler of `spy://`."""
-    monkeypatch.setattr(links, "SCHEME", re.compile("(?!)(x)"))
-    with pytest.raises(LinkFailure, match=approved_pattern("links.no_port_begin")) as failure:
+    monkeypatch.setattr(links, "UNKNOWN_SCHEME_RE", re.compile("(?!)(x)"))
+    with pytest.raises(LinkError, match=approved_pattern("links.no_port_begin")) as failure:
         open_link(spec("spy:///dev/null"))
     assert failure.value.kind is FailureKind.ABSENT
 
@@ -443,10 +442,10 @@ def test_reader_that_was_never_started_stops():
 @pytest.mark.parametrize(
     ("address", "port", "baud"),
     [
-        ("/dev/ttyUSB0", "/dev/ttyUSB0", 115200),
+        ("/dev/ttyUSB0", "/dev/ttyUSB0", 0),
         ("/dev/ttyUSB0@460800", "/dev/ttyUSB0", 460800),
         ("COM3@19200", "COM3", 19200),
-        ("/dev/by-id/x@y", "/dev/by-id/x@y", 115200),
+        ("/dev/by-id/x@y", "/dev/by-id/x@y", 0),
         ("/dev/x@y@9600", "/dev/x@y", 9600),
     ],
 )
@@ -483,8 +482,8 @@ def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, k
         raise error
 
     monkeypatch.setattr(serial, "Serial", refuse)
-    monkeypatch.setattr(links.sys, "platform", platform)
-    with pytest.raises(LinkFailure, match=words) as failure:
+    monkeypatch.setattr("skincal.streams.transports.serial_port.sys.platform", platform)
+    with pytest.raises(LinkError, match=words) as failure:
         open_link(spec("/dev/ttyX"))
     assert failure.value.kind is kind
 
@@ -492,7 +491,7 @@ def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, k
 @pytest.mark.skipif(sys.platform == "win32", reason="no such file there")
 def test_file_that_is_no_port():
     for path in (os.devnull, "/"):
-        with pytest.raises(LinkFailure, match=approved_pattern("links.no_serial_port")) as failure:
+        with pytest.raises(LinkError, match=approved_pattern("links.no_serial_port")) as failure:
             open_link(spec(path))
         assert failure.value.kind is FailureKind.ADDRESS
 
@@ -518,9 +517,9 @@ def test_serial_is_imported_only_when_a_port_is_opened():
 
 @pytest.mark.parametrize("address", ["socket://a..b:1", f"socket://{'a' * 70}:1", "socket://192.168.1.1@elsewhere:7000"])
 def test_a_host_that_none_can_be_or_that_is_disguised_is_refused(address):
-    with pytest.raises(InputError, match="no TCP address"):
+    with pytest.raises(InputError, match="not a valid socket address"):
         parse_address(address)
 
 
 def test_a_name_that_is_too_long_for_a_file_is_no_file():
-    assert parse_address(f"./{'a' * 300}").kind is LinkKind.SERIAL
+    assert parse_address(f"./{'a' * 300}").route.transport == "serial"

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skincal.devices.bota import BotaDecoder, crc_x25
+from skincal.devices.decoding import pack
+from skincal.devices.netft import given_page, read_page
+from skincal.devices.robotiq import FRAME, HEAD, SATURATED_COUNT, START, START_ANSWER, crc_modbus
 from skincal.model.readings import TEMPERATURE, JointsBatch, Loss, SideReading, Stream, WrenchBatch
 from skincal.simulate.device import SkbEncoder, SktEncoder
-from skincal.streams.decoders.bota import BotaDecoder, crc_x25
-from skincal.streams.decoders.detect import NAMES, LinkDecoder, make_decoder
-from skincal.streams.decoders.framing import pack
-from skincal.streams.decoders.rdt import given_page, read_page
-from skincal.streams.decoders.robotiq import COUNT_MAX, FRAME, HEAD, START, STARTED, crc_modbus
+from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
 from tests.skincal.streams import maker_records as records
 
 WRENCH, SKIN, JOINTS = (Stream.WRENCH,), (Stream.SKIN,), (Stream.JOINTS,)
@@ -87,7 +87,7 @@ def test_whole_and_byte_by_byte_are_the_same(name):
     per_packet = 2 if name == "rtde" else 1
     assert len(whole) == 6 * per_packet
     assert decoder.counts.total() == 0
-    assert decoder.good == 6
+    assert decoder.valid_records == 6
 
 
 @settings(max_examples=40, deadline=None)
@@ -109,7 +109,7 @@ def test_garbage_and_any_cuts_raise_nothing_and_never_matter(name, data):
 def test_noise_is_no_reading_and_little_is_kept(name, noise):
     _, decoder = decode(name, noise * 20)
     if name != "robotiq-text":
-        assert decoder.good == 0
+        assert decoder.valid_records == 0
 
 
 @pytest.mark.parametrize("name", ["bota", "robotiq", "papillarray"])
@@ -128,15 +128,15 @@ def test_frames_after_garbage_are_found_again(name):
 def test_bota_vectors():
     (row,), decoder = decode("bota", records.BOTA)
     assert row == ("WrenchBatch", list(records.WRENCH), 0.123456)
-    assert decoder.beside == {TEMPERATURE: SideReading(36.5, 36.5, 36.5)}
-    assert decoder.note == ""
+    assert decoder.side_readings == {TEMPERATURE: SideReading(36.5, 36.5, 36.5)}
+    assert decoder.device_message == ""
     assert crc_x25(b"123456789") == 0x906E
     over = BotaDecoder(None, WRENCH)
     (batch,) = over.feed(records.BOTA_OVER)
     assert batch.saturated.tolist() == [True]
-    assert "beyond its range" in over.note
+    assert "beyond its range" in over.device_message
     over.feed(records.BOTA)
-    assert over.note == ""
+    assert over.device_message == ""
 
 
 @pytest.mark.parametrize(
@@ -154,8 +154,8 @@ def test_each_status_bit_of_bota_is_a_sentence_and_what_it_says_is_heeded(status
     decoder = BotaDecoder(None, WRENCH)
     (batch,) = decoder.feed(bota(1, status=status))
     assert (batch.saturated.tolist(), batch.invalid.tolist()) == ([saturated], [invalid])
-    assert words in decoder.note
-    assert bool(decoder.note) == bool(words)
+    assert words in decoder.device_message
+    assert bool(decoder.device_message) == bool(words)
 
 
 def test_robotiq_vectors():
@@ -164,16 +164,18 @@ def test_robotiq_vectors():
     (row,), _ = decode("robotiq-text", b"0 , 0.0625)" + records.ROBOTIQ_TEXT)
     assert row[1] == list(records.WRENCH)
     assert crc_modbus(b"123456789") == 0x4B37
-    for words in (START, STARTED):
+    for words in (START, START_ANSWER):
         assert crc_modbus(words[:-2]) == int.from_bytes(words[-2:], "little")
-    batch = make_decoder("robotiq", None, WRENCH).feed(robotiq([COUNT_MAX, 0, 0, 0, 0, 0]))[0]
+    batch = make_decoder("robotiq", None, WRENCH).feed(robotiq([SATURATED_COUNT, 0, 0, 0, 0, 0]))[0]
     assert batch.saturated.tolist() == [True]
     assert FRAME.size == 16
 
 
 @pytest.mark.parametrize("size", [1, 5, 200])
 @pytest.mark.parametrize(
-    ("answer", "bad"), [(STARTED, 0), (STARTED * 2, 0), (STARTED[:-1] + b"?", 1)], ids=["once", "twice", "damaged"]
+    ("answer", "bad"),
+    [(START_ANSWER, 0), (START_ANSWER * 2, 0), (START_ANSWER[:-1] + b"?", 1)],
+    ids=["once", "twice", "damaged"],
 )
 def test_a_robotiq_that_was_started_again_lost_nothing(size, answer, bad):
     decoder = make_decoder("robotiq", None, WRENCH)
@@ -192,10 +194,10 @@ def test_rdt_vectors():
     (batch,) = decoder.feed(records.rdt_packets([records.RDT_SATURATED]))
     assert batch.wrench[0].tolist() == pytest.approx([-1e-6, 2e-6, -3e-6, 4e-6, -5e-6, 6e-6])
     assert batch.saturated.tolist() == [True]
-    assert "saturated" in decoder.note
-    assert "80020000" in decoder.note
+    assert "saturated" in decoder.device_message
+    assert "80020000" in decoder.device_message
     decoder.feed(records.rdt_packets([records.rdt_record(0)]))
-    assert decoder.note == ""
+    assert decoder.device_message == ""
 
 
 @pytest.mark.parametrize(
@@ -211,8 +213,8 @@ def test_axia_has_a_table_of_its_own(status, saturated, invalid, words):
     decoder = make_decoder("rdt", None, WRENCH)
     (batch,) = decoder.feed(records.rdt_packets([records.rdt_record(1, status=status)], records.RDT_PAGE))
     assert (batch.saturated.tolist(), batch.invalid.tolist()) == ([saturated], [invalid])
-    assert words in decoder.note
-    assert bool(decoder.note) == bool(words)
+    assert words in decoder.device_message
+    assert bool(decoder.device_message) == bool(words)
 
 
 def test_rdt_counts_what_is_missing_and_leaves_out_what_was_overtaken():
@@ -247,7 +249,7 @@ def test_rdt_units_and_pages_that_are_none():
 def test_datagram_of_another_length_is_counted():
     _, decoder = decode("rdt", records.rdt_packets([b"x" * 35, records.rdt_record(1)]))
     assert decoder.counts == {Loss.BAD_WIDTH: 1}
-    assert "35 bytes" in decoder.note
+    assert "35 bytes" in decoder.device_message
 
 
 def test_rtde_vector():

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Stream, WrenchBatch, cut
 from skincal.streams.intake import LinkIntake
+from skincal.streams.link_diagnosis import LinkMonitor
 from skincal.streams.links import LinkSpec
-from skincal.streams.verdicts import LinkEar
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -204,7 +204,7 @@ def test_readings_are_compared_together_as_part_by_part(steps):
     values = np.cumsum([differs for differs, _ in steps])[:, None] * np.ones((1, 6))
     ends = sorted({index for index, (_, last) in enumerate(steps, start=1) if last} | {len(steps)})
     batch = WrenchBatch(*np.zeros((2, len(steps))), values, *np.zeros((2, len(steps)), bool))
-    together, alone = (LinkEar((Stream.WRENCH,), {}, None) for _ in range(2))
+    together, alone = (LinkMonitor((Stream.WRENCH,), {}, None) for _ in range(2))
     for ear in (together, alone):
         ear.hear(b"", 5, [replace(batch, wrench=np.zeros((1, 6)))])
     changes = together.compare(batch, ends)

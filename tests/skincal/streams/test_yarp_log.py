@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
 from skincal.model.readings import JointsBatch, Loss, SkinBatch, Stream, WrenchBatch, cut
-from skincal.streams.decoders.detect import make_decoder
+from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.decoders.yarp_log import (
     BottleError,
     YarpDecoder,
@@ -286,7 +286,7 @@ def test_many_pieces_are_read_as_one_after_the_other(texts):
         assert shown(cut(*found)) == [row for batches in expected for row in shown(batches)]
     end = b"2000009 1400000009 1 2 3 4 5 6\n"
     assert shown(together.feed(end)) == shown(alone.feed(end)), "and what comes after finds the same decoder"
-    assert (together.counts, together.good) == (alone.counts, alone.good)
+    assert (together.counts, together.valid_records) == (alone.counts, alone.valid_records)
 
 
 @pytest.mark.parametrize("mark", ["\r", "\x1c", "\x1d", "\x1e", "\x1f", "_", "\xa0", "\n\n", "#", '"', ",", "\n5 "])

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 import pytest
 
+from skincal.devices.family import HandshakeError
+from skincal.devices.yarp import MESSAGE_MAX_BYTES, MessageSplitter, YarpHandshake, YarpPortDecoder, read_names
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.dialogue import DialogueError
-from skincal.streams.decoders.yarp_port import MESSAGE_MAX, Messages, YarpDialogue, YarpPortDecoder, read_names
 from tests.skincal.streams import maker_records as records
 from tests.skincal.streams.maker_records import yarp_doubles, yarp_list, yarp_measures, yarp_message
 
@@ -22,13 +22,13 @@ def fed(data, carries=(Stream.WRENCH,), channels=None):
 
 
 def test_the_words_of_a_reader_are_those_that_real_ports_took():
-    talk = YarpDialogue()
+    talk = YarpHandshake()
     assert talk.opening() == HELLO
-    assert talk.hear(NUMBER[:5]) == b""
-    assert not talk.ready
-    assert talk.hear(NUMBER[5:]) == BECOME_READER
-    assert talk.ready
-    assert talk.hear(records.YARP_VECTOR) == b""  # never an acknowledgement
+    assert talk.on_data(NUMBER[:5]) == b""
+    assert not talk.is_ready
+    assert talk.on_data(NUMBER[5:]) == BECOME_READER
+    assert talk.is_ready
+    assert talk.on_data(records.YARP_VECTOR) == b""  # never an acknowledgement
 
 
 def test_names_as_a_real_server_writes_them():
@@ -43,7 +43,7 @@ def test_captured_vector_with_an_envelope():
     assert batch.wrench.tolist() == [list(records.YARP_VALUES)]
     assert batch.seq.tolist() == [236]
     assert batch.device_s.tolist() == [1795353452.30061]
-    assert decoder.note == ""
+    assert decoder.device_message == ""
 
 
 def test_captured_bottle_with_integers_among_the_doubles():
@@ -69,7 +69,7 @@ def test_measures_without_a_sensor_say_so():
     batches, decoder = fed(yarp_message(yarp_measures(12), 1, 1.0))
     assert batches == []
     assert decoder.counts == {Loss.BAD_WIDTH: 1}
-    assert "none of what is wanted" in decoder.note
+    assert "none of what is wanted" in decoder.device_message
 
 
 @pytest.mark.parametrize("count", [22, 24])
@@ -103,7 +103,7 @@ def header(blocks, *lengths):
 
 LIES = {
     "2 GB": header((1, 1), 2**31 - 1, 0),
-    "just too much": header((1, 1), MESSAGE_MAX + 1, 0),
+    "just too much": header((1, 1), MESSAGE_MAX_BYTES + 1, 0),
     "sum": header((255, 1), *[2**31 - 1] * 255, 0),
     "negative": header((1, 1), -1, 0),
     "no message": b"HTTP/1.1 400 Bad Request\r\n",
@@ -120,13 +120,13 @@ def test_a_lie_about_a_length_is_one_sentence_and_keeps_nothing(name):
     for _ in range(100):
         assert decoder.feed(bytes(10_000)) == []
     assert decoder.counts == {Loss.UNREADABLE: 1}
-    assert decoder.note.startswith(("It announces", "What"))
-    messages = Messages()
+    assert decoder.device_message.startswith(("It announces", "What"))
+    messages = MessageSplitter()
     messages.split(data + bytes(100_000))
     assert len(messages._rest) == 0
-    talk = YarpDialogue()
-    with pytest.raises(DialogueError):
-        talk.hear(data)
+    talk = YarpHandshake()
+    with pytest.raises(HandshakeError):
+        talk.on_data(data)
 
 
 BAD_PAYLOADS = {
@@ -146,7 +146,7 @@ def test_a_bottle_that_cannot_be_right_costs_itself_alone(name):
     batches, decoder = fed(yarp_message(BAD_PAYLOADS[name], 1, 1.0) + records.YARP_VECTOR)
     assert sum(len(batch.seq) for batch in batches) == 1
     assert decoder.counts.total() == 1
-    assert decoder.note
+    assert decoder.device_message
 
 
 def test_an_envelope_that_cannot_be_right_costs_its_message_alone():

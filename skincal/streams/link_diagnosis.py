@@ -31,7 +31,7 @@ from skincal.model.readings import (
     Stream,
     WrenchBatch,
 )
-from skincal.streams.decoders.detect import LinkDecoder
+from skincal.streams.decoders.auto_detect import LinkDecoder
 
 JUDGE_NS = 1_000_000_000
 """ns of bytes without a reading before that is said: text is believed after 0.3 s, a slow board sends ten readings."""
@@ -118,7 +118,7 @@ def _bits(values: FloatArray) -> NDArray[np.uint64]:
     return np.atleast_2d(np.ascontiguousarray(values)).view(np.uint64)
 
 
-class LinkEar:
+class LinkMonitor:
     """Hears what one link brings, and judges it.
 
     Parameters

@@ -17,18 +17,25 @@ measure with a stamp of its own; of `stateExt:o` the first element is the joints
 from __future__ import annotations
 
 import math
+import os
 import re
 import struct
+import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
 from typing import ClassVar, TypeAlias
 
 import numpy as np
 
+from skincal.devices.decoding import NO_SEQ, SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, GapCounter, ProtocolError
+from skincal.devices.family import DeviceAddress, Family, Form, Handshake, HandshakeError, Questions, Route, TableRow, Vector
+from skincal.devices.link import FailureKind, LinkError
 from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.given import read_regular
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import NO_SEQ, PieceDecoder, Pieces
-from skincal.streams.decoders.dialogue import Dialogue, DialogueError
-from skincal.streams.decoders.yarp_log import SEQ_MAX, STAMP_MAX, Steps
 
 Value: TypeAlias = "float | str | FloatArray | list[Value]"
 """One value of a bottle; a list of numbers is an array."""
@@ -38,17 +45,16 @@ FAST_TCP, MESSAGE = 7780, 10
 INT32 = struct.Struct("<i")
 HEAD_BYTES = YARP_INT.size + 10
 """YARP int, two counts, eight bytes FF."""
-MESSAGE_MAX = 1 << 20
+MESSAGE_MAX_BYTES = 1 << 20
 """Bytes. A skin of 4,200 channels has 33,600; a longer message is refused before it is kept."""
-BLOCK_MAX = 1 << 24
 DEPTH_MAX = 8
 READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
 HELLO = YARP_INT.pack(b"YA", FAST_TCP, b"RP") + INT32.pack(len(READER_NAME)) + READER_NAME
 BECOME_READER = struct.pack("<2si2s2B8si4s4s", b"YA", MESSAGE, b"RP", 1, 1, b"\xff" * 8, 8, bytes(4), bytes(4)) + b"~r\x00\x01"
 MEASURES_WRENCH, MEASURES_SKIN, MEASURES_LISTS = 5, 8, 10
-"""Places in the groups of `measures:o`, and how many groups older versions have; newer ones have 12."""
-STATE_EXT = (22, 24)
+"""Index of the six-axis sensors and of the skin patches in the groups of `measures:o`; fewest groups (newer versions: 12)."""
+STATE_EXT_LENGTHS = (22, 24)
 """Elements of `stateExt:o`, of 3.x and of 4.0."""
 
 _LIST, _DICT, _STRING, _BLOB, _VOCAB = 256, 512, 4, 12, 9
@@ -58,20 +64,16 @@ NAME_LINE = re.compile(r"registration name (\S+) ip (\S+) port (\d+) type (\S+)"
 NAME_END = b"*** end of message"
 
 
-class PortBottleError(ValueError):
-    """Bytes are no bottle."""
-
-
 # ------------------------------------------------------------------ the name server
 
 
 def name_query(port: str) -> bytes:
-    """Return the lines that ask a name server for a port, or for all of them where it is empty."""
+    """Build the request to a name server for one port, or for all ports if it is empty."""
     return f"NAME_SERVER query {port}\n".encode() if port else b"CONNECT skincal\nd\nlist\n"
 
 
 def read_names(answer: bytes) -> dict[str, tuple[str, int]]:
-    """Return host and number of each port that a name server's answer registers."""
+    """Read host and number of each port from a name server's answer."""
     found = NAME_LINE.findall(answer.decode("utf-8", "replace"))
     ports = {name: (host, int(number)) for name, host, number, _ in found if host != "none" and len(number) < 6}
     return {name: place for name, place in ports.items() if 0 < place[1] < 1 << 16}
@@ -80,65 +82,60 @@ def read_names(answer: bytes) -> dict[str, tuple[str, int]]:
 # ------------------------------------------------------------------ the handshake
 
 
-class YarpDialogue(Dialogue):
-    """The few words of a reader; what follows is looked at for its lengths alone."""
+class YarpHandshake(Handshake):
+    """Handshake of a reader. Later messages are checked for their lengths only."""
 
     def __init__(self) -> None:
-        self._messages = Messages()
+        self._messages = MessageSplitter()
         self._asked = False
 
     def opening(self) -> bytes:
-        """See `Dialogue`."""
         return HELLO
 
-    def hear(self, data: bytes) -> bytes:
-        """See `Dialogue`."""
+    def on_data(self, data: bytes) -> bytes:
         self._messages.split(data)
         if self._messages.fault:
-            raise DialogueError(self._messages.fault)
+            raise HandshakeError(self._messages.fault)
         if self._messages.port is not None and not self._asked:
             self._asked = True
             return BECOME_READER
         return b""
 
     @property
-    def ready(self) -> bool:
-        """See `Dialogue`."""
+    def is_ready(self) -> bool:
         return self._asked
 
 
 # ------------------------------------------------------------------ messages
 
 
-class Messages:
-    """Cuts what a port sends into the bodies of its messages; after what is none, nothing is one."""
+class MessageSplitter:
+    """Cuts the bytes of a port into the bodies of its messages. Nothing is a message after bytes that break the protocol."""
 
     def __init__(self) -> None:
         self.port: int | None = None
-        """Number of the port, once it said it."""
+        """Number of the port; `None` before the port has sent it."""
         self.fault = ""
-        """What came that is no message, a sentence; empty if nothing did."""
+        """What breaks the protocol, a sentence; empty while nothing does."""
         self._rest = bytearray()
 
     @property
-    def holds(self) -> bool:
-        """See `Pieces`."""
+    def has_partial_frame(self) -> bool:
         return bool(self._rest or self.fault)
 
     def split(self, data: bytes) -> list[bytes | None]:
-        """See `Pieces`."""
-        pieces: list[bytes | None] = []
+        bodies: list[bytes | None] = []
         if self.fault:
-            return pieces
+            return bodies
         self._rest += data
         try:
-            while (piece := self._next()) is not None:
-                pieces.append(piece)
-        except PortBottleError as error:
+            while (frame := self._next()) is not None:
+                bodies.append(frame)
+        except ProtocolError as error:
             self.fault = str(error)
             self._rest.clear()
-            pieces.append(None)
-        return pieces
+            bodies.append(None)
+        return bodies
 
     def _next(self) -> bytes | None:
         if self.port is None:
@@ -149,53 +146,53 @@ class Messages:
         if len(self._rest) < HEAD_BYTES:
             return None
         if self._yarp_int() != MESSAGE:
-            raise PortBottleError("what it sends is no YARP message")
+            raise ProtocolError("what it sends is no YARP message")
         count_in, count_out = self._rest[YARP_INT.size], self._rest[YARP_INT.size + 1]
         start = HEAD_BYTES + 4 * (count_in + count_out)
         if len(self._rest) < start:
             return None
         lengths = struct.unpack_from(f"<{count_in + count_out}i", self._rest, HEAD_BYTES)
-        if min(lengths, default=0) < 0 or sum(lengths) > MESSAGE_MAX:
-            raise PortBottleError(f"it announces a message of {sum(lengths)} bytes; at most {MESSAGE_MAX} are taken")
+        if min(lengths, default=0) < 0 or sum(lengths) > MESSAGE_MAX_BYTES:
+            raise ProtocolError(f"it announces a message of {sum(lengths)} bytes; at most {MESSAGE_MAX_BYTES} are taken")
         end = start + sum(lengths)
         if len(self._rest) < end:
             return None
         # The block of the reply's direction, always empty, stands behind the others.
-        piece = bytes(self._rest[start : start + sum(lengths[:count_in])])
+        frame = bytes(self._rest[start : start + sum(lengths[:count_in])])
         del self._rest[:end]
-        return piece
+        return frame
 
     def _yarp_int(self) -> int:
         begin, number, end = YARP_INT.unpack_from(self._rest)
         if begin != b"YA" or end != b"RP":
-            raise PortBottleError("what answers there is no YARP port")
+            raise ProtocolError("what answers there is no YARP port")
         return number
 
 
 def split_envelope(body: bytes) -> tuple[int, float, bytes]:
-    """Return sequence number, stamp in seconds and payload of a message's body; `NO_SEQ` and NaN without an envelope.
+    """Split a message's body into sequence number, stamp in seconds and payload; `NO_SEQ` and NaN without an envelope.
 
     Raises
     ------
-    PortBottleError
+    ProtocolError
         It is no data.
     """
     if len(body) < 8:
-        raise PortBottleError("a message is too short")
+        raise ProtocolError("a message is too short")
     (length,) = INT32.unpack_from(body)
     if body[4:5] != b"~" or not 0 <= length <= len(body) - 8:
-        raise PortBottleError("a message has no port command")
+        raise ProtocolError("a message has no port command")
     if length == 0:
         if body[5:6] not in b"Dd":
-            raise PortBottleError("a message is no data")
+            raise ProtocolError("a message is no data")
         return NO_SEQ, math.nan, body[8:]
     words = body[8 : 8 + length].rstrip(b"\x00").split()
     try:
         command, seq, stamp = words[0], int(words[1]), float(words[2])
     except (IndexError, ValueError):
-        raise PortBottleError("an envelope cannot be read") from None
-    if command not in (b"D", b"d", b"do") or not abs(seq) < SEQ_MAX or not abs(stamp) < STAMP_MAX:
-        raise PortBottleError("an envelope cannot be right")
+        raise ProtocolError("an envelope cannot be read") from None
+    if command not in (b"D", b"d", b"do") or not abs(seq) < SEQ_MAX or not abs(stamp) < STAMP_MAX_S:
+        raise ProtocolError("an envelope cannot be right")
     return seq, stamp, body[8 + length :]
 
 
@@ -208,7 +205,7 @@ class _Reader:
 
     def take(self, size: int) -> bytes:
         if not 0 <= size <= len(self._data) - self._at:
-            raise PortBottleError("a length goes beyond the message")
+            raise ProtocolError("a length goes beyond the message")
         self._at += size
         return self._data[self._at - size : self._at]
 
@@ -226,12 +223,12 @@ class _Reader:
             return self.take(self.int32()).decode("utf-8", "replace")
         if tag & (_LIST | _DICT) and depth < DEPTH_MAX:
             return self._list(tag & ~(_LIST | _DICT), depth)
-        raise PortBottleError(f"a value is of the unknown kind {tag}")
+        raise ProtocolError(f"a value is of the unknown kind {tag}")
 
     def _list(self, tag: int, depth: int) -> Value:
         count = self.int32()
         if count < 0 or count > len(self._data) - self._at:
-            raise PortBottleError("a count goes beyond the message")
+            raise ProtocolError("a count goes beyond the message")
         if tag in _NUMBERS:
             dtype = np.dtype(_NUMBERS[tag])
             return np.frombuffer(self.take(count * dtype.itemsize), dtype).astype(np.float64)
@@ -239,11 +236,11 @@ class _Reader:
 
 
 def read_bottle(payload: bytes) -> Value:
-    """Return the one list that a message carries. Raises PortBottleError."""
+    """Read the list that a message carries. Raises ProtocolError."""
     reader = _Reader(payload)
     tag = reader.int32()
     if not tag & (_LIST | _DICT):
-        raise PortBottleError("a message is no list")
+        raise ProtocolError("a message is no list")
     return reader.value(tag)
 
 
@@ -251,30 +248,30 @@ def read_bottle(payload: bytes) -> Value:
 
 
 def write_bottle(values: Sequence[str | int | float]) -> bytes:
-    """Return the bottle of some values; of values of one kind the short form, as YARP writes it."""
+    """Write a bottle; values of one kind take the short form, as YARP writes it."""
     tags = [_STRING if isinstance(value, str) else 1 if isinstance(value, int) else 10 for value in values]
     alike = tags[0] if len(set(tags)) == 1 else 0
-    pieces = [INT32.pack(_LIST | alike), INT32.pack(len(values))]
+    bodies = [INT32.pack(_LIST | alike), INT32.pack(len(values))]
     for tag, value in zip(tags, values, strict=True):
         if not alike:
-            pieces.append(INT32.pack(tag))
+            bodies.append(INT32.pack(tag))
         if isinstance(value, str):
             raw = value.encode()
-            pieces += [INT32.pack(len(raw)), raw]
+            bodies += [INT32.pack(len(raw)), raw]
         else:
-            pieces.append(struct.pack("<i" if tag == 1 else "<d", value))
-    return b"".join(pieces)
+            bodies.append(struct.pack("<i" if tag == 1 else "<d", value))
+    return b"".join(bodies)
 
 
 def write_question(values: Sequence[str | int | float]) -> bytes:
-    """Return the message that asks a port, and wants an answer."""
+    """Write a message that asks a port for an answer."""
     bottle = write_bottle(values)
     head = struct.pack("<2si2s2B8s3i", b"YA", MESSAGE, b"RP", 2, 1, b"\xff" * 8, 8, len(bottle), 0)
     return head + bytes(4) + b"~d\x00\x01" + bottle
 
 
 def read_answer(body: bytes) -> list[float | str]:
-    """Return the values of an answer's body, front to back, lists in it flattened. Raises PortBottleError."""
+    """Read the values of an answer's body in their order, lists flattened. Raises ProtocolError."""
     # Some versions put a port command in front; no bottle has these bytes there.
     payload = split_envelope(body)[2] if body[4:5] == b"~" and body[6:8] == b"\x00\x01" else body
     return list(_flat(read_bottle(payload)))
@@ -292,7 +289,7 @@ def _flat(value: Value) -> Iterator[float | str]:
 
 
 def as_vector(value: Value) -> FloatArray | None:
-    """Return the numbers of a list, integers among them or the list in a list, too; None where there is something else."""
+    """Read a list of numbers, or one that is alone in a list; `None` for anything else."""
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], (list, np.ndarray)):
         return as_vector(value[0])
     if isinstance(value, np.ndarray):
@@ -303,66 +300,62 @@ def as_vector(value: Value) -> FloatArray | None:
 
 
 def measures(groups: list[Value], which: int) -> list[tuple[FloatArray, float]]:
-    """Return numbers and stamp, seconds, of each measurement of one group of `measures:o`."""
+    """Read numbers and stamp, seconds, of each measurement of one group of `measures:o`."""
     group = groups[which]
     found: list[tuple[FloatArray, float]] = []
     for measure in group if isinstance(group, list) else []:
         if isinstance(measure, list) and len(measure) == 2 and isinstance(measure[1], float):
             values = as_vector(measure[0])
-            if values is not None and abs(measure[1]) < STAMP_MAX:
+            if values is not None and abs(measure[1]) < STAMP_MAX_S:
                 found.append((values, measure[1]))
     return found
 
 
-class YarpPortDecoder(PieceDecoder):
-    """Decodes what a YARP port sends to a reader."""
+class YarpPortDecoder(FrameDecoder):
+    """Decodes the messages of a YARP port."""
 
     name: ClassVar[str] = "YARP port"
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        self._messages = Messages()
+        self._messages = MessageSplitter()
         super().__init__(channels, carries)
         self._first = False  # A connection begins with its first message, whole.
         self._carries = carries
-        self._steps = Steps()
+        self._gaps = GapCounter()
 
-    def _make_splitter(self) -> Pieces:
+    def _make_splitter(self) -> FrameSplitter:
         return self._messages
 
     @property
-    def note(self) -> str:
-        """See `PieceDecoder`."""
-        return f"{self._messages.fault[:1].upper()}{self._messages.fault[1:]}" or self._collector.note
+    def device_message(self) -> str:
+        return f"{self._messages.fault[:1].upper()}{self._messages.fault[1:]}" or self._problem
 
-    def _decode(self, piece: bytes) -> Loss | None:
+    def _decode(self, frame: bytes) -> Loss | None:
         try:
-            seq, stamp, payload = split_envelope(piece)
+            seq, stamp, payload = split_envelope(frame)
             value = read_bottle(payload)
-        except PortBottleError as error:
-            self._collector.note = f"A message cannot be read: {error}"
+        except ProtocolError as error:
+            self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
-        missing = self._steps.missing(seq)
-        if missing:
-            self.counts[Loss.MISSING] += missing
-        readings = self._readings(value, stamp)
+        self._count_missing(self._gaps.missing_before(seq))
+        readings = self._find_readings(value, stamp)
         if not readings:
             return Loss.BAD_WIDTH
-        self.good += 1
-        problems = [self._collector.add(stream, seq, at, values) for stream, values, at in readings]
+        self.valid_records += 1
+        problems = [self._add(stream, seq, at, values) for stream, values, at in readings]
         return next((problem for problem in problems if problem), None)
 
-    def _readings(self, value: Value, stamp: float) -> list[tuple[Stream, FloatArray, float]]:
-        """Return the readings of the streams that the link carries, each with the device's time."""
+    def _find_readings(self, value: Value, stamp: float) -> list[tuple[Stream, FloatArray, float]]:
+        """Find the readings of the streams that the link carries, each with the device's time."""
         if isinstance(value, list) and len(value) >= MEASURES_LISTS and all(isinstance(each, list) for each in value):
             return self._measured(value, stamp)
         vector = as_vector(value)
-        if vector is None and isinstance(value, list) and len(value) in STATE_EXT:
+        if vector is None and isinstance(value, list) and len(value) in STATE_EXT_LENGTHS:
             vector = as_vector(value[0])
         if vector is None:
-            self._collector.note = "The port's messages hold other things than numbers; name a port of a sensor, skin or joints"
+            self._problem = "The port's messages hold other things than numbers; name a port of a sensor, skin or joints"
             return []
-        # The first stream that fits alone: `fits` would fix the width of every stream whose width is unknown.
-        fitting = (stream for stream in self._carries if self._collector.fits(stream, len(vector)))
+        fitting = (stream for stream in self._carries if self._has_width(stream, len(vector)))
         return [(next(fitting, self._carries[0]), vector, stamp)]
 
     def _measured(self, groups: list[Value], stamp: float) -> list[tuple[Stream, FloatArray, float]]:
@@ -375,5 +368,129 @@ class YarpPortDecoder(PieceDecoder):
             values = np.concatenate([values for values, _ in patches])
             readings.append((Stream.SKIN, values, stamp if math.isfinite(stamp) else patches[0][1]))
         if not readings:
-            self._collector.note = "The port's measurements hold none of what is wanted; name a port of a sensor or skin"
+            self._problem = "The port's measurements hold none of what is wanted; name a port of a sensor or skin"
         return readings
+
+
+# ------------------------------------------------------------------ finding a port
+
+
+CONFIG_MAX_BYTES = 1 << 16
+"""Size of a file of YARP's settings: each is a line or two."""
+NAMES_SHOWN = 3
+"""Ports named as examples if a port is unknown."""
+
+
+def name_server() -> tuple[str, int]:
+    """Find host and port of the name server that this machine's YARP uses, by its files; this machine if there are none."""
+    folder = _config_folder()
+    namespace = (_first_words(folder / "yarp_namespace.conf") or ["/root"])[0]
+    name = "yarp.conf" if namespace == "/root" else re.sub("[^A-Za-z0-9]", "_", namespace) + ".conf"
+    words = _first_words(folder / name)
+    if len(words) > 1 and words[1].isdigit() and len(words[1]) < 6:
+        return words[0], int(words[1])
+    return "127.0.0.1", 10000
+
+
+def _config_folder() -> Path:
+    given, config = os.environ.get("YARP_CONFIG_HOME"), os.environ.get("XDG_CONFIG_HOME")
+    if given:
+        return Path(given)
+    if config:
+        return Path(config) / "yarp"
+    if sys.platform == "win32":
+        return Path(os.environ.get("APPDATA", "")) / "yarp" / "config"
+    return Path.home() / ("Library/Preferences/yarp" if sys.platform == "darwin" else ".config/yarp")
+
+
+def _first_words(path: Path) -> list[str]:
+    """Read the words of a file's first line with content; none if there is no such file, or it is too large."""
+    try:
+        lines = read_regular(path, CONFIG_MAX_BYTES).decode("utf-8", "replace").splitlines()
+    except InputError:
+        return []
+    words = [line.split() for line in lines if line.strip() and line.strip()[0] not in "#["]
+    return words[0] if words else []
+
+
+def ask_names(where: str, server: tuple[str, int], port: str, questions: Questions) -> dict[str, tuple[str, int]]:
+    """Ask a name server for the place of a port, or of all ports if it is empty. Raises LinkError."""
+    host, number = server
+    answer = questions.ask_tcp(f"{where} (name server {host}:{number})", host, number, name_query(port), NAME_END)
+    if NAME_END not in answer:
+        sentence = f"{where}: what answers at {host}:{number} is no YARP name server; check the server's host and port."
+        raise LinkError(FailureKind.OTHER, sentence)
+    return read_names(answer)
+
+
+def find_port(address: DeviceAddress, questions: Questions) -> DeviceAddress:
+    """Fill in host and number of a port, as its name server gives them. Raises LinkError."""
+    server = (address.host, address.port) if address.host else name_server()
+    found = ask_names(address.text, server, address.path, questions).get(address.path)
+    if found is None:
+        known = ask_names(address.text, server, "", questions)
+        some = ", ".join(islice((name for name in known if len(name) < 80), NAMES_SHOWN)) or "none"
+        raise LinkError(
+            FailureKind.ABSENT,
+            f"{address.text}: the name server {server[0]}:{server[1]} knows no port {address.path}; it knows "
+            f"{len(known)} ports, such as {some}. Start the robot's part, or check the name (skincal devices lists them).",
+        )
+    host, port = found
+    hint = "The address is the robot's own view of itself: this machine may not reach it."
+    return replace(address, host=host, port=port, place=f"(at {host}:{port} by the name server)", connect_hint=hint)
+
+
+_PORT_NUMBER = bytes.fromhex("5941062900005250")
+_MESSAGE_HEAD = bytes.fromhex("59410a0000005250")
+_VECTOR = _MESSAGE_HEAD + bytes.fromhex(
+    "0301ffffffffffffffff1f0000000800000030000000 00000000"
+    "170000007e0000014420323336203137393533353334 35322e333030363100"
+    "0a01000006000000"
+    "3166e2727bcf1940000000000000c0bf0000000000003e40"
+    "9a9999999999b93f48afbc9af2d77a3e555555555555d5bf"
+)
+"""Sent by a port of YARP 3.12.3: a vector of six with an envelope."""
+
+FAMILY = Family(
+    routes=(
+        Route(
+            usage="yarp:/icub/right_arm/analog:o",
+            form=Form.PATH,
+            transport="tcp",
+            format="yarp-port",
+            handshake=lambda _: YarpHandshake(),
+            needs_every_byte=True,
+            prepare=find_port,
+        ),
+        Route(
+            usage="yarp://SERVER:10000/icub/right_arm/analog:o",
+            form=Form.HOST_PATH,
+            transport="tcp",
+            format="yarp-port",
+            port=10000,
+            handshake=lambda _: YarpHandshake(),
+            needs_every_byte=True,
+            prepare=find_port,
+        ),
+    ),
+    decoders={"yarp-port": YarpPortDecoder},
+    table=(
+        TableRow(
+            "iCub, R1, ergoCub by YARP: F/T, skin, joints",
+            "`yarp:/icub/right_arm/analog:o`, `yarp://SERVER:10000/icub/skin/right_forearm`",
+            "simulator, captured (3.12.3)",
+            "the port's",
+            "gaps counted by the envelope",
+        ),
+    ),
+    wiring=(("YARP", "the robot's network: TCP 10000 to the name server, and the numbers that it gives"),),
+    vectors=(
+        Vector(
+            "yarp-port",
+            (Stream.WRENCH,),
+            _PORT_NUMBER + _VECTOR,
+            ((6.452619357174215, -0.125, 30.0, 0.1, 1e-07, -1 / 3),),
+            repeat=_VECTOR,
+        ),
+    ),
+)

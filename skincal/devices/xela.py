@@ -2,7 +2,7 @@
 
 A message is an object: `message`, its number (a word in the greeting), and by the number of each sensor an object with
 `taxels`, `data` (hex words x, y, z of each taxel, separated by commas) and, where the sensor is calibrated, `calibrated`
-(N, in the same order). The link hands on packets (`framing.pack`), one for each message. Source: the maker's ROS node
+(N, in the same order). The link hands on packets (`decoding.pack`), one for each message. Source: the maker's ROS node
 (1.7.6).
 
 A channel is the z of a taxel, or each of x, y and z where the scene has three channels for each taxel; sensors follow one
@@ -16,17 +16,16 @@ import json
 import math
 from typing import Any, ClassVar, cast
 
+from skincal.devices.decoding import SEQ_MAX, FrameDecoder, FrameSplitter, GapCounter, pack, packet_splitter
+from skincal.devices.family import Family, Form, Route, TableRow, Vector
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import PieceDecoder, Pieces
-from skincal.streams.decoders.framing import Packets
-from skincal.streams.decoders.yarp_log import SEQ_MAX, Steps
 
-MESSAGE_MAX = 1 << 18
+MESSAGE_MAX_BYTES = 1 << 18
 """Bytes. Ten sensors of 24 taxels, calibrated, take 15,000."""
-AXES = 3
+AXES_PER_TAXEL = 3
 
 
-class XelaDecoder(PieceDecoder):
+class XelaDecoder(FrameDecoder):
     """Decodes the server's messages."""
 
     name: ClassVar[str] = "XELA"
@@ -34,16 +33,16 @@ class XelaDecoder(PieceDecoder):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._first = False  # A message comes whole or not at all.
-        self._steps = Steps()
+        self._gaps = GapCounter()
         self._calibrated: bool | None = None
-        """Whether forces are taken; None before the first reading."""
+        """Whether calibrated forces are used; `None` before the first reading."""
 
-    def _make_splitter(self) -> Pieces:
-        return Packets(MESSAGE_MAX)
+    def _make_splitter(self) -> FrameSplitter:
+        return packet_splitter(MESSAGE_MAX_BYTES)
 
-    def _decode(self, piece: bytes) -> Loss | None:
+    def _decode(self, frame: bytes) -> Loss | None:
         try:
-            message: Any = json.loads(piece[1:])
+            message: Any = json.loads(frame[1:])
         except (ValueError, RecursionError):
             return Loss.UNREADABLE
         if not isinstance(message, dict):
@@ -57,11 +56,9 @@ class XelaDecoder(PieceDecoder):
             values = self._values(sensors)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             return Loss.UNREADABLE
-        missing = self._steps.missing(number)
-        if missing:
-            self.counts[Loss.MISSING] += missing
-        self.good += 1
-        return self._collector.add(Stream.SKIN, number, math.nan, values)
+        self._count_missing(self._gaps.missing_before(number))
+        self.valid_records += 1
+        return self._add(Stream.SKIN, number, math.nan, values)
 
     def _values(self, sensors: list[Any]) -> list[float]:
         if self._calibrated is None:
@@ -73,11 +70,31 @@ class XelaDecoder(PieceDecoder):
             else:
                 values += [float(int(word, 16)) for word in sensor["data"].split(",")]
         # Three channels for each taxel where the scene has as many; else the one across the skin.
-        whole = self._collector.width(Stream.SKIN) == len(values)
+        whole = self._width(Stream.SKIN) == len(values)
         unit = "in N" if self._calibrated else "as raw words"
         self.units[Stream.SKIN] = f"{'x y z' if whole else 'the force across the skin'} of each taxel, {unit}"
-        return values if whole else values[AXES - 1 :: AXES]
+        return values if whole else values[AXES_PER_TAXEL - 1 :: AXES_PER_TAXEL]
 
 
 def _is_number(key: str) -> bool:
     return key.isascii() and key.isdigit() and len(key) < 6
+
+
+_VECTOR = pack(1, b'{"message": 7, "2": {"data": "0003,0004,00FF"}, "1": {"data": "7F3C,7B6C,000A,0001,0002,000B"}}')
+
+FAMILY = Family(
+    routes=(
+        Route(
+            usage="xela://127.0.0.1:5000",
+            form=Form.HOST,
+            transport="websocket",
+            format="xela",
+            port=5000,
+            message_max=MESSAGE_MAX_BYTES,
+        ),
+    ),
+    decoders={"xela": XelaDecoder},
+    table=(TableRow("XELA uSkin server", "`xela://127.0.0.1:5000`", "simulator", "the server's", "gaps counted by number"),),
+    wiring=(("XELA", "the maker's server runs on a computer with the sensors; TCP 5000"),),
+    vectors=(Vector("xela", (Stream.SKIN,), _VECTOR, ((10.0, 11.0, 255.0),), repeat=_VECTOR, channels=3),),
+)

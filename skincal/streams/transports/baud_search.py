@@ -1,4 +1,4 @@
-"""The baud rate of a serial port, where the address does not say it: another one while bytes come and none is a reading."""
+"""Search of the baud rate of a serial port: another rate is tried while bytes come and none is a reading."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import time
 from collections import Counter
 from typing import Protocol
 
+from skincal.devices.family import AUTO
+from skincal.devices.link import Link
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.detect import AUTO, LinkDecoder
-from skincal.streams.failures import Link
+from skincal.streams.decoders.auto_detect import LinkDecoder
 
 BAUDS = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
-"""In the order of the trials: makers' boards, Bota, Robotiq, OptoForce, and what boards are set to otherwise."""
-TRIAL_S = 1.0
+"""In the order of the trials: boards, Bota, Robotiq, OptoForce, and other usual settings of boards."""
+TRIAL_MAX_S = 1.0
 """s of bytes at one rate. Text is believed after 0.3 s; a slow board sends ten readings."""
-ENOUGH = 5
+MIN_READINGS = 5
 """Readings that show the rate, if they are more than what was lost: noise now and then holds a line with a number."""
 
 
@@ -22,19 +23,19 @@ class BaudPort(Link, Protocol):
     """A serial port whose rate can be changed."""
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate. Raises LinkFailure."""
+        """Go on at another rate. Raises LinkError."""
         ...
 
 
-class SearchingLink:
-    """A serial port that finds its rate; all that comes is handed on, as what is no reading is counted, too."""
+class BaudSearchLink:
+    """A serial port that finds its baud rate. All bytes are returned, since bytes that are no reading are counted as lost."""
 
     def __init__(self, port: BaudPort, carries: tuple[Stream, ...]) -> None:
         self._port, self._carries = port, carries
         self.write, self.close = port.write, port.close
         self.baud = BAUDS[0]
         self.tried = (self.baud,)
-        """Rates that were listened to, each once."""
+        """Rates that were tried, each once."""
         self.found = False
         self._begin()
 
@@ -44,7 +45,6 @@ class SearchingLink:
         self._readings = 0
 
     def read(self, timeout_s: float) -> bytes:
-        """See `Link`."""
         data = self._port.read(timeout_s)
         if data and not self.found:
             self._look_at(data, time.monotonic())
@@ -54,9 +54,9 @@ class SearchingLink:
         self._since_s = now_s if self._since_s is None else self._since_s
         self._readings += sum(len(batch.seq) for _, batch in self._decoder.feed(data, round(now_s * 1e9)))
         counts: Counter[Loss] = self._decoder.counts
-        if self._readings >= ENOUGH and self._readings > counts.total():
+        if self._readings >= MIN_READINGS and self._readings > counts.total():
             self.found = True
-        elif now_s - self._since_s > TRIAL_S:
+        elif now_s - self._since_s > TRIAL_MAX_S:
             self.baud = BAUDS[(BAUDS.index(self.baud) + 1) % len(BAUDS)]
             self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)

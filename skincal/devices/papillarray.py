@@ -16,14 +16,13 @@ from __future__ import annotations
 import struct
 from typing import ClassVar
 
+from skincal.devices.decoding import STAMP_MAX_S, US_PER_S, FrameDecoder, FrameSplitter, GapCounter
+from skincal.devices.family import Family, Form, Handshake, Route, TableRow, Vector
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.base import MICROSECONDS, PieceDecoder, Pieces
-from skincal.streams.decoders.dialogue import Dialogue
-from skincal.streams.decoders.yarp_log import STAMP_MAX, Steps
 
 BEGIN, END = bytes.fromhex("55667788"), bytes.fromhex("AABBCCDD")
-FRAME_MAX = 8192
-"""Bytes. Longer, the beginning was none."""
+FRAME_MAX_BYTES = 8192
+"""Bytes. If a frame is longer, its beginning was none."""
 HUB = struct.Struct("<IQ")
 PILLAR = struct.Struct("<H6f")
 HUB_KIND, PILLARS_KIND = 1, 3
@@ -31,61 +30,59 @@ ITEMS_MAX = 64
 """Sensors of a hub, and pillars of a sensor: the maker has 2 and 9."""
 
 
-class PillarFrames:
-    """Cuts frames. The mark of the end may stand inside one: then the next end is tried."""
+class PillarFrameSplitter:
+    """Cuts frames. The end mark may also occur inside a frame; then the next end mark is tried."""
 
     def __init__(self) -> None:
         self._rest = b""
         self._tried = 0
-        """Up to where ends were tried."""
+        """End marks before this place were tried."""
         self._lost = False
 
     @property
-    def holds(self) -> bool:
-        """See `Pieces`."""
+    def has_partial_frame(self) -> bool:
         return bool(self._rest) or self._lost
 
     def split(self, data: bytes) -> list[bytes | None]:
-        """See `Pieces`."""
-        pieces: list[bytes | None] = []
+        frames: list[bytes | None] = []
         # In portions: what is kept is never longer than two frames, however much came.
-        for at in range(0, len(data), FRAME_MAX):
-            self._rest += data[at : at + FRAME_MAX]
-            pieces += self._pieces()
-        return pieces
+        for at in range(0, len(data), FRAME_MAX_BYTES):
+            self._rest += data[at : at + FRAME_MAX_BYTES]
+            frames += self._next_frames()
+        return frames
 
-    def _pieces(self) -> list[bytes | None]:
-        pieces: list[bytes | None] = []
-        while self._to_begin(pieces):
+    def _next_frames(self) -> list[bytes | None]:
+        frames: list[bytes | None] = []
+        while self._to_begin(frames):
             end = self._rest.find(END, max(self._tried, len(BEGIN)))
             if end >= 0 and _fits(self._rest[len(BEGIN) : end]):
-                pieces.append(self._rest[len(BEGIN) : end])
+                frames.append(self._rest[len(BEGIN) : end])
                 self._drop(end + len(END))
                 self._lost = False
             elif end >= 0:
                 self._tried = end + 1
-            elif len(self._rest) > FRAME_MAX:
-                self._lose(pieces)
+            elif len(self._rest) > FRAME_MAX_BYTES:
+                self._lose(frames)
                 # The last beginning, not the next: else hostile bytes would be searched over and over.
                 last = self._rest.rfind(BEGIN, 1)
                 self._drop(last if last > 0 else len(self._rest) - len(BEGIN) + 1)
             else:
                 self._tried = max(len(self._rest) - len(END) + 1, 0)
                 break
-        return pieces
+        return frames
 
-    def _to_begin(self, pieces: list[bytes | None]) -> bool:
-        """Drop what lies before a beginning; return whether there is one."""
+    def _to_begin(self, frames: list[bytes | None]) -> bool:
+        """Drop the bytes before a begin mark; return whether there is one."""
         begin = self._rest.find(BEGIN)
         keep = begin if begin >= 0 else max(len(self._rest) - len(BEGIN) + 1, 0)
         if keep:
-            self._lose(pieces)
+            self._lose(frames)
             self._drop(keep)
         return begin >= 0
 
-    def _lose(self, pieces: list[bytes | None]) -> None:
+    def _lose(self, frames: list[bytes | None]) -> None:
         if not self._lost:
-            pieces.append(None)
+            frames.append(None)
         self._lost = True
 
     def _drop(self, count: int) -> None:
@@ -97,49 +94,47 @@ def _fits(data: bytes) -> bool:
     return len(data) > 2 and sum(data[:-2]) & 0xFFFF == data[-2] | data[-1] << 8
 
 
-class PapillArrayDialogue(Dialogue):
-    """Asks for 100 readings a second: what a skin needs, and what a hub may have been set off from."""
+class PapillArrayHandshake(Handshake):
+    """Asks for 100 readings a second: enough for a skin, and the hub may have been set to another rate."""
 
     def opening(self) -> bytes:
-        """See `Dialogue`."""
         return b"f100\n"
 
 
-class PapillArrayDecoder(PieceDecoder):
+class PapillArrayDecoder(FrameDecoder):
     """Decodes a hub's frames."""
 
     name: ClassVar[str] = "PapillArray"
-    no_piece: ClassVar[Loss] = Loss.BAD_CHECKSUM
+    loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
+    has_checksum: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._steps = Steps()
+        self._gaps = GapCounter()
 
-    def _make_splitter(self) -> Pieces:
-        return PillarFrames()
+    def _make_splitter(self) -> FrameSplitter:
+        return PillarFrameSplitter()
 
-    def _decode(self, piece: bytes) -> Loss | None:
+    def _decode(self, frame: bytes) -> Loss | None:
         try:
-            blocks = _blocks(piece)
+            blocks = _blocks(frame)
             number, time_us = HUB.unpack_from(blocks[HUB_KIND])
-            forces = _pillars(blocks[PILLARS_KIND], piece[0])
+            forces = _pillars(blocks[PILLARS_KIND], frame[0])
         except (KeyError, ValueError, struct.error):
             return Loss.UNREADABLE
-        self.good += 1
-        missing = self._steps.missing(number)
-        if missing:
-            self.counts[Loss.MISSING] += missing
+        self.valid_records += 1
+        self._count_missing(self._gaps.missing_before(number))
         values = [value for force in forces for value in force]
-        whole = self._collector.width(Stream.SKIN) == len(values)
+        whole = self._width(Stream.SKIN) == len(values)
         self.units[Stream.SKIN] = f"{'Fx Fy Fz of' if whole else 'the force along'} each pillar, in N"
         if not whole:
             values = [abs(force[2]) for force in forces]
-        device_s = time_us / MICROSECONDS
-        return self._collector.add(Stream.SKIN, number, device_s if device_s < STAMP_MAX else float("nan"), values)
+        device_s = time_us / US_PER_S
+        return self._add(Stream.SKIN, number, device_s if device_s < STAMP_MAX_S else float("nan"), values)
 
 
 def _blocks(data: bytes) -> dict[int, bytes]:
-    """Return the bytes from each block's beginning on, by its kind. Raises ValueError, struct.error."""
+    """Find the blocks by their kind, each from its beginning to the end of the data. Raises ValueError, struct.error."""
     size = data[0]
     if not 1 <= size <= 4:
         raise ValueError("size of an index")
@@ -157,7 +152,7 @@ def _blocks(data: bytes) -> dict[int, bytes]:
 
 
 def _count(block: bytes, at: int, size: int) -> tuple[int, int]:
-    """Return how many items follow, and where the first one lies: after as many offsets, which say no more than that."""
+    """Return the number of items and the place of the first one, which follows as many offsets."""
     (count,) = struct.unpack_from("<H", block, at)
     if count > ITEMS_MAX:
         raise ValueError("count")
@@ -165,7 +160,7 @@ def _count(block: bytes, at: int, size: int) -> tuple[int, int]:
 
 
 def _pillars(block: bytes, size: int) -> list[tuple[float, float, float]]:
-    """Return Fx Fy Fz, N, of each pillar of each sensor."""
+    """Read Fx Fy Fz, N, of each pillar of each sensor."""
     forces: list[tuple[float, float, float]] = []
     sensors, at = _count(block, 0, size)
     for _ in range(sensors):
@@ -177,3 +172,39 @@ def _pillars(block: bytes, size: int) -> list[tuple[float, float, float]]:
             at += PILLAR.size
             forces.append((x, y, z))
     return forces
+
+
+_VECTOR = bytes.fromhex(
+    "55667788" "02 01000d00 03001900 04005700" "2a000000 b168de3a00000000"
+    "01000400 0200 0600 2000"
+    "0200 0000803f 00000040 00004040 0000003f 0000803e 0000003e"
+    "0200 000080c0 0000a040 0000c040 00000000 000000bf 0000403f"
+    "01000400 0200 0000e040 000000c1 00001041 00002041 0000a0c1 0000f041"
+    "570f aabbccdd"
+)  # fmt: skip
+"""Number 42, 987654321 us, one sensor with two pillars."""
+
+FAMILY = Family(
+    routes=(
+        Route(
+            usage="papillarray:/dev/ttyACM0",
+            form=Form.SERIAL,
+            transport="serial",
+            format="papillarray",
+            baud=115200,
+            handshake=lambda _: PapillArrayHandshake(),
+        ),
+    ),
+    decoders={"papillarray": PapillArrayDecoder},
+    table=(
+        TableRow(
+            "Contactile PapillArray (PTS v2)",
+            "its port, or `papillarray:/dev/ttyACM0`",
+            "simulator, vectors",
+            "100 Hz",
+            "gaps counted by number",
+        ),
+    ),
+    wiring=(("PapillArray", "USB serial of the hub; any baud rate"),),
+    vectors=(Vector("papillarray", (Stream.SKIN,), _VECTOR, ((3.0, 6.0),), repeat=_VECTOR, channels=2),),
+)

@@ -1,0 +1,449 @@
+"""Shared parts of decoders: splitters that cut bytes into frames, clocks and counters that wrap, readings put into batches.
+
+A decoder takes bytes and returns readings. It knows no port, no clock and no thread. How the bytes were cut never matters.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from abc import ABC, abstractmethod
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry import FloatArray, IntArray
+from skincal.model.readings import Batch, JointsBatch, Loss, SideReading, SkinBatch, Stream, WrenchBatch
+
+SEQ_MODULUS = 1 << 16
+"""The counters of SKT/1 and SKB/1 have 16 bits."""
+CLOCK_MODULUS_US = 1 << 32
+"""A 32-bit clock of microseconds wraps every 71.6 minutes."""
+US_PER_S = 1e6
+NO_SEQ = -1
+SEQ_MAX = 1 << 62
+"""Largest counter that a batch can hold."""
+STAMP_MAX_S = 5e9
+"""s. Times of any clock are nearer to 0 (the year 2128); a larger one has a wrong digit."""
+CRC_CCITT_START = 0xFFFF
+SATURATED_BIT = 1
+INVALID_BIT = 2
+WRENCH_WIDTH = 6
+DEFAULT_UNITS = {
+    Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
+    Stream.SKIN: "raw values",
+    Stream.JOINTS: "joint angles in degrees",
+}
+UNIT_MAX_CHARS = 20
+"""Characters kept of a unit that a device names."""
+PERIOD_NEWEST_WEIGHT = 1 / 16
+"""Weight of the newest interval in the mean interval of a record: settles within some 16 records."""
+GAP_TOLERANCE_STEPS = 2.0
+GAP_TOLERANCE_SHARE = 0.25
+"""A gap of s numbers fits a time of s intervals to within `GAP_TOLERANCE_STEPS + GAP_TOLERANCE_SHARE * s`: devices keep no
+exact pace. If numbers and time do not fit, the device restarted, and nothing is known to be missing."""
+_WIDTH_ADVICE = {
+    Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
+    Stream.WRENCH: "a wrench is fx fy fz mx my mz",
+    Stream.JOINTS: "the number of joints changed",
+}
+PACKET_HEAD = struct.Struct("<BI")
+"""Kind and length of the payload."""
+
+
+# ------------------------------------------------------------------ clocks and counters
+
+
+class DeviceTime:
+    """Unwraps a 32-bit clock of microseconds, shared by all records of one device.
+
+    A record may be stamped a little earlier than the one before it, because a skin frame is stamped when its scan begins. So a
+    step is taken in the direction in which it is shorter.
+    """
+
+    def __init__(self) -> None:
+        self._raw: int | None = None
+        self._total_us = 0
+
+    def unwrap(self, raw_us: int) -> float:
+        """Return the device's clock, seconds; NaN for a device without a clock, which always sends 0."""
+        last = self._raw
+        self._raw = raw_us
+        if last is None:
+            self._total_us = raw_us
+            return raw_us / US_PER_S if raw_us else math.nan
+        # A running clock passes 0 once in 71 minutes. Two zeros in a row mean that there is no clock.
+        if raw_us == 0 and last == 0:
+            return math.nan
+        half = CLOCK_MODULUS_US // 2
+        self._total_us += (raw_us - last + half) % CLOCK_MODULUS_US - half
+        return self._total_us / US_PER_S
+
+
+class SequenceCounter:
+    """Unwraps a 16-bit counter of one kind of record and counts missing numbers."""
+
+    def __init__(self) -> None:
+        self._raw = NO_SEQ
+        self._total = 0
+        self._device_s = math.nan
+        self._period_s = math.nan
+
+    def step(self, raw: int, device_s: float) -> tuple[int, int]:
+        """Return the unwrapped number and how many numbers are missing before it."""
+        last, elapsed_s = self._raw, device_s - self._device_s
+        self._raw, self._device_s = raw, device_s
+        if last == NO_SEQ:
+            self._total = raw
+            return raw, 0
+        step = (raw - last) % SEQ_MODULUS
+        if step == 1:
+            if elapsed_s > 0:
+                known_s = elapsed_s if math.isnan(self._period_s) else self._period_s
+                self._period_s = known_s + (elapsed_s - known_s) * PERIOD_NEWEST_WEIGHT
+        # A counter that restarted looks like a great loss. If the elapsed time does not fit the numbers, nothing is known to be
+        # missing, and the device may have another pace now.
+        elif step > 1 and not self._fits(step, elapsed_s):
+            self._period_s = math.nan
+            step = 1
+        self._total += step
+        return self._total, max(step - 1, 0)
+
+    def _fits(self, step: int, elapsed_s: float) -> bool:
+        # Half the circle ahead is as near behind: the counter went back.
+        if step >= SEQ_MODULUS // 2:
+            return False
+        if math.isnan(self._period_s) or math.isnan(elapsed_s):
+            return True
+        return abs(elapsed_s / self._period_s - step) <= GAP_TOLERANCE_STEPS + GAP_TOLERANCE_SHARE * step
+
+
+class GapCounter:
+    """Counts missing numbers of a sequence. Its usual step is not 1 if the sender publishes on several ports."""
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._step = 0
+        self._usual = 0
+
+    def missing_before(self, seq: int) -> int:
+        """Return how many numbers are missing before `seq`. The usual step is the last one that came twice in a row."""
+        step = 0 if self._last is None or seq < 0 else seq - self._last
+        # A message without an envelope has the number -1; how many of them were lost is unknown.
+        self._last = seq if seq >= 0 else None
+        if step > 0 and step == self._step:
+            self._usual = step
+        self._step = step
+        if self._usual and step > self._usual and step % self._usual == 0:
+            return step // self._usual - 1
+        return 0
+
+    def missing_among(self, numbers: IntArray) -> int:
+        """Return how many numbers are missing before and among `numbers` (n,)."""
+        step, last = self._usual, self._last
+        if step and step == self._step and last is not None and numbers[0] == last + step and (np.diff(numbers) == step).all():
+            self._last = int(numbers[-1])
+            return 0
+        return sum(map(self.missing_before, numbers.tolist()))
+
+
+# ------------------------------------------------------------------ splitters
+
+
+class FrameSplitter(Protocol):
+    """Cuts bytes into frames. How the bytes were cut on the way makes no difference."""
+
+    @property
+    def has_partial_frame(self) -> bool:
+        """Whether bytes of an unfinished frame are kept, or bytes are being skipped."""
+        ...
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        """Return the frames that `data` completes; `None` stands for a run of bytes that is no frame."""
+        ...
+
+
+class MarkSplitter:
+    """Cuts bytes at `mark`. Bytes after the last mark are kept, at most `limit`."""
+
+    def __init__(self, mark: bytes, limit: int) -> None:
+        self._mark = mark
+        self._limit = limit
+        self._rest = b""
+        self._skipping = False
+
+    @property
+    def has_partial_frame(self) -> bool:
+        return bool(self._rest) or self._skipping
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        """Return the completed frames without their mark; `None` stands for one that was too long."""
+        cut = (self._rest + data).split(self._mark)
+        self._rest = cut.pop()
+        # The rest of a frame that was counted as too long when it was dropped.
+        if cut and self._skipping:
+            del cut[0]
+            self._skipping = False
+        frames: list[bytes | None] = [frame if len(frame) <= self._limit else None for frame in cut]
+        if len(self._rest) > self._limit:
+            self._rest = b""
+            # Counted once, however many chunks the frame spans.
+            if not self._skipping:
+                frames.append(None)
+            self._skipping = True
+        return frames
+
+
+class ProtocolError(ValueError):
+    """Bytes break the protocol; the message is a sentence without the device's address."""
+
+
+class LengthSplitter:
+    """Cuts frames whose head says their length. Nothing is a frame after bytes that break the protocol.
+
+    Parameters
+    ----------
+    next_frame : returns the frame that begins at a place of a buffer and the place of its end, or `None` while it is
+        incomplete. Raises ProtocolError.
+    """
+
+    def __init__(self, next_frame: Callable[[bytes, int], tuple[bytes, int] | None]) -> None:
+        self._next_frame = next_frame
+        self._rest = b""
+        self.fault = ""
+        """What breaks the protocol, a sentence; empty while nothing does."""
+
+    @property
+    def has_partial_frame(self) -> bool:
+        return bool(self._rest or self.fault)
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        frames: list[bytes | None] = []
+        if self.fault:
+            return frames
+        rest, at = self._rest + data, 0
+        try:
+            while (found := self._next_frame(rest, at)) is not None:
+                frame, at = found
+                frames.append(frame)
+            self._rest = rest[at:]
+        except ProtocolError as error:
+            self.fault = str(error)
+            self._rest = b""
+            frames.append(None)
+        return frames
+
+
+def pack(kind: int, payload: bytes) -> bytes:
+    """Return a message with its kind (0 to 255) and length.
+
+    UDP and websockets keep messages apart. The journal keeps bytes alone, so the message boundaries are written into them.
+    """
+    return PACKET_HEAD.pack(kind, len(payload)) + payload
+
+
+def packet_splitter(limit: int) -> LengthSplitter:
+    """Return a splitter for messages made by `pack`, at most `limit` bytes; a frame is the kind and the payload."""
+
+    def next_packet(data: bytes, at: int) -> tuple[bytes, int] | None:
+        if len(data) - at < PACKET_HEAD.size:
+            return None
+        kind, length = PACKET_HEAD.unpack_from(data, at)
+        if length > limit:
+            raise ProtocolError(f"it announces a packet of {length} bytes; at most {limit} are taken")
+        begin = at + PACKET_HEAD.size
+        return (bytes([kind]) + data[begin : begin + length], begin + length) if len(data) >= begin + length else None
+
+    return LengthSplitter(next_packet)
+
+
+class FixedFrameSplitter:
+    """Cuts frames of one `length` that begin with `head` and pass `is_valid`. A run of other bytes is one `None`.
+
+    After bytes that are no frame the search goes on at the next byte, since a head may also stand inside a frame. `between` is
+    what the device may say between two frames; it is ignored and is shorter than a frame.
+    """
+
+    def __init__(self, head: bytes, length: int, is_valid: Callable[[bytes], bool], between: bytes = b"") -> None:
+        self._head, self._length, self._is_valid, self._between = head, length, is_valid, between
+        self._rest = b""
+        self._lost = False
+
+    @property
+    def has_partial_frame(self) -> bool:
+        return bool(self._rest) or self._lost
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        frames: list[bytes | None] = []
+        rest, at = self._rest + data, 0
+        while len(rest) - at >= self._length:
+            frame = rest[at : at + self._length]
+            if frame.startswith(self._head) and self._is_valid(frame):
+                frames.append(frame)
+                at += self._length
+                self._lost = False
+                continue
+            if self._between and not self._lost and rest.startswith(self._between, at):
+                at += len(self._between)
+                continue
+            if not self._lost:
+                frames.append(None)
+            self._lost = True
+            found = rest.find(self._head, at + 1)
+            at = found if found >= 0 else max(len(rest) - len(self._head) + 1, at + 1)
+        self._rest = rest[at:]
+        return frames
+
+
+# ------------------------------------------------------------------ decoders
+
+
+class FrameDecoder(ABC):
+    """Decodes frames into batches of readings, for the streams that a link carries.
+
+    Readings of other streams are dropped without a count. The first frame after opening may have lost its beginning, so it is
+    not counted as a loss if it cannot be read.
+    """
+
+    name: ClassVar[str]
+    mark: ClassVar[bytes]
+    """End of a frame, unless `_make_splitter` is overridden."""
+    limit: ClassVar[int]
+    """Bytes. A longer frame is dropped whole."""
+    loss_of_garbage: ClassVar[Loss] = Loss.UNREADABLE
+    """Loss that is counted for bytes that are no frame."""
+    has_checksum: ClassVar[bool] = False
+    """Whether one good frame proves the format; then the decoder is tried on unknown bytes."""
+    single_stream: ClassVar[bool] = False
+    """Whether a file of this format carries one stream only."""
+    needs_recipe: ClassVar[bool] = False
+    """Whether frames can only be read by a decoder of the same streams that were asked for."""
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        self.counts: Counter[Loss] = Counter()
+        self.valid_records: int = 0
+        """Records that are surely of this format."""
+        self._problem = ""
+        """What was last wrong with the device's records, a sentence; empty if nothing was."""
+        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
+        self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
+        # Readings of each stream since the last batch: number, device's clock, values, status.
+        self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)
+        self._splitter = self._make_splitter()
+        self._first = True
+        self.units = dict(DEFAULT_UNITS)
+        """Names and unit of the values of a reading."""
+        self.side_readings: dict[str, SideReading] = {}
+        """Other quantities that the device measures, such as its temperature, by name and unit."""
+
+    def _make_splitter(self) -> FrameSplitter:
+        return MarkSplitter(self.mark, self.limit)
+
+    @property
+    def device_message(self) -> str:
+        """What the device got wrong or reported last, a sentence; empty if nothing."""
+        return self._problem
+
+    def feed(self, data: bytes) -> list[Batch]:
+        """Take the next bytes of the link and return the readings that they complete, one batch a stream."""
+        for frame in self._splitter.split(data):
+            problem = self.loss_of_garbage if frame is None else self._decode(frame)
+            if problem is not None and not self._first:
+                self.counts[problem] += 1
+            self._first = False
+        return [self._batch_of(stream, self._readings.pop(stream)) for stream in self._widths if stream in self._readings]
+
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:  # noqa: ARG002 - text decoders use it
+        """Decode several chunks at once. Return one batch and the end of each chunk's readings, or `None` if not possible."""
+        return None
+
+    @abstractmethod
+    def _decode(self, frame: bytes) -> Loss | None:
+        """Add the readings of a frame; return why it cannot be used, or `None`."""
+
+    def _width(self, stream: Stream) -> int | None:
+        """Return the number of values of a reading; `None` while it is unknown, and for a stream that is not carried."""
+        return self._widths.get(stream)
+
+    def _has_width(self, stream: Stream, width: int) -> bool:
+        """Check the width of a reading of a carried stream. An unknown width fits everything."""
+        return self._widths[stream] in (None, width)
+
+    def _count_missing(self, missing: int) -> None:
+        if missing:
+            self.counts[Loss.MISSING] += missing
+
+    def _add(
+        self, stream: Stream, seq: int, device_s: float, values: list[float] | NDArray[Any], status: int = 0
+    ) -> Loss | None:
+        """Add one reading; return what is wrong with its width. The first reading fixes an unknown width.
+
+        Parameters
+        ----------
+        seq : unwrapped number, or `NO_SEQ`
+        device_s : device's clock, seconds, or NaN
+        values : one reading, in the units of `skincal.model.readings`, but joint angles in degrees
+        status : `SATURATED_BIT` and `INVALID_BIT`; other bits are ignored
+        """
+        if stream not in self._widths:
+            return None
+        if not self._has_width(stream, len(values)):
+            expected, advice = self._widths[stream], _WIDTH_ADVICE[stream]
+            self._problem = f"{stream.value} readings of {len(values)} values arrive where {expected} are expected; {advice}"
+            return Loss.BAD_WIDTH
+        self._widths[stream] = len(values)
+        self._readings[stream].append((seq, device_s, values, status & (SATURATED_BIT | INVALID_BIT)))
+        return None
+
+    def _batch_of(self, stream: Stream, readings: list[tuple[int, float, list[float] | NDArray[Any], int]]) -> Batch:
+        numbers, clocks, rows, status = zip(*readings, strict=True)
+        seq, device_s, values = np.array(numbers, np.int64), np.array(clocks, np.float64), np.array(rows, np.float64)
+        return self._batch(stream, seq, device_s, values, np.array(status))
+
+    def _batch(
+        self, stream: Stream, seq: IntArray, device_s: FloatArray, values: FloatArray, status: IntArray | None = None
+    ) -> Batch:
+        """Return n readings, their values (n, width), as a batch; count values that are not finite. For the rest see `_add`."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            self.counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
+            values = np.where(finite, values, np.nan) if stream is Stream.SKIN else values
+        if stream is Stream.SKIN:
+            return SkinBatch(seq, device_s, values)
+        if stream is Stream.JOINTS:
+            return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
+        bits = np.zeros(len(seq), np.int64) if status is None else status
+        saturated, invalid = (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
+        for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
+            if flags.any():
+                self.counts[loss] += int(np.count_nonzero(flags))
+        return WrenchBatch(seq, device_s, values, saturated, invalid)
+
+    def _add_side_reading(self, name: str, value: float) -> None:
+        new = SideReading(value, value, value)
+        self.side_readings[name] = self.side_readings[name].then(new) if name in self.side_readings else new
+
+    def _read_header(self, text: str) -> None:
+        """Read a board's header, `key=value,...`: compare its width with the scene's, keep the unit of its skin."""
+        pairs = (field.partition("=") for field in text.split(","))
+        header = {key.strip(): value.strip() for key, equals, value in pairs if equals}
+        # A header that agrees does not clear another problem.
+        self._problem = header_problem(header, self._width(Stream.SKIN)) or self._problem
+        unit = header.get("unit", "raw")[:UNIT_MAX_CHARS]
+        if header.get("kind") == "taxel" and unit != "raw":
+            self.units[Stream.SKIN] = f"values in {unit}"
+
+
+def header_problem(header: dict[str, str], channels: int | None) -> str:
+    """Return a sentence if a board's width differs from the scene's; empty if they agree or one of them is unknown."""
+    n = header.get("n", "")
+    if channels is None or not n.isdigit() or int(n) == channels or header.get("kind") == "ft":
+        return ""
+    board = header.get("board", "")
+    return (
+        f"The board{' ' + board if board else ''} says that it sends n={n} taxels where {channels} are expected; "
+        "set [skin] channels of the scene, or the board's n, to the same number"
+    )

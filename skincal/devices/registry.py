@@ -1,0 +1,122 @@
+"""Registry of device families: finds the family of an address or of a format. Nothing is opened here.
+
+A device's address is `SCHEME://HOST:PORT/PATH?key=value`, or `SCHEME:PORT` for a serial port that needs more than its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+from skincal.devices.decoding import FrameDecoder
+from skincal.devices.family import DeviceAddress, Family, Form, Route
+from skincal.devices.plain import RECORDED_RUN, RUN, split_command
+from skincal.model.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Names by which a family's file is found before it is imported: a scene costs only what its devices need."""
+
+    schemes: tuple[str, ...]
+    """Words before the colon of an address."""
+    formats: tuple[str, ...] = ()
+    checksummed: tuple[str, ...] = ()
+    """Formats whose checksum proves them: they are tried on bytes that no text has."""
+
+
+FAMILIES: Mapping[str, Entry] = MappingProxyType(
+    {
+        "netft": Entry(("netft",), ("rdt",)),
+        "yarp": Entry(("yarp",), ("yarp-port",)),
+        "bota": Entry(("bota",), ("bota",), ("bota",)),
+        "robotiq": Entry(("robotiq",), ("robotiq", "robotiq-text"), ("robotiq",)),
+        "rtde": Entry(("rtde",), ("rtde",)),
+        "xela": Entry(("xela",), ("xela",)),
+        "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
+        "plain": Entry(("socket", "lines", "run")),
+    }
+)
+"""By the name of the file in `skincal/devices/`."""
+FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.formats)
+"""Names of all formats of devices."""
+CHECKSUMMED_FORMATS = tuple(name for entry in FAMILIES.values() for name in entry.checksummed)
+_FILE_OF_SCHEME = {scheme: file for file, entry in FAMILIES.items() for scheme in entry.schemes}
+_FILE_OF_FORMAT = {name: file for file, entry in FAMILIES.items() for name in entry.formats}
+
+
+def load_family(file: str) -> Family:
+    """Import a family's file."""
+    module: Any = import_module(f"skincal.devices.{file}")
+    family: Family = module.FAMILY
+    return family
+
+
+def find_decoder(format_name: str) -> type[FrameDecoder] | None:
+    """Return the decoder of a device's format, or `None`."""
+    file = _FILE_OF_FORMAT.get(format_name)
+    return None if file is None else load_family(file).decoders[format_name]
+
+
+def parse_device(address: str) -> DeviceAddress | None:
+    """Read a device's address; `None` if no scheme of a device begins it.
+
+    Raises InputError: the scheme is known and the rest is not valid.
+    """
+    if address.startswith(RECORDED_RUN):
+        raise InputError(
+            f"{address}: was recorded from a command, and a session starts none; "
+            f"type {RUN}{address.removeprefix(RECORDED_RUN)} if you know it, or another address."
+        )
+    scheme, colon, rest = address.partition(":")
+    if not colon or scheme not in _FILE_OF_SCHEME:
+        return None
+    routes = [route for route in load_family(_FILE_OF_SCHEME[scheme]).routes if route.scheme == scheme]
+    for route in routes:
+        try:
+            found = _read_form(address, route, rest)
+        except ValueError:
+            continue
+        if found is None:
+            continue
+        unknown = [key for key in found.options if key not in route.options]
+        if unknown:
+            allowed = ", ".join(route.options) or "none"
+            raise InputError(f"{address}: unknown option {unknown[0]!r}. Allowed options: {allowed}.")
+        if route.check(found):
+            return found
+    examples = " or ".join(route.usage for route in routes)
+    raise InputError(f"{address} is not a valid {scheme} address. Example: {examples}.")
+
+
+def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
+    """Read what follows the scheme; `None` if it has another form. Raises ValueError likewise."""
+    if route.form is Form.COMMAND:
+        return DeviceAddress(address, route, path=rest) if split_command(rest) else None
+    if not rest.startswith("//"):
+        place, _, query = rest.partition("?")
+        is_path = place.startswith("/") and len(place) > 1
+        if not place or not (route.form is Form.SERIAL or (route.form is Form.PATH and is_path)):
+            return None
+        return DeviceAddress(address, route, path=place, baud=route.baud, options=dict(parse_qsl(query)))
+    parts = urlsplit(address)
+    host, options = parts.hostname or "", dict(parse_qsl(parts.query))
+    host.encode("idna")  # raises ValueError for a name that no host can have
+    port = route.port if parts.port is None else parts.port
+    has_path = len(parts.path) > 1
+    # A name before an @ would be taken for the host by whoever reads the address.
+    if parts.username is not None:
+        return None
+    if route.form is Form.HOST_OR_PORT:
+        if bool(host) == has_path or parts.port is not None:
+            return None
+        # /dev/ttyACM0, but COM7
+        place = parts.path if parts.path.count("/") > 1 else parts.path.removeprefix("/")
+        return DeviceAddress(address, route, host, path=place, options=options)
+    if route.form not in (Form.HOST, Form.HOST_PATH) or not host or not port or has_path != (route.form is Form.HOST_PATH):
+        return None
+    return DeviceAddress(address, route, host, port, parts.path if has_path else "", options=options)

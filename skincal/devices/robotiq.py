@@ -1,0 +1,157 @@
+"""Robotiq FT 300 and FT 300-S: the stream of the serial port, and the text that a UR controller with Robotiq's URCap serves.
+
+Serial, 19200 baud: 16 bytes, 20 4E, six int16 little-endian (N x 100, N m x 1000), CRC-16/MODBUS little-endian; 100 Hz, no
+clock, no number, no word on saturation. The stream is stopped by 50 bytes FF and started by writing register 410 over
+Modbus; a sensor that streams hears nothing else, so it is stopped first. TCP 63351: `(fx , fy , fz , mx , my , mz)` without
+end, nothing between but the parentheses. Sources: Robotiq's ROS driver and FT 300-S manual; public clients of port 63351.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import ClassVar
+
+from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_WIDTH, FixedFrameSplitter, FrameDecoder, FrameSplitter
+from skincal.devices.family import Family, Form, Handshake, Route, TableRow, Vector
+from skincal.model.readings import Loss, Stream
+
+HEAD = b"\x20\x4e"
+FRAME = struct.Struct("<2s6hH")
+COUNTS_PER_SI_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
+"""Counts for each N and N m."""
+SATURATED_COUNT = 32767
+STOP = b"\xff" * 50
+START = bytes.fromhex("0910019A0001020200CDCA")
+START_ANSWER = bytes.fromhex("0910019A00012152")
+"""The answer to `START`, before the stream."""
+TEXT_MAX_BYTES = 200
+"""Bytes of one reading as text."""
+
+
+def _modbus_table() -> list[int]:
+    table: list[int] = []
+    for byte in range(256):
+        value = byte
+        for _ in range(8):
+            value = value >> 1 ^ (0xA001 if value & 1 else 0)
+        table.append(value)
+    return table
+
+
+_MODBUS_TABLE = _modbus_table()
+
+
+def crc_modbus(data: bytes) -> int:
+    """Compute the CRC-16/MODBUS: polynomial 8005 mirrored, start FFFF."""
+    crc = 0xFFFF
+    for byte in data:
+        crc = crc >> 8 ^ _MODBUS_TABLE[(crc ^ byte) & 0xFF]
+    return crc
+
+
+def _is_frame(frame: bytes) -> bool:
+    return crc_modbus(frame[:-2]) == frame[-2] | frame[-1] << 8
+
+
+class RobotiqHandshake(Handshake):
+    """Stops the stream, starts it once the line is quiet, and again whenever it ends. Leaves the sensor stopped."""
+
+    silence_s = 0.15
+    closing_bytes = STOP
+
+    def __init__(self) -> None:
+        self._stopped = True
+
+    def opening(self) -> bytes:
+        return STOP
+
+    def on_silence(self) -> bytes:
+        self._stopped = not self._stopped
+        return STOP if self._stopped else START
+
+
+class RobotiqDecoder(FrameDecoder):
+    """Decodes the serial stream."""
+
+    name: ClassVar[str] = "Robotiq FT 300"
+    loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
+    has_checksum: ClassVar[bool] = True
+
+    def _make_splitter(self) -> FrameSplitter:
+        return FixedFrameSplitter(HEAD, FRAME.size, _is_frame, START_ANSWER)
+
+    def _decode(self, frame: bytes) -> Loss | None:
+        _, *counts, _ = FRAME.unpack(frame)
+        self.valid_records += 1
+        values = [count / size for count, size in zip(counts, COUNTS_PER_SI_UNIT, strict=True)]
+        flags = SATURATED_BIT if max(abs(count) for count in counts) >= SATURATED_COUNT else 0
+        return self._add(Stream.WRENCH, NO_SEQ, math.nan, values, flags)
+
+
+class RobotiqTextDecoder(FrameDecoder):
+    """Decodes the text of TCP 63351."""
+
+    name: ClassVar[str] = "Robotiq text"
+    mark: ClassVar[bytes] = b")"
+    limit: ClassVar[int] = TEXT_MAX_BYTES
+
+    def _decode(self, frame: bytes) -> Loss | None:
+        before, opened, inside = frame.rpartition(b"(")
+        if not opened:
+            return Loss.UNREADABLE
+        try:
+            values = [float(word) for word in inside.decode("ascii").split(",")]
+        except ValueError:
+            return Loss.UNREADABLE
+        if len(values) != WRENCH_WIDTH or b"_" in inside:
+            return Loss.BAD_WIDTH
+        if before.strip():
+            self.counts[Loss.UNREADABLE] += 0 if self._first else 1
+        self.valid_records += 1
+        return self._add(Stream.WRENCH, NO_SEQ, math.nan, values)
+
+
+_VECTOR = bytes.fromhex("204ED204C9FD52267B002EFB05007784")
+_TEXT_VECTOR = b"(1.50 , -2.25 , 30.00 , 0.1250 , -0.5000 , 0.0625)"
+
+FAMILY = Family(
+    routes=(
+        Route(
+            usage="robotiq:/dev/ttyUSB0",
+            form=Form.SERIAL,
+            transport="serial",
+            format="robotiq",
+            baud=19200,
+            handshake=lambda _: RobotiqHandshake(),
+        ),
+        Route(usage="robotiq://192.168.1.2", form=Form.HOST, transport="tcp", format="robotiq-text", port=63351),
+    ),
+    decoders={"robotiq": RobotiqDecoder, "robotiq-text": RobotiqTextDecoder},
+    table=(
+        TableRow(
+            "Robotiq FT 300, FT 300-S",
+            "`robotiq:/dev/ttyUSB0`",
+            "simulator, vectors",
+            "100 Hz",
+            "nothing: full-scale readings are taken for saturated",
+        ),
+        TableRow(
+            "the same behind a UR controller with Robotiq's URCap",
+            "`robotiq://192.168.1.2`",
+            "simulator",
+            "the controller's",
+            "nothing",
+        ),
+    ),
+    wiring=(
+        (
+            "Robotiq FT 300",
+            "USB to RS-485 adapter, 19200 8N1, fixed 100 Hz; behind the URCap TCP 63351 of the controller",
+        ),
+    ),
+    vectors=(
+        Vector("robotiq", (Stream.WRENCH,), _VECTOR, ((12.34, -5.67, 98.1, 0.123, -1.234, 0.005),), repeat=_VECTOR),
+        Vector("robotiq-text", (Stream.WRENCH,), _TEXT_VECTOR, ((1.5, -2.25, 30.0, 0.125, -0.5, 0.0625),), repeat=_TEXT_VECTOR),
+    ),
+)

@@ -1,0 +1,135 @@
+"""Decoders by the names of their formats, and detection of the format of a link.
+
+The format is found from the bytes and the host's stamps of its chunks alone, so that a replay decides alike. One record of
+SKB/1 or SKT/1 with a good checksum decides. The checksummed formats of devices are tried as well, once bytes come that no text
+has. Delimited text is decoded at the same time; 300 ms after the first bytes its readings are passed on. Text is final only
+once it has given a reading, because a device may send words first and records later.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from skincal.devices.decoding import FrameDecoder
+from skincal.devices.family import AUTO
+from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
+from skincal.model.errors import InputError
+from skincal.model.readings import Batch, Loss, SideReading, Stream
+from skincal.streams.decoders.delimited import TextDecoder
+from skincal.streams.decoders.skb import SkbDecoder
+from skincal.streams.decoders.skt import SktDecoder
+from skincal.streams.decoders.yarp_log import CsvDecoder, YarpDecoder, YarpRxDecoder, YarpTxRxDecoder
+
+_DECODERS: dict[str, type[FrameDecoder]] = {
+    "skb": SkbDecoder,
+    "skt": SktDecoder,
+    "text": TextDecoder,
+    "yarp": YarpDecoder,
+    "yarp-tx-rx": YarpTxRxDecoder,
+    "yarp-rx": YarpRxDecoder,
+    "csv": CsvDecoder,
+}
+"""Formats that belong to no device, by the name in a link's description."""
+NAMES = (AUTO, *_DECODERS, *FORMATS)
+_TEXT_BYTES = bytes([*range(9, 14), *range(32, 127)])
+"""Bytes that a text may have."""
+TEXT_AFTER_NS = 300_000_000
+"""ns of bytes without a good checksum before text is believed: six frames at 20 Hz, ten at 35 Hz."""
+TEXT_AFTER_BYTES = 65536
+"""Bytes after which text is believed at once: a file is read faster than it was recorded."""
+
+
+def decoder_class(name: str) -> type[FrameDecoder]:
+    """Find the decoder of a format. Raises InputError: no format has this name."""
+    found = _DECODERS.get(name) or find_decoder(name)
+    if found is None:
+        raise InputError(f"A link's format is {name!r}; expected one of {', '.join(NAMES)}.")
+    return found
+
+
+def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -> FrameDecoder:
+    """Make the decoder of a format. Raises InputError: no format has this name."""
+    return decoder_class(name)(channels, carries)
+
+
+class LinkDecoder:
+    """Decodes a link's bytes, in a format that is given or found."""
+
+    def __init__(self, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        self.chosen: FrameDecoder | None = None
+        """Decoder of the format; `None` while the format is unknown."""
+        self._probes: list[FrameDecoder] = []
+        self._link = channels, carries
+        self._text = TextDecoder(channels, carries)
+        self._held: list[tuple[int, Batch]] = []
+        self._first_ns: int | None = None
+        self._bytes = 0
+        self._has_binary = False
+        if format_name == AUTO:
+            self._probes = [SkbDecoder(channels, carries), SktDecoder(channels, carries)]
+        else:
+            self.chosen = make_decoder(format_name, channels, carries)
+
+    @property
+    def name(self) -> str:
+        """Name of the format; empty while unknown."""
+        return "" if self.chosen is None else self.chosen.name
+
+    @property
+    def counts(self) -> Counter[Loss]:
+        """Losses of the decoder; none while the format is unknown."""
+        return Counter() if self.chosen is None else self.chosen.counts
+
+    @property
+    def device_message(self) -> str:
+        return "" if self.chosen is None else self.chosen.device_message
+
+    @property
+    def units(self) -> dict[Stream, str]:
+        return {} if self.chosen is None else self.chosen.units
+
+    @property
+    def side_readings(self) -> dict[str, SideReading]:
+        return {} if self.chosen is None else self.chosen.side_readings
+
+    def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
+        """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
+        if not self._probes:
+            return [] if self.chosen is None else [(host_ns, batch) for batch in self.chosen.feed(data)]
+        if not self._has_binary and data.translate(None, _TEXT_BYTES):
+            self._has_binary = True
+            self._probes += [make_decoder(name, *self._link) for name in CHECKSUMMED_FORMATS]
+        for probe in self._probes:
+            batches = probe.feed(data)
+            if probe.valid_records:
+                self._settle(probe)
+                return [(host_ns, batch) for batch in batches]
+        self._held += [(host_ns, batch) for batch in self._text.feed(data)]
+        self._bytes += len(data)
+        if self._first_ns is None:
+            self._first_ns = host_ns
+        if host_ns - self._first_ns >= TEXT_AFTER_NS or self._bytes >= TEXT_AFTER_BYTES:
+            return self.finish()
+        return []
+
+    def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
+        """Decode several chunks at once. Return one batch and the end of each chunk's readings, or `None` if not possible."""
+        return None if self._probes or self.chosen is None else self.chosen.feed_many(chunks)
+
+    def finish(self) -> list[tuple[int, Batch]]:
+        """Settle for text if nothing else was found: no more bytes come, or enough came. Return its readings."""
+        if not self._probes:
+            return []
+        self.chosen = self._text
+        held, self._held = self._held, []
+        # Without a reading the search goes on: the device may send words first and its records later.
+        if held:
+            self._settle(self._text)
+        return held
+
+    def _settle(self, chosen: FrameDecoder) -> None:
+        self.chosen = chosen
+        self._probes = []
+        # The text decoder's readings of the same bytes must not come twice.
+        self._held = []

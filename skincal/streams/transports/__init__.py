@@ -1,0 +1,46 @@
+"""Transports, one file each. `TRANSPORTS` lists them; a file is imported when a link needs it.
+
+A file has `open_transport(opening)`, which returns an open `Link` or raises LinkError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+from skincal.devices.family import AUTO, DeviceAddress
+from skincal.devices.link import Link
+from skincal.model.readings import Stream
+
+TRANSPORTS: Mapping[str, str] = MappingProxyType(
+    {
+        "serial": "serial_port",
+        "tcp": "tcp",
+        "udp": "udp",
+        "websocket": "websocket",
+        "command": "command",
+        "file": "file_replay",
+    }
+)
+"""File in `skincal/streams/transports/` by the name that a route gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What is to be opened, and for what."""
+
+    address: DeviceAddress
+    carries: tuple[Stream, ...] = ()
+    format: str = AUTO
+    is_cancelled: Callable[[], bool] = lambda: False
+    """Whether nobody waits for the link any more; may be asked from any thread."""
+
+
+def open_transport(opening: Opening) -> Link:
+    """Open the transport of an address. Raises LinkError."""
+    module: Any = import_module(f"skincal.streams.transports.{TRANSPORTS[opening.address.route.transport]}")
+    link: Link = module.open_transport(opening)
+    return link
