@@ -364,7 +364,7 @@ def test_missing_file_is_said(tmp_path):
     "address", ["socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999"]
 )
 def test_tcp_address_that_cannot_be_right(address):
-    with pytest.raises(LinkError, match="expected socket://HOST:PORT") as failure:
+    with pytest.raises(LinkError, match=r"Example: socket://127\.0\.0\.1:7000") as failure:
         open_link(spec(address))
     assert failure.value.kind is FailureKind.ADDRESS
 

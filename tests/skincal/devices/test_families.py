@@ -1,0 +1,126 @@
+"""Contract of every device family: entry, addresses, vectors, bytes cut anywhere, garbage, noise, tables of the manual."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skincal.devices.family import AUTO
+from skincal.devices.registry import CHECKSUMMED_FORMATS, FAMILIES, FORMATS, load_family, parse_device
+from skincal.model.readings import JointsBatch, Loss, WrenchBatch
+from skincal.streams.decoders.auto_detect import LinkDecoder, make_decoder
+from skincal.streams.transports import TRANSPORTS
+from tools.device_tables import PAGE, with_tables
+
+ROUTES = [route for file in FAMILIES for route in load_family(file).routes]
+VECTORS = [vector for file in FAMILIES for vector in load_family(file).vectors]
+FIRST = {vector.format: vector for vector in reversed(VECTORS)}
+"""The first vector of each format."""
+REPEATED = {name: vector for name, vector in FIRST.items() if vector.repeat}
+
+
+def values_of(batch):
+    if isinstance(batch, WrenchBatch):
+        return batch.wrench
+    return batch.angles if isinstance(batch, JointsBatch) else batch.values
+
+
+def decode(vector, data, cuts=()):
+    """Readings of bytes that came in pieces, stream by stream, with the device's clock; and the decoder."""
+    decoder = make_decoder(vector.format, vector.channels, vector.carries)
+    batches = [batch for a, b in pairwise([0, *sorted(cuts), len(data)]) for batch in decoder.feed(data[a:b])]
+    rows = [
+        (type(batch).__name__, values.tolist(), None if np.isnan(stamp) else stamp)
+        for batch in batches
+        for values, stamp in zip(values_of(batch), batch.device_s.tolist(), strict=True)
+    ]
+    return sorted(rows, key=lambda row: row[0]), decoder
+
+
+@pytest.mark.parametrize("file", FAMILIES)
+def test_the_entry_says_what_the_file_has(file):
+    entry, family = FAMILIES[file], load_family(file)
+    assert {route.scheme for route in family.routes} == set(entry.schemes)
+    assert tuple(family.decoders) == entry.formats
+    assert tuple(name for name, decoder in family.decoders.items() if decoder.has_checksum) == entry.checksummed
+    assert {vector.format for vector in family.vectors} == set(entry.formats)
+    assert family.table
+    assert family.wiring
+
+
+@pytest.mark.parametrize("route", ROUTES, ids=lambda route: route.usage)
+def test_the_example_of_a_route_is_an_address_of_it(route):
+    address = route.usage.partition(" or ")[0]
+    found = parse_device(address)
+    assert (found.text, found.route) == (address, route)
+    assert route.transport in TRANSPORTS
+    assert route.format in (AUTO, *FORMATS)
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector.format)
+def test_a_vector_gives_its_readings(vector):
+    rows, decoder = decode(vector, vector.data)
+    assert [row[1] for row in rows] == [pytest.approx(list(values), rel=1e-12) for values in vector.values]
+    assert decoder.counts.total() == 0
+    assert decoder.device_message == ""
+
+
+def stream_of(vector, repeats=5):
+    return vector.data + vector.repeat * repeats
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_whole_and_byte_by_byte_are_the_same(name):
+    data = stream_of(FIRST[name])
+    whole, decoder = decode(FIRST[name], data)
+    bytewise, other = decode(FIRST[name], data, range(1, len(data)))
+    assert whole == bytewise
+    assert decoder.counts == other.counts
+    assert len(whole) == (6 if FIRST[name].repeat else 1) * len(FIRST[name].values)
+    assert decoder.valid_records == (6 if FIRST[name].repeat else 1)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(FIRST)), st.data())
+def test_garbage_and_any_cuts_raise_nothing_and_never_matter(name, data):
+    stream = bytearray(stream_of(FIRST[name]))
+    for _ in range(data.draw(st.integers(0, 4))):
+        at = data.draw(st.integers(0, len(stream)))
+        stream[at : at + data.draw(st.integers(0, 3))] = data.draw(st.binary(max_size=12))
+    raw = bytes(stream)
+    whole, decoder = decode(FIRST[name], raw)
+    pieces, other = decode(FIRST[name], raw, data.draw(st.lists(st.integers(0, len(raw)), max_size=10)))
+    assert whole == pieces
+    assert decoder.counts == other.counts
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(sorted(set(FIRST) - {"robotiq-text"})), st.binary(max_size=400))
+def test_noise_is_no_reading(name, noise):
+    assert decode(FIRST[name], noise * 20)[1].valid_records == 0
+
+
+@pytest.mark.parametrize("name", CHECKSUMMED_FORMATS)
+def test_frames_after_garbage_are_found_again(name):
+    data = stream_of(REPEATED[name])
+    broken = bytearray(data)
+    broken[len(data) // 2] ^= 0x40
+    rows, decoder = decode(REPEATED[name], bytes(broken) + data * 200)
+    assert len(rows) >= 1100
+    assert decoder.counts[Loss.BAD_CHECKSUM] == 1
+
+
+@pytest.mark.parametrize("name", CHECKSUMMED_FORMATS)
+def test_a_format_with_a_checksum_is_detected(name):
+    vector, data = REPEATED[name], stream_of(REPEATED[name])
+    link = LinkDecoder(AUTO, vector.channels, vector.carries)
+    found = [batch for at in range(0, len(data), 10) for batch in link.feed(data[at : at + 10], at * 1_000_000)]
+    assert link.name == make_decoder(name, None, vector.carries).name
+    assert sum(len(batch.seq) for _, batch in found) == 6
+
+
+def test_the_manual_has_the_tables_of_the_registry():
+    page = PAGE.read_text(encoding="utf-8")
+    assert with_tables(page) == page, "run python -m tools.device_tables"
