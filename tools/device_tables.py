@@ -7,7 +7,7 @@ from pathlib import Path
 from skincal.devices.registry import FAMILIES, load_family
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "devices.md"
-DEVICES_HEAD = "| device | address | tried by | rate | what it says of itself |"
+DEVICES_HEAD = "| device | address | tried by | rate | its own status |"
 WIRING_HEAD = "| device | how it reaches the computer |"
 
 

@@ -134,7 +134,7 @@ FAMILY = Family(
             "`robotiq:/dev/ttyUSB0`",
             "simulator, vectors",
             "100 Hz",
-            "nothing: full-scale readings are taken for saturated",
+            "nothing: full-scale readings count as saturated",
         ),
         TableRow(
             "the same behind a UR controller with Robotiq's URCap",
