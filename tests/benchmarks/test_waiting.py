@@ -23,7 +23,7 @@ from skincal.simulate.device import DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Auto, Habits
 from skincal.simulate.simulated_rig import Rig
-from skincal.streams.decoders.detect import LinkDecoder
+from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.studies.runtime import solved_session
 from skincal.taxels.result import PER_TAXEL
 
