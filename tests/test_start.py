@@ -30,7 +30,11 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(places, "CHECKOUT", tmp_path)
     monkeypatch.setattr(places, "VENV", venv)
     monkeypatch.setattr(install, "SYSTEM", venv / "system")
-    for name, file in {"STAMP": "skincal-installed.txt", "UNFINISHED": "skincal-unfinished.txt", "LOG": "install.log"}.items():
+    for name, file in {
+        "STAMP_FILE": "skincal-installed.txt",
+        "UNFINISHED_FILE": "skincal-unfinished.txt",
+        "LOG": "install.log",
+    }.items():
         monkeypatch.setattr(install, name, venv / file)
     lock = tmp_path / "requirements.lock"
     lock.write_text("# nothing\n", encoding="utf-8")
@@ -76,7 +80,7 @@ def test_what_was_interrupted_while_it_was_unpacked_begins_from_an_empty_folder(
     pretend("exit 0")
     assert install.ensure(checkout)
     assert not emptied, "it was right"
-    install.UNFINISHED.touch()  # as pip leaves it when it is killed while it unpacks
+    install.UNFINISHED_FILE.touch()  # as pip leaves it when it is killed while it unpacks
     assert not install.is_ready(checkout)
     assert install.ensure(checkout)
     assert emptied == [True]
@@ -129,7 +133,7 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
     checkout: Path, line: str, code: int, unfinished: bool
 ) -> None:
     """As where the network is gone, and what is installed still runs; or where pip was killed while it unpacked."""
-    there = f"test -e {install.UNFINISHED}"  # should it be killed now
+    there = f"test -e {install.UNFINISHED_FILE}"  # should it be killed now
     pretend(f"{there} || exit 9\necho '{line}' > {install.LOG}\nexit {code}")
     if code:
         with pytest.raises(places.StopError) as stop:
@@ -138,7 +142,7 @@ def test_an_environment_counts_as_unfinished_only_once_pip_changes_it(
             assert words in str(stop.value)
     else:
         assert install.ensure(checkout)
-    assert install.UNFINISHED.exists() is unfinished
+    assert install.UNFINISHED_FILE.exists() is unfinished
     assert install.is_ready(checkout) is (code == 0)
 
 

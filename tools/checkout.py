@@ -1,4 +1,4 @@
-"""What the two commands begin with: a Python that can run skincal, where a checkout keeps things, and what they say.
+"""Common base of the two commands: the required Python, the checkout's paths and the output.
 
 Written so that any Python since 3.6 can read it.
 """
@@ -24,7 +24,7 @@ USER_CAN_HELP = 2
 
 
 class StopError(Exception):
-    """The command cannot go on; its text says what was found and what to do."""
+    """The command cannot go on; its text names the reason and the remedy."""
 
 
 def require_python() -> None:

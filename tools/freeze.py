@@ -3,7 +3,7 @@
 PyInstaller collects the program into `dist/skincal`. Then the folder is proved, with nothing of the checkout in reach: `solve`
 on the shipped session, its report, and the window on a display of its own, whose simulated rig and its operator run in the
 program's child process: it has to draw taxels, and the session that it leaves behind has to hold pokes. Last, the folder is
-packed, and sizes and times are said.
+packed, and sizes and times are printed.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from PySide6.QtGui import QImage
 
 BUILD, DIST = checkout.CHECKOUT / "build", checkout.CHECKOUT / "dist"
-FOLDER = DIST / "skincal"
-PROGRAM = FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
+FROZEN_FOLDER = DIST / "skincal"
+FROZEN_PROGRAM = FROZEN_FOLDER / ("skincal.exe" if os.name == "nt" else "skincal")
 
-WHOLE = ("app", "skincal")
-"""Packages of which every module is taken along: many are imported where they are needed, by name."""
+WHOLE_PACKAGES = ("app", "skincal")
+"""Packages that are included whole: many of their modules are imported by name at run time."""
 BY_NAME = ("matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
-"""Modules that others import by a name which nobody sees: those that write the pictures of a report."""
-DATA = {
+"""Modules that matplotlib imports by name to write a report's pictures; PyInstaller cannot see them."""
+DATA_FILES = {
     "resources": "skincal/resources",
     "skincal/solver/solver.wasm": "skincal/solver",
     "skincal/reporting/report.html.jinja": "skincal/reporting",
 }
-UNUSED = (
+UNUSED_MODULES = (
     "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
@@ -54,7 +54,7 @@ UNUSED = (
 CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
 """What pyvista imports for the canvas of a graphics card, by name and beside the rooms below."""
 BY_NAME_VTK = (*CARD_VTK, "FiltersPython", "RenderingMatplotlib", "InteractionWidgets")
-"""Modules of VTK that pyvista imports as they are asked for, which nobody sees."""
+"""Modules of VTK that pyvista imports at run time; PyInstaller cannot see them."""
 VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
 """Of VTK what computes and draws, as names of its modules begin; its readers, accelerators and web parts are left out."""
 UNUSED_VTK = (
@@ -69,8 +69,8 @@ MAX_POKES_WITHOUT_TAXEL = 60
 """Accepted pokes that a session may hold before the first taxel is seen; the simulated operator begins with the landmarks."""
 BALL_PX = 7
 """px. A square of this side has room in a taxel's ball, and not in a line."""
-STARTS = 5
-"""Starts of which the median is said."""
+TIMED_STARTS = 5
+"""Starts that the reported median time is taken over."""
 
 
 def main() -> int:
@@ -102,9 +102,9 @@ def _build() -> None:
     libraries = [path for path in (packages / "wasmtime").rglob("*wasmtime.*") if path.suffix in (".so", ".dll", ".dylib")]
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
-    options += [f"--collect-submodules={name}" for name in WHOLE]
+    options += [f"--collect-submodules={name}" for name in WHOLE_PACKAGES]
     options += [f"--hidden-import={name}" for name in (*BY_NAME, *(f"vtkmodules.vtk{name}" for name in BY_NAME_VTK))]
-    options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA.items()]
+    options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA_FILES.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in left_out()]
     run([*options, str(checkout.CHECKOUT / "app" / "__main__.py")])
@@ -118,7 +118,7 @@ def left_out() -> list[str]:
     kept = tuple(f"vtk{room}" for room in (*VTK_ROOMS, *CARD_VTK))
     dropped = tuple(f"vtk{name}" for name in UNUSED_VTK)
     unused = (name for name in sorted(names) if not name.startswith(kept) or name.startswith(dropped))
-    return [*UNUSED, "vtk", "vtkmodules.all", *(f"vtkmodules.{name}" for name in unused)]
+    return [*UNUSED_MODULES, "vtk", "vtkmodules.all", *(f"vtkmodules.{name}" for name in unused)]
 
 
 def _prove() -> None:
@@ -131,9 +131,9 @@ def _prove() -> None:
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        sample = next(FOLDER.glob("*/skincal/resources/sessions/sample"))
+        sample = next(FROZEN_FOLDER.glob("*/skincal/resources/sessions/sample"))
         shutil.copytree(sample, folder / "sample")
-        frozen, source = [str(PROGRAM)], [str(checkout.interpreter()), "-m", "app"]
+        frozen, source = [str(FROZEN_PROGRAM)], [str(checkout.interpreter()), "-m", "app"]
         _same_estimates((frozen, source), folder)
         _same_reports((frozen, source), folder)
         say(f"solve on the sample: {_median_s(frozen, folder):.2f} s frozen, {_median_s(source, folder):.2f} s in the checkout")
@@ -145,7 +145,7 @@ def _prove() -> None:
 
 
 def _run(command: Sequence[str], folder: Path) -> str:
-    """Return what a command printed that must succeed, run in a folder, with nothing of the checkout on any path."""
+    """Run a command in a folder, with nothing of the checkout on any path; return its output. It must succeed."""
     done = subprocess.run(command, cwd=folder, env=_environment(folder, command), capture_output=True, text=True, check=False)
     if done.returncode:
         raise StopError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr[-2000:]}")
@@ -156,7 +156,7 @@ def _environment(folder: Path, command: Sequence[str]) -> dict[str, str]:
     """Return the environment of a user who has only the frozen folder; the checkout's own needs its path."""
     environment = {key: value for key, value in install.environment().items() if not key.startswith("PYTHON")}
     environment["HOME"] = environment["XDG_CONFIG_HOME"] = str(folder)
-    if command[0] != str(PROGRAM):
+    if command[0] != str(FROZEN_PROGRAM):
         environment["PYTHONPATH"], environment["PYTHONSAFEPATH"] = str(checkout.CHECKOUT), "1"
     return environment
 
@@ -164,7 +164,7 @@ def _environment(folder: Path, command: Sequence[str]) -> dict[str, str]:
 def _median_s(program: Sequence[str], folder: Path) -> float:
     """Return the median wall time of `solve` on the sample, seconds."""
     times: list[float] = []
-    for _ in range(STARTS):
+    for _ in range(TIMED_STARTS):
         begin = time.monotonic()
         _run([*program, "solve", "sample", "--json"], folder)
         times.append(time.monotonic() - begin)
@@ -197,7 +197,7 @@ def _same_reports(programs: Sequence[Sequence[str]], folder: Path) -> None:
 
 @contextlib.contextmanager
 def _screen() -> Iterator[Callable[[], QImage]]:
-    """Yield what grabs the screen: on Linux one that nobody sees."""
+    """Yield a function that grabs the screen; on Linux a virtual one."""
     from PySide6.QtGui import QGuiApplication
 
     with contextlib.ExitStack() as stack:
@@ -245,7 +245,7 @@ def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage
             progress = WindowProgress(folder / "session", grab)
             while not progress.update():
                 if window.poll() is not None:
-                    raise StopError(f"{program[0]}: ended by itself with {window.returncode}.")
+                    raise StopError(f"{program[0]}: ended early with exit code {window.returncode}.")
                 if progress.is_stuck():
                     after = f"{time.monotonic() - begin:.0f} s and {progress.pokes} pokes"
                     raise StopError(f"{program[0]}: no taxel is seen in its window after {after}.")
@@ -274,9 +274,9 @@ def shows_taxels(picture: QImage) -> bool:
 
 def _pack() -> None:
     """Pack the folder, and say how large it is."""
-    size = sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file() and not path.is_symlink())
-    packed = Path(shutil.make_archive(str(FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FOLDER.name))
-    say(f"{FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")
+    size = sum(path.stat().st_size for path in FROZEN_FOLDER.rglob("*") if path.is_file() and not path.is_symlink())
+    packed = Path(shutil.make_archive(str(FROZEN_FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FROZEN_FOLDER.name))
+    say(f"{FROZEN_FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")
 
 
 if __name__ == "__main__":

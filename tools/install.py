@@ -26,20 +26,20 @@ from app.preflight import loads
 from tools import checkout
 from tools.checkout import SYSTEM, StopError, say
 
-STAMP = checkout.VENV / "skincal-installed.txt"
-UNFINISHED = checkout.VENV / "skincal-unfinished.txt"
+STAMP_FILE = checkout.VENV / "skincal-installed.txt"
+UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
-KEYBOARDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
+XVFB_NEEDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
 """An Xvfb that was unpacked runs only where these are, as on every X desktop: their places are compiled into it."""
 NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
-"""A second C library beside the system's own crashes whatever loads it."""
-DATA = (
+"""Packages of the C library: a second one next to the system's crashes every program that loads it."""
+DATA_VARIABLES = (
     ("__EGL_VENDOR_LIBRARY_DIRS", "usr/share/glvnd/egl_vendor.d", "/usr/share/glvnd/egl_vendor.d"),
     ("XKB_CONFIG_ROOT", "usr/share/X11/xkb", "/usr/share/X11/xkb"),
     ("FONTCONFIG_FILE", "fonts.conf", "/etc/fonts/fonts.conf"),
 )
-"""Variable that says where a library's data lie, their place in a package, and the place where a system has them."""
+"""Environment variable of a library's data folder, its path in the package, and its path on the system."""
 FONT_LIST = """<?xml version="1.0"?>
 <!DOCTYPE fontconfig SYSTEM "urn:fontconfig:fonts.dtd">
 <fontconfig><dir>{fonts}</dir><dir>/usr/share/fonts</dir><cachedir prefix="xdg">fontconfig</cachedir></fontconfig>
@@ -67,13 +67,13 @@ def ensure(lock: Path) -> bool:
 
 def is_ready(lock: Path) -> bool:
     """Whether everything that a lock names is installed."""
-    return _venv_is_right() and STAMP.exists() and _stamp_line(lock) in STAMP.read_text(encoding="utf-8").splitlines()
+    return _venv_is_right() and STAMP_FILE.exists() and _stamp_line(lock) in STAMP_FILE.read_text(encoding="utf-8").splitlines()
 
 
 def _venv_is_right() -> bool:
     """Whether `.venv` is whole and of the Python that runs this."""
     configuration = checkout.VENV / "pyvenv.cfg"
-    if UNFINISHED.exists() or not checkout.interpreter().exists() or not configuration.exists():
+    if UNFINISHED_FILE.exists() or not checkout.interpreter().exists() or not configuration.exists():
         return False
     # Python's own venv writes `version`, other makers of environments `version_info`.
     version = re.search(r"^version(?:_info)? *= *(\d+\.\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
@@ -91,14 +91,14 @@ def _install_packages(lock: Path) -> None:
         say(f"Making a Python {VERSION} environment in {checkout.VENV} ...")
         venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
         # Only now: making the environment empties the folder.
-        UNFINISHED.touch()
-    STAMP.unlink(missing_ok=True)
+        UNFINISHED_FILE.touch()
+    STAMP_FILE.unlink(missing_ok=True)
     _provide_pip()
     say(f"Installing the Python packages of {lock.name} into {checkout.VENV} (once; a few hundred MB to fetch) ...")
     _pip_install(lock)
     _add_checkout()
     held = (checkout.RUN_LOCK, checkout.TEST_LOCK) if lock == checkout.TEST_LOCK else (lock,)
-    STAMP.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
+    STAMP_FILE.write_text("\n".join(_stamp_line(each) for each in held) + "\n", encoding="utf-8")
 
 
 def _provide_pip() -> None:
@@ -134,9 +134,9 @@ def _pip_environment() -> dict[str, str]:
 
 
 def _pip_install(lock: Path) -> None:
-    """Let pip say on the terminal how far it is, and in the log all that it has to say."""
+    """Run pip with its progress on the terminal and its whole output in the log."""
     LOG.unlink(missing_ok=True)
-    UNFINISHED.touch()
+    UNFINISHED_FILE.touch()
     command = [checkout.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
     command += ["--retries", "2", "--log", LOG, "-r", lock]
     failed = 1
@@ -146,12 +146,12 @@ def _pip_install(lock: Path) -> None:
     finally:
         log = LOG.read_text(encoding="utf-8", errors="replace") if LOG.exists() else ""
         if not failed or "Installing collected packages" not in log:
-            UNFINISHED.unlink()  # up to there it changes nothing
+            UNFINISHED_FILE.unlink()  # up to there it changes nothing
     if failed:
-        raise StopError(FAILED.format(venv=checkout.VENV, log=LOG))
+        raise StopError(INSTALL_FAILED.format(venv=checkout.VENV, log=LOG))
 
 
-FAILED = """\
+INSTALL_FAILED = """\
 The Python packages could not be installed; pip's own words stand above, and all of them in {log}.
 - Where it could not reach the package index: connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a
   proxy) and run this again.
@@ -169,12 +169,12 @@ def _add_checkout() -> None:
     relative = os.path.relpath(checkout.CHECKOUT, site)  # survives a move of the whole checkout
     (site / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
     command = checkout.interpreter().with_name("skincal.cmd" if os.name == "nt" else "skincal")
-    command.write_text(WINDOWS_COMMAND if os.name == "nt" else COMMAND, encoding="utf-8")
+    command.write_text(WINDOWS_COMMAND if os.name == "nt" else START_SCRIPT, encoding="utf-8")
     command.chmod(0o755)
     _python("-m", "compileall", "-q", *(str(checkout.CHECKOUT / name) for name in ("app", "skincal")))
 
 
-COMMAND = """#!/bin/sh
+START_SCRIPT = """#!/bin/sh
 here=$(dirname "$(readlink -f "$0")")
 exec "$here/python" "$here/../../start.py" "$@"
 """
@@ -279,17 +279,17 @@ def provide_test_display() -> None:
 
 
 def _can_provide_xvfb() -> bool:
-    return has_apt() and (os.geteuid() == 0 or all(place.exists() for place in KEYBOARDS))
+    return has_apt() and (os.geteuid() == 0 or all(place.exists() for place in XVFB_NEEDS))
 
 
 def environment() -> dict[str, str]:
-    """Return the environment in which unpacked system packages are found: the present one where nothing was unpacked."""
+    """Environment variables that lead to the unpacked system packages; unchanged if there are none."""
     present = dict(os.environ)
     if not SYSTEM.is_dir():
         return present
     for name, folders in (("LD_LIBRARY_PATH", _library_folders()), ("PATH", [SYSTEM / "usr" / "bin"])):
         present[name] = os.pathsep.join(filter(None, [*map(str, folders), present.get(name)]))
-    for name, inside, usual in DATA:
+    for name, inside, usual in DATA_VARIABLES:
         if (SYSTEM / inside).exists() and not Path(usual).exists():
             present.setdefault(name, str(SYSTEM / inside))
     for drivers in (folder / "dri" for folder in _library_folders()):
@@ -360,7 +360,7 @@ def _unpack(packages: Sequence[str]) -> None:
 
 
 def _run(*command: str, folder: Path | None = None, check: bool = True) -> str:
-    """Return what a command says on its standard output."""
+    """Run a command and return its standard output."""
     # In English: what apt says is read.
     english = os.environ | {"LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     return subprocess.run(

@@ -15,7 +15,7 @@ from tools.checkout import StopError, say
 INTERRUPTED_EXIT_CODE = 130
 """Exit code of a program ended with Ctrl-C."""
 
-PYTEST = ("-m", "pytest", "-p", "no:cacheprovider")
+PYTEST_ARGUMENTS = ("-m", "pytest", "-p", "no:cacheprovider")
 TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 """As on which the tests of what the 3D view must show run again."""
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
@@ -26,28 +26,37 @@ WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
 """Tests of the window that take about as long as those of whole windows."""
-CHECKS = {
+CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
-    "pytest of the window": (*PYTEST, "-m", "not quiet", "tests/app", *(f"--ignore={folder}" for folder in WINDOW_PARTS)),
-    "pytest of the window's parts": (*PYTEST, "-m", "not quiet", *WINDOW_PARTS),
+    "pytest of the window": (
+        *PYTEST_ARGUMENTS,
+        "-m",
+        "not quiet",
+        "tests/app",
+        *(f"--ignore={folder}" for folder in WINDOW_PARTS),
+    ),
+    "pytest of the window's parts": (*PYTEST_ARGUMENTS, "-m", "not quiet", *WINDOW_PARTS),
     "pytest of the core": (
-        *PYTEST,
+        *PYTEST_ARGUMENTS,
         "-m",
         "not quiet",
         "tests",
         *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS)),
     ),
-    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST, "-m", "not quiet", *SLOW_CORE_TESTS),
+    f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
     "pyright": ("-m", "pyright"),
-    **{f"pytest as on {caps}": (*PYTEST, "-m", "pixels", "tests/app/scene3d/test_pixels.py") for caps in TESTED_PROCESSORS},
+    **{
+        f"pytest as on {caps}": (*PYTEST_ARGUMENTS, "-m", "pixels", "tests/app/scene3d/test_pixels.py")
+        for caps in TESTED_PROCESSORS
+    },
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
 """Name of each check, and the arguments for Python: long ones first, so that two cores are done at about the same time."""
 PARALLEL_CHECKS = 3
 """Checks that run beside each other on two cores: tests of devices and windows wait a quarter of their time. What measures
 time is among `TIMING_TESTS`."""
-TIMING_TESTS = {"pytest of what is measured": (*PYTEST, "-m", "quiet", "tests/app")}
+TIMING_TESTS = {"pytest of what is measured": (*PYTEST_ARGUMENTS, "-m", "quiet", "tests/app")}
 """Tests that nothing may run beside."""
 
 IMPORT_CHECK = """
@@ -73,7 +82,7 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
 
 
 def start(arguments: Sequence[str]) -> int:
-    """Install what is missing and become skincal; returns only where that fails."""
+    """Install missing packages and replace this process by skincal; returns only on failure."""
     asked = arguments[0] if arguments else ""
     if asked in ("-h", "--help") and not install.is_ready(checkout.RUN_LOCK):
         import start as command
@@ -127,7 +136,7 @@ def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
     failed: list[str] = []
     with ThreadPoolExecutor(PARALLEL_CHECKS) as pool:
         running = {}
-        for name, words in CHECKS.items():
+        for name, words in CHECK_ARGUMENTS.items():
             caps = name.removeprefix("pytest as on ")
             own = {**environment, PROCESSOR_VARIABLE: caps} if caps in TESTED_PROCESSORS else environment
             running[pool.submit(_python, words, own, subprocess.PIPE)] = name
@@ -146,7 +155,7 @@ def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
 def _python(
     words: Sequence[str], environment: Mapping[str, str], said: int | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run the Python of `.venv` in the checkout; `said` is where all that it says goes."""
+    """Run the Python of `.venv` in the checkout; `said` receives its output."""
     return subprocess.run(
         [checkout.interpreter(), *words],
         env=environment,

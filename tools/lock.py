@@ -1,4 +1,4 @@
-"""Write both lock files anew from pyproject.toml: `python3 tools/lock.py [--upgrade]`. Needs uv (`pip install uv`).
+"""Update both lock files from pyproject.toml: `python3 tools/lock.py [--upgrade]`. Needs uv (`pip install uv`).
 
 The locks hold for CPython 3.11 to 3.14 on Linux, Windows and macOS, list a hash for every file, and name no host. Only wheels
 count: an installation needs no compiler. The one for tests keeps the versions of the other.
@@ -10,8 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-CHECKOUT = Path(__file__).resolve().parent.parent
-COMMON = (
+CHECKOUT_FOLDER = Path(__file__).resolve().parent.parent
+UV_OPTIONS = (
     "--universal",
     "--python-version=3.11",
     "--only-binary=:all:",
@@ -28,8 +28,8 @@ def main() -> int:
     # The second is bound to the first, so that one .venv serves both commands.
     for own in (("requirements.lock",), ("requirements-dev.lock", "--group=dev", "--constraints=requirements.lock")):
         output, *options = own
-        command = ["uv", "pip", "compile", "pyproject.toml", f"--output-file={output}", *COMMON, *options, *sys.argv[1:]]
-        code = subprocess.call(command, cwd=CHECKOUT)
+        command = ["uv", "pip", "compile", "pyproject.toml", f"--output-file={output}", *UV_OPTIONS, *options, *sys.argv[1:]]
+        code = subprocess.call(command, cwd=CHECKOUT_FOLDER)
         if code:
             return code
     return 0

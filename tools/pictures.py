@@ -1,4 +1,4 @@
-"""Make every picture of README and `docs/` anew: `python -m tools.pictures`; words after it choose some (`window studies`).
+"""Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window studies`).
 
 - `window`, `rig`: open the window on seeded simulated sessions, on no display, and grab it where there is what a picture is to
   show, some ten minutes. Devices send in real time, so that these differ a little from run to run: look at each.
@@ -40,7 +40,7 @@ from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES
 from skincal.taxels.result import Method
 
-PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
+PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 
 
 class Photographed:
@@ -90,7 +90,7 @@ class Photographed:
         picture, dialog = self.window.grab(), QApplication.activeModalWidget()
         if dialog is not None:
             dialog.render(picture, self.window.rect().center() - dialog.rect().center())
-        picture.save(str(PICTURES / f"{name}.png"))
+        picture.save(str(PICTURES_FOLDER / f"{name}.png"))
 
 
 def draw_window() -> None:
@@ -118,7 +118,7 @@ def draw_window() -> None:
 
 
 def draw_rig() -> None:
-    """Write what is seen of a rig that is as wrong as the paper's."""
+    """Write the pictures of a rig with the paper's errors."""
     wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
     # A window that draws falls behind on a busy machine, and the operator pokes what was asked for before.
     wrong.window.hide()
@@ -140,8 +140,8 @@ def draw_headless() -> None:
     snapshot = pipeline.snapshot()
     method = leading_method(snapshot.estimates) or Method.FREE
     # An older picture that is in the way would be kept beside it.
-    (PICTURES / "headless.png").unlink(missing_ok=True)
-    picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES / "headless.png")
+    (PICTURES_FOLDER / "headless.png").unlink(missing_ok=True)
+    picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES_FOLDER / "headless.png")
 
 
 def draw_studies(measured: Path) -> None:
@@ -153,12 +153,12 @@ def draw_studies(measured: Path) -> None:
             path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
         result = json.loads(path.read_text(encoding="utf-8"))
         (picture,) = render(partial(study.draw, result), FIGURE_INCHES, ("png",), DOTS_PER_INCH)
-        (PICTURES / f"{name}.png").write_bytes(picture)
+        (PICTURES_FOLDER / f"{name}.png").write_bytes(picture)
 
 
 def main() -> None:
-    """Write the pictures that are asked for."""
-    parser = argparse.ArgumentParser(description="Make the pictures of README and docs anew.")
+    """Write the chosen pictures."""
+    parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
     parser.add_argument("which", nargs="*", help="window, rig, headless, studies; without any: all")
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
@@ -173,7 +173,7 @@ def main() -> None:
         os.chdir(folder)
         for name in wanted:
             makers[name]()
-        os.chdir(PICTURES)
+        os.chdir(PICTURES_FOLDER)
     application.quit()
 
 

@@ -1,4 +1,4 @@
-"""Make the recorded session that ships, anew, with the same readings each time: `.venv/bin/python tools/sample.py`.
+"""Record the shipped sample session again, with the same readings each time: `.venv/bin/python tools/sample.py`.
 
 One careful poke for each taxel on the simulated forearm with sensor noise, in two arm poses, at 100 Hz of wrenches (the
 iCub's rate) so that it stays small.
@@ -8,11 +8,11 @@ import shutil
 import sys
 from pathlib import Path
 
-CHECKOUT = Path(__file__).resolve().parent.parent
+CHECKOUT_FOLDER = Path(__file__).resolve().parent.parent
 # Run as a file, it finds only what lies beside it.
-sys.path.insert(0, str(CHECKOUT))
+sys.path.insert(0, str(CHECKOUT_FOLDER))
 
-FOLDER = CHECKOUT / "resources" / "sessions" / "sample"
+SAMPLE_FOLDER = CHECKOUT_FOLDER / "resources" / "sessions" / "sample"
 
 
 def main() -> None:
@@ -26,11 +26,11 @@ def main() -> None:
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
     assert scene.surface is not None
-    shutil.rmtree(FOLDER, ignore_errors=True)
+    shutil.rmtree(SAMPLE_FOLDER, ignore_errors=True)
     simulate_session(
         scene,
         load_surface(scene.surface)[0],
-        FOLDER,
+        SAMPLE_FOLDER,
         pokes=84,
         seed=11,
         errors=RigErrors.noise(),

@@ -1,7 +1,7 @@
 """Build the compiled solver from its source: `python -m tools.solver`.
 
 The compiler comes from the package index like any other tool, and the result has the same bytes on every machine;
-`tests/skincal/solver/test_machine.py` builds it anew and compares.
+`tests/skincal/solver/test_machine.py` builds it again and compares.
 """
 
 import subprocess
@@ -11,13 +11,13 @@ from pathlib import Path
 
 from skincal.solver.machine import PROGRAM
 
-SOURCE = PROGRAM.with_name("source") / "solver.c"
-FLAGS = [
+C_SOURCE = PROGRAM.with_name("source") / "solver.c"
+COMPILER_FLAGS = [
     "-target", "wasm32-freestanding", "-nostdlib", "-std=c11", "-O3", "-msimd128", "-mbulk-memory", "-ffp-contract=off",
     "-fvisibility=hidden", "-Wall", "-Wextra", "-Werror", "-Wl,--no-entry", "-Wl,--export-dynamic", "-Wl,-s",
 ]  # fmt: skip
 
-TRAPS = ("-fsanitize=undefined,local-bounds,implicit-conversion", "-fsanitize-trap=all")
+TRAP_FLAGS = ("-fsanitize=undefined,local-bounds,implicit-conversion", "-fsanitize-trap=all")
 """With these, whatever C leaves undefined ends the program. The tests run one so built: no warning sees all of it."""
 
 
@@ -32,8 +32,8 @@ def build(*flags: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / PROGRAM.name
         # From its own folder: no path of the machine gets into the program.
-        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *flags, "-o", str(out), SOURCE.name]
-        subprocess.run(command, cwd=SOURCE.parent, check=True)
+        command = [sys.executable, "-m", "ziglang", "cc", *COMPILER_FLAGS, *flags, "-o", str(out), C_SOURCE.name]
+        subprocess.run(command, cwd=C_SOURCE.parent, check=True)
         return out.read_bytes()
 
 

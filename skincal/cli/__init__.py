@@ -95,7 +95,7 @@ _PLAIN_WORDS = (
     ("Unable to parse input string as an integer, exceeded maximum size", "expected a whole number of fewer digits"),
     ("Input should be", "expected"),
 )
-"""What pydantic, by which typer reads options, says to programmers, and what it is to an operator."""
+"""Phrases of pydantic, which checks typer's options, and their plain words for an operator."""
 
 
 def _usage_sentence(message: str, command: str) -> str:

@@ -1,6 +1,6 @@
 """`solve` and `export`: from a recorded session to estimates, calibration files and a corrected layout.
 
-Imports that cost time stand in the functions that need them: `--help` must answer at once.
+Slow imports are inside the functions that need them: `--help` must answer at once.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def solve(
 
 
 def _solved(pipeline: Pipeline, known: Mapping[int, FloatArray] | None, *, per_pose: bool) -> tuple[dict[str, Any], list[str]]:
-    """Return what the pokes of a session come to, as JSON and in lines."""
+    """Summarise the estimates of a session's pokes, as JSON and in lines."""
     from skincal.cli import report
 
     session, snapshot = pipeline.session, pipeline.snapshot()
@@ -170,7 +170,7 @@ def _per_pose(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> dic
 
 
 def _layout_result(session: Session, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what is wrong with the layout, as JSON and in lines; write the corrected one to `out` where that is wanted.
+    """Compare the layout with the estimates, as JSON and in lines; write the corrected layout to `out` if it is given.
 
     Modules are judged by the estimates of the surface method where there is one, else by those of free.
     """
@@ -200,7 +200,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
 
 
 def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
-    """Return which known distances are used, and whether anything moved since the session began, where that was checked."""
+    """List the known distances that are used and the result of the last drift check, in lines."""
     from skincal.session.closing_pokes import closings_of
     from skincal.words.layout_words import distance_sentences
     from skincal.words.rig_words import closing_sentence, earlier_closings
@@ -227,7 +227,7 @@ def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
 
 
 def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tuple[dict[str, Any], list[str], float | None]:
-    """Return what landmark pokes say about the rig, as JSON and in lines, and how far it may be off unseen, metres.
+    """Return (json, lines, unmodelled error in metres) of the rig correction from landmark pokes.
 
     Without such pokes the JSON is empty. Where no correction is in use, the estimates under the one that was found stand beside
     the others.
@@ -294,21 +294,21 @@ def _unchecked(session: Session, answer: RigAnswer | None) -> tuple[list[str], f
 
 
 def _rig_answer(session: Session) -> RigAnswer | None:
-    """Return what landmark pokes say of the rig; None without any."""
+    """Fit the rig correction to the landmark pokes; `None` without such pokes."""
     from skincal.rig.correction_fit import correct_rig
 
     return correct_rig(session.rig_request()) if session.landmark_pokes else None
 
 
 def _verdict(session: Session, method: Method) -> str:
-    """Return what a session has come to, without a full stop."""
+    """Judge a method's calibration, in a sentence without its full stop."""
     from skincal.session.checked import checked_calibration
 
     return checked_calibration(session, _rig_answer(session), [method]).verdicts[method]
 
 
 def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
-    """Write every format for every method the scene has; return the files and what was found."""
+    """Write every format for every method of the scene; return the files and the findings."""
     from skincal.files.export import write_calibration
     from skincal.session.checked import checked_calibration
 
@@ -333,7 +333,7 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
 def calibration_of(
     session: Path, replay: bool, layout: Path | None, correct: bool, method: Method | None
 ) -> tuple[Pipeline, Calibration, Method]:
-    """Open a session, and return what a file is written from, and by which method where none is given."""
+    """Open a session; return it with its calibration and the method to write: the given one or else the best."""
     from skincal.methods import leading_method
     from skincal.session.checked import checked_calibration, use_offered
 

@@ -41,7 +41,7 @@ def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_js
 def comparison_result(
     sets: tuple[TaxelPositions, TaxelPositions], channels: IntArray, modules: IntArray, found: Repeatability
 ) -> dict[str, Any]:
-    """Return what a comparison says, millimetres and degrees; `channels` and `modules` as from `compare_sets`."""
+    """Convert a comparison to JSON, in millimetres and degrees; `channels` and `modules` are from `compare_sets`."""
     import numpy as np
 
     summary, motion = found.summary, found.motion

@@ -1,4 +1,4 @@
-"""`landmarks`: which poke of a session was at which landmark, where no window asked for them while it was recorded."""
+"""`landmarks`: name the landmark of recorded pokes, for sessions that were recorded without the window's requests."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NewLandmark: TypeAlias = tuple[str, float, float, float]
 
 
 class AddOnceCommand(TyperCommand):
-    """Refuses a second `--add`, of which only the last would be seen."""
+    """Refuses a second `--add`: only the last would take effect."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Take the arguments apart; InputError for a second `--add`."""
@@ -118,7 +118,7 @@ def landmarks(
 
 
 def _check_options(session: Path, named: Sequence[str], *, undo: bool) -> None:
-    """Refuse options that do not go together, and a session that is being recorded, where it is to be changed."""
+    """Refuse options that exclude each other, and changes to a session that is being recorded."""
     from skincal.journal.lock import writer_of
 
     if undo and named:
@@ -127,11 +127,11 @@ def _check_options(session: Path, named: Sequence[str], *, undo: bool) -> None:
         raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
 
 
-# ---- what is said ----
+# ---- options to landmarks of pokes ----
 
 
 def _said(known: Session, begin_s: float, at: Sequence[str], csv_file: Path | None, order: str | None) -> list[Names]:
-    """Return what each of the options says; InputError where one cannot be read, or does not fit the pokes."""
+    """Parse the options to a landmark by poke. Raises InputError: one cannot be read or does not fit the pokes."""
     said = [_of_pair(pair) for pair in at]
     if csv_file is not None:
         said += _of_csv(known, begin_s, csv_file)
@@ -152,7 +152,7 @@ def _number(text: str, where: str) -> int:
 
 
 def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
-    """Return what each row of a file says."""
+    """Parse each row of a file to a poke and its landmark."""
     from skincal.files.importers.csv_log import COLUMN_SEPARATORS
 
     try:
@@ -284,7 +284,7 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
 
 
 def _use_words(folder: Path, known: Session) -> str:
-    """Return what uses the pokes at landmarks, or how many are still missing for a correction of the rig."""
+    """Say which commands use the landmark pokes, or how many a rig correction still needs."""
     from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS
 
     points = max(FEWEST_POINTS - len({poke.name for poke in known.landmark_pokes}), 0)
@@ -322,7 +322,7 @@ def _take_back(folder: Path, known: Session) -> list[str]:
 
 
 def _last_call(history: Sequence[HistoryEntry]) -> int:
-    """Return how many of the last entries of a session's history name landmarks and were written at one moment."""
+    """Count the last entries of a session's history that name landmarks and share one time stamp."""
     from skincal.model.actions import AddLandmark, AtLandmark
     from skincal.session.undo import ActionEntry
 
@@ -336,7 +336,7 @@ def _last_call(history: Sequence[HistoryEntry]) -> int:
     return count
 
 
-# ---- what is known ----
+# ---- listing of pokes ----
 
 
 def _outcomes(known: Session) -> Iterator[Outcome]:
@@ -363,7 +363,7 @@ def _begin_s(folder: Path) -> float:
 
 
 def _rows(known: Session, begin_s: float) -> list[dict[str, Any]]:
-    """Return what is known of each poke, as JSON."""
+    """Convert each poke, its landmark and its rejection to JSON."""
     from skincal.contacts.outcome import Contact
 
     nearest, names = _nearest(known), known.snapshot().at_landmarks

@@ -150,7 +150,7 @@ def record(
 
 @contextlib.contextmanager
 def _asking(targets: str | None) -> Generator[TargetServer | None]:
-    """Yield the port at which a robot is asked; None where none is named."""
+    """Yield the server of poke targets; `None` without `--targets`."""
     if targets is None:
         yield None
         return
@@ -199,7 +199,7 @@ def _read_orders(file: int, items: ChunkQueue) -> None:
 
 
 def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> None:
-    """Let the pipeline take what arrived; an order that cannot be done is said, and left out."""
+    """Hand an item to the pipeline; report an order that cannot be done and skip it."""
     if not isinstance(item, OrderLine):
         pipeline.feed(item)
         return
@@ -273,7 +273,7 @@ def _ask(robot: RobotGuide | None) -> list[str]:
 
 
 class Silence:
-    """Says once that a link takes long to open, that an open one sends nothing, and that it sends again.
+    """Messages about links that do not open, fall silent, or send again; each is given once.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ class Silence:
             self._again.append(f"{item.link}: sends again")
 
     def sentences(self, now_ns: int) -> list[str]:
-        """Return what is new at `now_ns` of the host's monotonic clock."""
+        """Return the new messages at `now_ns` of the host's monotonic clock."""
         said, self._again = self._again, []
         late = [name for name, since_ns in self._opening_ns.items() if now_ns - since_ns >= OPENING_NS]
         for name in late:

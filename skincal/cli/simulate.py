@@ -203,7 +203,7 @@ def _asked(hand: Auto | Told, targets: str | None) -> Generator[None]:
 
 
 def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
-    """Return which maker's device sends each stream of the scene."""
+    """Choose the maker's device that sends each stream of the scene."""
     if not named:
         return {}
     from skincal.simulate.makers import assign
@@ -224,7 +224,7 @@ class PokeLine:
         self._count, self._said = count, 0
 
     def __call__(self, pokes: int) -> None:
-        """Say how many pokes have begun, where that is new; the last one ends the line."""
+        """Print the number of pokes that began, if it changed; the last one ends the line."""
         if pokes == self._said:
             return
         self._said = pokes
@@ -242,9 +242,9 @@ STDIN_HELP = {
     OperatorKind.TOLD: "Standard input takes orders, one a line: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME",
     OperatorKind.GUIDED: "Pokes what --targets asks for; standard input takes pace TIMES",
 }
-"""What is told on a terminal of what may be typed there."""
-ENDS = "The devices are served until it ends ({key}) or Ctrl-C."
-ENDED = "Standard input ended, and so did the devices."
+"""Printed on a terminal: the words that may be typed there."""
+SERVING_NOTICE = "The devices are served until it ends ({key}) or Ctrl-C."
+STDIN_ENDED = "Standard input ended, and so did the devices."
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
@@ -265,7 +265,7 @@ def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int |
     listener = hand if isinstance(hand, Told | Guided) else None
     terminal, progress = sys.stderr.isatty(), PokeLine(pokes)
     if terminal:
-        say(f"{STDIN_HELP[operator]}. {ENDS.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
+        say(f"{STDIN_HELP[operator]}. {SERVING_NOTICE.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
     ended = threading.Event()
     with stopping() as stop:
         # A daemon: it waits in a read that nothing can interrupt.
@@ -273,7 +273,7 @@ def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int |
         server.run(stop, (lambda: progress(hand.begun)) if terminal else lambda: None)
     progress.close()
     if terminal and ended.is_set():
-        say(ENDED, err=True)
+        say(STDIN_ENDED, err=True)
 
 
 def _listen(listener: Told | Guided | None, ended: threading.Event, stop: threading.Event) -> None:

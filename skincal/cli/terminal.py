@@ -8,5 +8,5 @@ from skincal.model.errors import plain_text
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line, on stdout or stderr, of which the terminal takes nothing for an order: see `plain_text`."""
+    """Print one line on stdout or stderr, without control characters: see `plain_text`."""
     typer.echo(plain_text(text), err=err)  # noqa: TID251 - the one place

@@ -16,7 +16,7 @@ _OF_SESSION = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
 
 
 def write_atomically(path: Path, data: bytes) -> Path | None:
-    """Write `data` to `path`, with the rights of an older file; return where that one is kept, None where there was none.
+    """Write `data` to `path` with the rights of the older file; return the path of its copy, `None` if there was none.
 
     It stays beside the new one with `.bak` after its name; where there is a `.bak` already, with `.bak-2`, and so on. The bytes
     are on the disk before the name changes, so `path` is at every moment the old file or the new one.

@@ -35,7 +35,7 @@ class LandmarkCheck:
 
 
 def landmark_check(answer: RigAnswer) -> LandmarkCheck | None:
-    """Return what a search for a correction found; None where there were too few pokes for it."""
+    """Summarise the search for a correction; `None` if there were too few pokes."""
     if answer.correction is None:
         return None
     return LandmarkCheck(len(answer.trust), answer.before, answer.after, answer.used)
@@ -65,13 +65,13 @@ class Calibration:
     landmark_pokes: tuple[LandmarkPoke, ...] = ()
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
     landmark_check: LandmarkCheck | None = None
-    """What they say about a correction of the rig, used or not; None where none was searched for."""
+    """Held-out check of a rig correction, used or not; `None` if none was searched."""
     closings: tuple[Closing, ...] = ()
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
     verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])
-    """By method what was checked and what could not be, in a sentence without its full stop; none where nobody asked."""
+    """Verdict by method, in a sentence without its full stop; empty if no verdict was asked."""
     unmodelled_rig_error_m: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
-    """m, by method as `verdicts`: how far the rig's errors may move the taxels beside what is predicted (`unchecked_of`)."""
+    """m rms, by method: shift from rig errors that the predicted error leaves out (`unchecked_of`)."""
 
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
@@ -86,7 +86,7 @@ class Calibration:
         return self.estimates[method]
 
     def verdict_comments(self, method: Method) -> tuple[str, ...]:
-        """Return the verdict on a method and its predicted error, with what that leaves out, for comments; none without."""
+        """Verdict, predicted error and the part that it leaves out, for a file's comments; empty without a verdict."""
         if method not in self.verdicts:
             return ()
         error = error_words(predicted_error(self.estimates_by(method)), self.unmodelled_rig_error_m.get(method))
@@ -94,14 +94,14 @@ class Calibration:
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:
-        """The contacts that count, as they are corrected."""
+        """Contacts that are not excluded, after all corrections."""
         used = [contact for contact in self.contacts if contact.poke not in self.excluded]
         for step in self.corrections:
             used = [step.correction.corrected(contact) for contact in used]
         return tuple(used)
 
     def gains(self, method: Method) -> tuple[TaxelGain, ...]:
-        """Return how much each taxel answers to a newton, in the order of `channels`, by the normals of a method."""
+        """Compute the gain of each taxel along a method's normals, in the order of `channels`."""
         return taxel_gains(self.used_contacts, self.estimates_by(method))
 
     def module_id(self, channel: int) -> int | None:

@@ -46,7 +46,7 @@ from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_sentence
 
 BOX_MARGIN_M = 0.020
-"""m. A taxel lies on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
+"""m. Taxels are on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
 DUPLICATE_MAX_M = 1e-6
 """m. Positions nearer than the file's last digit are one position."""
 UNIT_TOLERANCE = 1e-6
@@ -63,7 +63,7 @@ SPACING_RATIOS = (0.7, 1.4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedSurface:
-    """Where the skin should be, as far as it is known otherwise."""
+    """Skin position known from the mesh or the planned layout."""
 
     points: FloatArray
     """(n, 3) float, metres: the surface's vertices, or the places as planned."""
@@ -74,7 +74,7 @@ class ExpectedSurface:
 
 
 def lint(calibration: Calibration, method: Method, reference: ExpectedSurface | None = None) -> tuple[str, ...]:
-    """Return one sentence for each fault of one method's positions; none if it is fit to be loaded."""
+    """Check one method's positions; one sentence for each fault."""
     taxels = placed_taxels(calibration.estimates_by(method))
     name = method.value
     if not len(taxels.channels):
@@ -142,13 +142,13 @@ def _layout_faults(taxels: PlacedTaxels, layout: Layout) -> Iterator[Fault]:
 
 
 def _pads_of(module: Module, taxels: PlacedTaxels) -> tuple[IntArray, IntArray]:
-    """Return the indices of a module's placed taxels among its channels, and among the placed."""
+    """Find a module's placed taxels: indices into its channels and into the placed taxels."""
     _, own, placed = np.intersect1d(module.channels, taxels.channels, return_indices=True)
     return own, placed
 
 
 def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
-    """Return whether the mirror image of a module's plan fits its taxels, seen from outside, clearly better."""
+    """Tell whether the mirrored plan of a module fits its taxels clearly better, seen from outside."""
     own, placed = _pads_of(module, taxels)
     normal = taxels.normals[placed].sum(axis=0)
     length = np.linalg.norm(normal)
@@ -174,7 +174,7 @@ def _misfit(pads: FloatArray, flat: FloatArray) -> float:
 
 
 def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[float]:
-    """Return how many times as far apart as planned the neighbours of a module lie, for each pair of them."""
+    """Ratio of measured to planned distance for each pair of neighbours in a module."""
     own, placed = _pads_of(module, taxels)
     # Every pair of the module's taxels once.
     first, second = np.triu_indices(len(own), 1)
@@ -272,7 +272,7 @@ CONTACT_KEYS = {
     "channels": "channels", "responses": "responses_raw", "link_from_sensor": "link_from_sensor_m", "pose": "pose",
     "tare_change": "tare_change_N", "final": "final",
 }  # fmt: skip
-"""Of each field that is written as it is, its key in the file."""
+"""Key in the file by field name, for fields that are written unchanged."""
 LANDMARK_KEYS = {
     "poke": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
@@ -448,7 +448,7 @@ def write_calibration(
 
     Parameters
     ----------
-    format : name of an `ExportFormat`; whether it holds `method` alone or every method stands in `FORMATS`
+    format : name of an `ExportFormat`; whether it holds `method` alone or every method is in `EXPORT_FORMATS`
     part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
 
     Returns
@@ -465,7 +465,7 @@ def write_calibration(
 
 
 def _other_ending(path: Path, written: ExportFormat) -> tuple[str, ...]:
-    """Say that a file's name ends as those of another format; any other ending is the operator's."""
+    """Warn if a file name has the suffix of another format; unknown suffixes are the operator's choice."""
     ending, right = path.suffix.lower(), EXPORT_FORMATS[written].ending
     others = [format_.value for format_, words in EXPORT_FORMATS.items() if words.ending == ending != right]
     return tuple(
@@ -481,7 +481,7 @@ def calibration_file(
     method: Method,
     part: str | None = None,
 ) -> tuple[bytes, tuple[str, ...]]:
-    """Return a calibration file's bytes, and what was found in it; all as for `write_calibration`, but nothing is written."""
+    """Make a calibration file's bytes and its findings, as `write_calibration`, without writing."""
     names = {each.value: each for each in ExportFormat}
     if format not in names:
         raise InputError(f"the format is {format!r}; expected one of {', '.join(names)}.")
@@ -539,7 +539,7 @@ def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[Finding, ...
 
 
 def _reference(calibration: Calibration, method: Method, shape: _Part) -> ExpectedSurface | None:
-    """Return where the skin should be: the surface, or else the layout as planned."""
+    """Choose the expected surface: the mesh, or else the planned layout."""
     taxels = placed_taxels(calibration.estimates_by(method))
     finite = np.isfinite(taxels.positions).all(axis=1)
     if shape.surface is not None:
@@ -568,7 +568,7 @@ def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
 
 
 def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> list[str]:
-    """Return what the robot's own readers would trip on; see `skincal.files.icub`."""
+    """Warn of content that the robot's own readers misread; see `skincal.files.icub`."""
     sentences: list[str] = []
     last = calibration.scene.skin.channels - 1
     if any(estimate.channel == last and estimate.position is not None for estimate in calibration.estimates_by(method)):
@@ -586,7 +586,7 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
 
 
 def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
-    """Return which positions a reader does not find in the text."""
+    """Name positions that a reader loses from the text."""
     placed = np.flatnonzero(parse_icub(text, "the file as written")[:, :3].any(axis=1))
     lost = np.setdiff1d(placed_taxels(calibration.estimates_by(method)).channels, placed).tolist()
     return [f"the file as written has no position for channel {channel}." for channel in lost]

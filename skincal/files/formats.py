@@ -25,13 +25,13 @@ class ExportFormat(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FormatInfo:
-    """What is said of a format."""
+    """Title, suffix and description of a format."""
 
     title: str
     ending: str
     """Of the file's name, with its point."""
     about: str
-    """What it is for, in a line."""
+    """Purpose, in one line."""
     every_method: bool = False
     """Whether it holds all methods, not one that is chosen."""
 
@@ -66,7 +66,7 @@ EXPORT_FORMATS: Mapping[ExportFormat, FormatInfo] = {
         "NumPy arrays", ".npz", "For own programs: channel, position, normal, quaternion and covariance, metres."
     ),
 }
-"""Each format, in the order in which they are offered."""
+"""Registry of formats, in menu order."""
 
 
 def formats_help() -> str:

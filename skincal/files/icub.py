@@ -99,7 +99,7 @@ def icub_text(calibration: Calibration, method: Method, part: str | None = None)
 
 
 def positions_text(part: str, rows: FloatArray, comment: str) -> str:
-    """Return a position file of rows (n, 6), metres and normals, of which no more is known than their part."""
+    """Format rows (n, 6), metres and normals, as a position file that names only the part."""
     mapping = representatives(None, len(rows), np.flatnonzero(rows[:, :3].any(axis=1)))
     return _text(part, "", mapping, rows, [comment])
 

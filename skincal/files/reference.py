@@ -1,4 +1,4 @@
-"""Places of taxels that are known otherwise: a truth, a CAD model, an earlier calibration; and how far estimates lie off.
+"""Known taxel positions (a simulation's truth, a CAD model, an earlier calibration) and the errors of estimates against them.
 
 What is read: a `truth.json`, a calibration's JSON and CSV, which hold the places of each method, and an iCub position file.
 """
@@ -30,7 +30,7 @@ RIG_KEY = "rig"
 
 
 class Origin(Enum):
-    """Where places come from that estimates are compared with."""
+    """Source of known positions."""
 
     TRUTH = "truth"
     """A simulated rig's: where its taxels are."""
@@ -42,7 +42,7 @@ class Origin(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """Places of taxels that are known otherwise."""
+    """Known taxel positions to compare estimates with."""
 
     origin: Origin
     name: str
@@ -76,7 +76,7 @@ class TaxelPositions:
     modules: Mapping[int, int] = field(default_factory=dict[int, int])
     """Channel to the id of its module; empty where the source names none."""
     method: Method | None = None
-    """By which the places were found; None where they were not, or it does not say."""
+    """Method that estimated the positions; `None` if the file names none."""
 
 
 def read_reference(path: Path) -> dict[int, FloatArray]:

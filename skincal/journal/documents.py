@@ -132,7 +132,7 @@ class Totals:
 
 @dataclass(frozen=True, slots=True)
 class WallClock:
-    """What time of day it was by a monotonic clock, which begins anew with each start of a machine."""
+    """Time of day by a monotonic clock, which restarts with the machine."""
 
     monotonic_s: float
     unix_s: float
@@ -304,7 +304,7 @@ def _clock(body: Mapping[str, Any]) -> WallClock | None:
 
 
 def link_to_json(link: LinkSpec) -> dict[str, Any]:
-    """Return what a link is as a JSON object."""
+    """Convert a link's settings to a JSON object."""
     carries = [stream.value for stream in link.carries]
     return {"name": link.name, "address": address_for_journal(link.address), "carries": carries, "format": link.format}
 
@@ -369,7 +369,7 @@ Checked = TypeVar("Checked", Rejection, FinishedPress, StillMean, Tare)
 
 
 def _checked(value: Checked) -> Checked:
-    """Return what was read, if each field is of its kind and shape."""
+    """Check type and shape of each field, and return the value."""
     for item in fields(value):
         found: object = getattr(value, item.name)
         wanted = str(item.type)
@@ -544,7 +544,7 @@ def lines_path(segment: Path) -> Path:
 
 
 def key_of(note: Note | None) -> str:
-    """Return what a note may replace or be replaced by; empty where every one counts.
+    """Return the key of a note: a later note replaces an earlier one of the same key. Empty: nothing is replaced.
 
     The outcome of one poke replaces an earlier one of the same kind: a session that takes both is as if it had taken the
     second alone. What was a contact and is none any more leaves the steps of undo, so both are kept. Of counts the last count.
@@ -576,7 +576,7 @@ class LineWriter:
         self._add(b'%d,"%s",%s' % (items, key.encode(), document))
 
     def vouch(self, items: int) -> None:
-        """Say that so many items lie in the MCAP file."""
+        """Record the number of items that the MCAP file holds for sure."""
         self._add(b"%d" % items)
 
     def flush(self, *, sync: bool = False) -> None:
@@ -586,13 +586,13 @@ class LineWriter:
             os.fsync(self._file.fileno())
 
     def close(self, items: int) -> None:
-        """Say that no more come, and close the file."""
+        """Write the closing line, and close the file."""
         self._add(b"%d,%s" % (items, _CLOSED))
         self.flush(sync=True)
         self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is; `OSError` where the disk refuses what is buffered."""
+        """Close the file without a closing line. Raises OSError: the disk refuses the buffer."""
         self._file.close()
 
     def _add(self, body: bytes) -> None:
@@ -611,7 +611,7 @@ class Lines:
     items: int
     """How many items lie in the MCAP file for sure."""
     closed: bool
-    """All that was written is here."""
+    """The closing line is there: no line is missing."""
     checksum: int
     size: int
     """Bytes of the part without damage."""

@@ -92,7 +92,7 @@ class SessionLock:
 
 
 def writer_of(folder: Path) -> str:
-    """Return in words who writes into a session's folder; empty where nobody does. Nothing is created or changed."""
+    """Name the program that writes into a session's folder; empty if there is none. Changes nothing."""
     path = folder / LOCK_NAME
     try:
         file = FileIO(path, "r", opener=_open_plain)
@@ -141,7 +141,7 @@ def _open_plain(path: str, flags: int) -> int:
 
 
 def _words_of(path: Path) -> str:
-    """Return who holds a lock, as its file says it."""
+    """Read the holder of a lock from its file."""
     try:
         with FileIO(path, "r", opener=_open_plain) as file:
             process, host, begun, *_ = (file.read(_TEXT_BYTES) or b"").decode().split("\n")

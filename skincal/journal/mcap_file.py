@@ -76,7 +76,7 @@ class McapFile:
 
     @property
     def lost(self) -> str:
-        """How much of the file was not read, in words."""
+        """Size of the unread rest of the file, in words."""
         size = self._path.stat().st_size
         return f"the last {size - self._good_bytes} of {size} bytes"
 
@@ -186,7 +186,7 @@ def _framed(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def _parsed(opcode: int, content: bytes) -> McapRecord | None:
-    """Return what a record holds; None for one that is not looked at."""
+    """Parse the content of a record; `None` for kinds that are skipped."""
     if opcode == Opcode.MESSAGE:
         channel, sequence, log_time, publish_time = _MESSAGE_HEAD_STRUCT.unpack_from(content)
         return Message(channel, log_time, content[_MESSAGE_HEAD_STRUCT.size :], publish_time, sequence)
@@ -217,7 +217,7 @@ def _document(data: bytes) -> dict[str, Any]:
 
 
 def _words_of(error: Exception) -> str:
-    """Say what is wrong with bytes that raised one of `DAMAGE_ERRORS`."""
+    """Describe the damage behind one of `DAMAGE_ERRORS`."""
     if "EndOfFile" in type(error).__name__ or isinstance(error, EOFError | struct.error):
         return "it ends in the middle of a record"
     return "its bytes make no sense"

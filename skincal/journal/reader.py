@@ -1,4 +1,4 @@
-"""A session read back in order: what arrived and what the operator did, or without the bytes what the session took of them.
+"""Read a session in order: either bytes and actions, or actions and results without the bytes.
 
 What is read is always the beginning of what was written, never a wrong value and never a hole: chunks and lines carry a
 checksum, items and documents their number, and the lines of a segment say how many items there are. Items beyond those, which a
@@ -73,7 +73,7 @@ class SessionLog:
         self.has_notes = first.format >= FORMAT_WITH_NOTES
         """Every segment read so far holds the session without the bytes."""
         self.written_by = "" if own else writer_of(folder)
-        """Who records it at the moment, in words; empty where nobody does."""
+        """Program that records it now, in words; empty if there is none."""
         if self.written_by:
             self._findings.append(f"{folder}: is being recorded by {self.written_by}; read as far as it is written.")
         if self.scene_changed:
@@ -97,7 +97,7 @@ class SessionLog:
                     yield item
 
     def state(self) -> Iterator[LogState]:
-        """Yield what the session is without the bytes, in order: actions, and what was taken from the detector.
+        """Yield actions and the detector's results in order, without the bytes.
 
         What was read last says in `has_notes` and `scene_changed` whether that is enough. Of the bytes' damage only
         a file's missing end is seen.
@@ -281,7 +281,7 @@ def _after_damage(path: Path, broken: str) -> str:
 
 
 def _recover(path: Path) -> tuple[list[str], bool]:
-    """Return what was done to a segment, and whether it is not known any more what happened at its end."""
+    """Repair a segment; return sentences, and whether its end is lost."""
     said: list[str] = []
     lines, name = read_lines(path), lines_path(path).name
     ended = lines is not None and lines.closed
@@ -335,7 +335,7 @@ def _fresh_name(file: Path) -> Path:
 
 
 def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
-    """Write an MCAP file anew up to its damage; return what was done, and whether all its data is there.
+    """Rewrite an MCAP file up to its damage; return a sentence, and whether all its data is there.
 
     Where there is nothing in it, and no line beside it, it is put aside.
     """

@@ -1,4 +1,4 @@
-"""What arrived and what the operator did, on the disk as it happens.
+"""Write a session to disk while it happens: bytes, actions and results.
 
 A session is a folder: `segment-0001.mcap` with `segment-0001.jsonl` beside it, `segment-0002...`, and `scene/`. A new segment
 begins each time the session is opened to go on, and every five minutes, so that MCAP's own index of what is open stays small
@@ -409,14 +409,14 @@ class JournalWriter:
         self._file.close()
 
     def _demand_there(self) -> None:
-        """Raise `OSError` where the file is no more in its folder: what is written to it then is written for nobody."""
+        """Raise OSError if the file is no longer in its folder: later writes would be lost."""
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             if os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
                 return
         raise OSError(errno.ENOENT, "its folder was deleted, moved or unmounted")
 
     def _abandon(self) -> None:
-        """Close the files as they are; closing tries to write once more, and closes them all the same."""
+        """Close the files without an end; an error of the last write is ignored."""
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError, AttributeError):

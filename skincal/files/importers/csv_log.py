@@ -76,7 +76,7 @@ _NEWTON_MILLIMETRES = ("nmm", "n.mm")
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which fields of a row are what, and what turns them into seconds and the values of a log line."""
+    """Columns of a table: fields of time and values, and their conversion to seconds and log values."""
 
     # Fields of a row.
     width: int
@@ -117,14 +117,14 @@ class _Dates(dict[tuple[str, str, str], float | None]):
 
 
 class _Texts(dict[str, str]):
-    """What stands in a log line for a field, times `factor`; the newest are kept, since raw values of a skin come again."""
+    """Text of a field times `factor`, with a cache: raw values of a skin repeat."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor
 
     def __missing__(self, field: str) -> str:
         value = _to_float(field)
-        # What is no number goes on as it is, so that the decoder counts it.
+        # Text that is no number is passed on, so that the decoder counts it.
         text = repr(value * self._factor) if value is not None else field.replace(" ", "?") or "nan"
         if len(self) >= TEXTS_MAX:
             self.clear()
@@ -322,7 +322,7 @@ def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
 
 
 def guess_csv(path: Path) -> tuple[Stream | None, int]:
-    """Return which stream a file's columns say that it is, None where they do not say it, and how many values a row has.
+    """Guess a file's stream from its columns, `None` if they do not tell, and count the values of a row.
 
     Raises InputError: it cannot be read, or no column is the time.
     """
@@ -393,7 +393,7 @@ def _to_float(field: str) -> float | None:
 
 
 def _time_kind(field: str) -> str:
-    """Return what kind of time a field is; empty where it is none."""
+    """Classify the time in a field; empty if it is no time."""
     date = _DATE_RE.fullmatch(field)
     if date is None:
         return "" if _to_float(field) is None else "number"

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 """Endings of what is read as a table; all else is a log of `yarpdatadumper`, or none."""
 LOOK_S = 60.0
-"""s. So much of a recording is decoded for a look at it: several pokes, in a second or two."""
+"""s. Length of a recording that is decoded for its preview: several pokes, in a second or two."""
 BIN_S = 0.1
 """s. The curve of the force has its largest of each: a poke is longer."""
 JOINTS_MOST = 16
@@ -53,7 +53,7 @@ class RecordingKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingFiles:
-    """Which file or folder holds which stream; None where none is known."""
+    """File or folder of each stream; `None` while it is unknown."""
 
     wrench: Path | None = None
     skin: Path | None = None
@@ -91,7 +91,7 @@ def is_table(path: Path) -> bool:
 
 
 def guess_streams(paths: Sequence[Path]) -> RecordingFiles:
-    """Return which of some files, or of those in a folder, hold which stream, by their names and their first lines.
+    """Assign files, or those of a folder, to streams by their names and first lines.
 
     Raises InputError: none of them is a recording.
     """
@@ -126,7 +126,7 @@ def _places(paths: Sequence[Path]) -> list[Path]:
 
 
 def _guess(place: Path) -> tuple[Stream, int] | None:
-    """Return which stream a file or folder holds, and how many values a row of it has; None where it is no recording."""
+    """Guess the stream of a file or folder and count the values of a row; `None` if it is no recording."""
     try:
         said, width = (guess_csv if is_table(place) else guess_yarp)(place)
     except InputError:
@@ -169,7 +169,7 @@ class RecordingPreview:
     times: FloatArray
     """(n,) float, s from its beginning, of its first `LOOK_S`, every `BIN_S`..."""
     force: FloatArray
-    """(n,) float, N: ...the largest force in that time beside what it is mostly; NaN where there was no reading."""
+    """(n,) float, N: largest deviation of the force from its median in each bin; NaN without a reading."""
 
     def misfits(self, scene: Scene, pose: str) -> tuple[str, ...]:
         """Return why a session cannot be made of it for a scene, in sentences.

@@ -43,7 +43,7 @@ GAP_MIN = 0.1
 SHARED_JUMP = 0.2
 """s. Two clocks set back by amounts this near were the same clock: the amount is known to within an interval of each file."""
 ASTRAY_LINES = 3
-"""Lines. A clock that was set stays set; a stamp that was written wrong is right again after so many."""
+"""Lines. A clock that was set stays set; a wrong stamp is right again within this many lines."""
 AWAY_S = 60.0
 """s. A clock that is right again after no more than this was wrong meanwhile: time servers look every minute or so."""
 SPAN_MAX = 1e8
@@ -51,11 +51,11 @@ SPAN_MAX = 1e8
 TOGETHER_NS = 100_000_000
 """ns. Lines of so long travel in one chunk: two fifths of the time that a skin frame waits for its wrench."""
 TOGETHER_LINES = 128
-"""Lines of one chunk, whatever their stamps say: a bound for memory."""
+"""Maximum lines of one chunk, to bound memory."""
 FIRST_INTERVALS = 500
 """Intervals from which the usual interval is taken: 5 s at 100 Hz."""
 MAX_CLOCK_SENTENCES = 3
-"""Times that a clock was set, which are said one by one."""
+"""Clock jumps that get a sentence of their own."""
 START_NS = 1_000_000_000
 """ns. Where a recording begins on the host's clock; 0 means never there."""
 
@@ -133,7 +133,7 @@ class RecordedTimes:
         return median(self._intervals) if self._intervals else 0.0
 
     def sentences(self) -> list[str]:
-        """Say what was found."""
+        """List the findings."""
         rate = f", {1 / self.interval:.4g} a second" if self.interval else ""
         found = [f"{self.name}: {plural(self.lines, 'line')} in {self.last - self.first:.1f} s{rate}."]
         if self.gaps:
@@ -221,7 +221,7 @@ class RecordedTimes:
             self.jumps[leap.line] = leap.back
 
     def _came_back(self, leap: _Leap) -> bool:
-        """Return whether a leap takes back the one before it; then what lies between is shifted, and nothing after it."""
+        """Tell whether a jump undoes the one before it; then only the lines in between are shifted."""
         away = self._away
         # Rows that come slowly leap by their interval alone.
         if away is None or abs(away.off) <= SHARED_JUMP or abs(away.off + leap.off) > SHARED_JUMP:
@@ -373,7 +373,7 @@ class OpenRecording:
     timelines: tuple[RecordedTimes, ...]
     sources: tuple[Lines, ...]
     findings: tuple[str, ...]
-    """Sentences on what was found."""
+    """Findings, in sentences."""
 
     @property
     def span_ns(self) -> int:

@@ -155,7 +155,7 @@ def open_yarp(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecor
 
 
 def guess_yarp(place: Path) -> tuple[Stream | None, int]:
-    """Return which stream a log's first record says that it is, None where it does not say it, and how many values it has.
+    """Guess a log's stream from its first record, `None` if it does not tell, and count its values.
 
     Raises InputError: as for `find_log`, or the log has no record.
     """
@@ -212,7 +212,7 @@ def _numbered(place: Path) -> list[Path]:
 
 
 def _grammar(path: Path) -> tuple[int, str, list[str]]:
-    """Return how many stamps a line has, whose clock the last one is, and sentences."""
+    """Return the number of stamps in a line, the owner of the last one's clock, and findings."""
     text = _read_info(path.with_name(INFO))
     kind = re.search(r"^\s*Type:\s*([^;\n]*)", text, re.MULTILINE)
     if kind is not None and not kind.group(1).strip().startswith("Bottle"):
@@ -380,7 +380,7 @@ def _content_findings(log: _Log, contents: _Contents, lines: int) -> list[str]:
 
 
 def _clock_findings(logs: list[_Log]) -> list[str]:
-    """Say where two logs are placed by different clocks."""
+    """Warn if two logs are placed by different clocks."""
     clocks = {log.name: log.clock for log in logs if log.clock}
     if len(set(clocks.values())) < 2:
         return []

@@ -154,7 +154,7 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
 def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monkeypatch):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     threads = []
-    for name in ("load_scene", "find_files", "missing_folders"):
+    for name in ("load_scene", "guess_streams", "missing_folders"):
         real = getattr(import_dialog, name)
         monkeypatch.setattr(import_dialog, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
     dialog.folder.setText(str(tmp_path / "elsewhere"))

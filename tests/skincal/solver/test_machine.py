@@ -60,8 +60,8 @@ def probe(tmp_path_factory):
     folder = tmp_path_factory.mktemp("probe")
     (folder / "probe.c").write_text(PROBE, encoding="utf-8")
     # What the probe does not call is no fault.
-    flags = [flag for flag in solver.FLAGS if flag != "-Werror"]
-    command = [sys.executable, "-m", "ziglang", "cc", *flags, f"-I{solver.SOURCE.parent}", "-o", "probe.wasm", "probe.c"]
+    flags = [flag for flag in solver.COMPILER_FLAGS if flag != "-Werror"]
+    command = [sys.executable, "-m", "ziglang", "cc", *flags, f"-I{solver.C_SOURCE.parent}", "-o", "probe.wasm", "probe.c"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     engine = wasmtime.Engine()
     store = wasmtime.Store(engine)
@@ -108,7 +108,7 @@ def test_the_solver_does_nothing_that_c_leaves_undefined(tmp_path, monkeypatch):
     """A program that would end at it runs through, and finds the same to the last bit."""
     shipped = list(answers())
     strict = tmp_path / "strict.wasm"
-    strict.write_bytes(solver.build(*solver.TRAPS))
+    strict.write_bytes(solver.build(*solver.TRAP_FLAGS))
     with monkeypatch.context() as patch:
         patch.setattr(solver_machine, "PROGRAM", strict)
         for kept in (solver_machine._module, solver_machine.shared):
@@ -120,7 +120,7 @@ def test_the_solver_does_nothing_that_c_leaves_undefined(tmp_path, monkeypatch):
 
 
 def number(name):
-    text = (solver.SOURCE.parent / "search.h").read_text(encoding="utf-8")
+    text = (solver.C_SOURCE.parent / "search.h").read_text(encoding="utf-8")
     return float(re.search(rf"\b{name}(?: =)? ([0-9.e-]+)", text)[1])
 
 
