@@ -320,5 +320,6 @@ def test_streamed_joints_that_name_the_same_pose_again_draw_nothing(panel, monke
     monkeypatch.setattr(panel, "_list_points", drawn.append)
     moment, answer = at(), review()
     for pose in ("low", "".join(["l", "ow"]), "high"):
-        panel.show_state(replace(shown(moment, answer), snapshot=replace(moment, pose=pose), offers=()))
+        state = shown(moment, answer)
+        panel.show_state(replace(state, live=replace(state.live, pose=pose), offers=()))
     assert len(drawn) == 2
