@@ -77,7 +77,7 @@ def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[M
     """Return what files are written from, with what landmark pokes say of a correction of the rig, and what verdicts say."""
     found = None if rig is None else landmark_check(rig)
     unchecked = {method: verdict.unchecked for method, verdict in verdicts.items()}
-    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts), unchecked=unchecked)
+    return replace(calibration, landmark_check=found, verdicts=words_of(verdicts), unmodelled_rig_error_m=unchecked)
 
 
 def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:

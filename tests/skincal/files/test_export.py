@@ -288,7 +288,7 @@ def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tm
 def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
     words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it; the landmarks agree"
     made = make_calibration(part)
-    calibration = replace(made, verdicts={Method.SURFACE: words}, unchecked={Method.SURFACE: 0.0071})
+    calibration = replace(made, verdicts={Method.SURFACE: words}, unmodelled_rig_error_m={Method.SURFACE: 0.0071})
     written = json.loads(json_text(calibration))
     assert written["verdicts"] == {"surface": words}
     assert written["predicted_errors"]["surface"]["unchecked_rig_m"] == 0.0071

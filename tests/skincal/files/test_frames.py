@@ -111,7 +111,7 @@ def test_an_archive_holds_poses_and_covariances_without_pickles(part, calibratio
     assert found["channel"].tolist() == placed
     assert np.array_equal(found["position"], part.places[placed])
     assert np.array_equal(found["normal"], part.normals[placed])
-    by_channel = {each.channel: each for each in calibration.of(Method.SURFACE)}
+    by_channel = {each.channel: each for each in calibration.estimates_by(Method.SURFACE)}
     assert all(np.array_equal(found["covariance"][i], by_channel[channel].covariance) for i, channel in enumerate(placed))
     assert np.array_equal(found["quaternion_wxyz"], quaternions_of(part.normals[placed]))
     assert [str(found[name]) for name in ("frame", "method", "units")] == ["r_forearm_dh_frame", "surface", "m"]

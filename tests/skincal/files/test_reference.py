@@ -49,7 +49,7 @@ def test_a_calibration_is_read_as_places(part, calibration, tmp_path, format_):
 
 
 def test_a_method_that_a_file_lacks_is_said_and_nonsense_is_refused(calibration, tmp_path):
-    one = replace(calibration, estimates={Method.FREE: calibration.of(Method.FREE)})
+    one = replace(calibration, estimates={Method.FREE: calibration.estimates_by(Method.FREE)})
     write_calibration(one, "json", tmp_path / "c.json", Method.FREE)
     with pytest.raises(InputError, match=approved_pattern("places.no_method", method="modules", known="free")):
         read_places(tmp_path / "c.json", Method.MODULES)
