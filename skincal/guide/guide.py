@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
+NEIGHBOUR_SHARE_SWEEP = 0.6
+"""Share of a poke's gain at the neighbours that counts in the sweep. The free method needs 86 pokes to 5 mm (median of 20
+rigs); with a share of 1 it needs 93. See `docs/decisions/neighbours-in-the-sweep.md`."""
 OTHERS = 0.3
 """Share of what a poke says about the neighbours that counts in the phase of own pokes: none of it takes 6 % more pokes to 3
 mm, all of it pulls neighbours together in the long run."""
@@ -58,6 +61,10 @@ apart."""
 SKIPPED = 2
 """A side of a taxel that was skipped so often is left out."""
 _NOTHING_REJECTED: Mapping[int, Rejection] = {}
+
+
+def _neighbour_share(phase: GuidePhase | None) -> float:
+    return NEIGHBOUR_SHARE_SWEEP if phase is GuidePhase.SWEEP else OTHERS
 
 
 class Guide:
@@ -408,7 +415,7 @@ class Guide:
             self._gains_of, self._stale[:] = phase, True
         anew = rows[self._stale[rows]]
         if anew.size:
-            self._gains[anew] = candidates.gains(state, anew, self._noise, 1.0 if phase is GuidePhase.SWEEP else OTHERS)
+            self._gains[anew] = candidates.gains(state, anew, self._noise, _neighbour_share(phase))
             for row in self._skips.keys() & set(anew.tolist()):
                 self._gains[row, self._left_out(row)] = -np.inf
             self._stale[anew] = False
@@ -474,7 +481,7 @@ class Guide:
         pokes, drawn = found.pokes.tolist(), self._drawn()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
-        worth = candidates.gains(state, np.array([row]), self._noise, 1.0 if self._gains_of is GuidePhase.SWEEP else OTHERS)[0]
+        worth = candidates.gains(state, np.array([row]), self._noise, _neighbour_share(self._gains_of))[0]
         return AxisDiversity(
             channel=channel,
             normal=normal,

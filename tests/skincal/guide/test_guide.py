@@ -191,8 +191,8 @@ def test_what_is_doubted_counts_less_for_the_guide():
     # By the contacts alone: where a taxel's pokes miss by more than the scene's noise, its own error says what is known.
     trusting = [each if each.rms is None else replace(each, rms=1e-6) for each in estimates[Method.FREE]]
     estimates, mistrusted = {**estimates, Method.FREE: trusting}, list(trusting)
-    poke = followed.session.evidence([mistrusted[row].channel]).pokes[0]
-    mistrusted[row] = replace(mistrusted[row], doubted={int(poke): 0.0})
+    strongest: list[int] = followed.session.evidence([mistrusted[row].channel]).pokes[:2].tolist()
+    mistrusted[row] = replace(mistrusted[row], doubted=dict.fromkeys(strongest, 0.0))
     plain.update(followed.contacts, estimates, followed.session.evidence)
     doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
     # What is known less is worth more to poke; only around the taxel, since a poke on one tells of its neighbours.
