@@ -33,7 +33,6 @@ from app.panels.now_panel import NowPanel
 from app.panels.plot_panels import ErrorsPanel, ReadingsPanel
 from app.panels.pokes_panel import PokesPanel
 from app.panels.rig_panel import RigPanel
-from app.panels.taxel_map import MapCard, TaxelMap, turns_of
 from app.panels.widgets import theme_colours
 from app.scene3d.scene_state import StaticScene
 from app.scene3d.view import View3D
@@ -117,7 +116,11 @@ class Workspace(QWidget):
         self.methods = tuple(method for method in SHOWN if method in there)
         self.view = make_view()
         self.now = NowPanel()
-        self.map = TaxelMap(scene, part.channels, names, turns_of(StaticScene(scene, part.surface, part.laid, part.channels)))
+        # Imported in the window's thread: pyqtgraph names all types of Qt, which must not happen in two threads at once.
+        from app.panels.taxel_map import MapCard, TaxelMap, quarter_turns
+
+        static = StaticScene(scene, part.surface, part.laid, part.channels)
+        self.map = TaxelMap(scene, part.channels, names, quarter_turns(static))
         self.readings = ReadingsPanel()
         self.pokes = PokesPanel(names)
         self.inspect = InspectPanel(self.methods, names)

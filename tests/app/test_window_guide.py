@@ -13,12 +13,11 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMainWindow
 
 from app.panels.inspect_panel import InspectPanel
-from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import FittedLabel
 from app.scene3d.canvas import Canvas
 from app.scene3d.view import View3D
 from app.session.opening import OpenRequest
-from app.theme import DARK, Choice
+from app.theme import Choice
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
@@ -26,7 +25,7 @@ from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import box, estimate, laid
 from tests.app.view3d_on_screen import canvas_of, drag, points_of, renderer_of, screen_place, wheel
 from tests.app.whole_window import Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, is_elided, pixels, reading, session, show_in
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, is_elided, pixels, reading, session
 from tests.approved import approved
 
 
@@ -161,68 +160,9 @@ def test_a_new_target_is_drawn_at_once_though_the_camera_turns(view):
     np.testing.assert_allclose(points_of(layer.ring).mean(axis=0)[2], -0.02, atol=1e-6)
 
 
-@pytest.fixture
-def taxels(qtbot):
-    show_in(DARK)
-    made = TaxelMap(SCENE, PLAN.channels, NAMES)
-    made.resize(420, 300)
-    qtbot.addWidget(made)
-    with qtbot.waitExposed(made):
-        made.show()
-    return made
-
-
 def framed(says, generation: int = 1):
     at = frame(session(generation, {c: estimate(c, (0, 0, 0)) for c in (2, 3, 15)}))
     return replace(at, guidance=says)
-
-
-def near(view: TaxelMap, channel: int, reach: int) -> tuple[slice, slice]:
-    place = view.place_of(channel).toPoint()
-    return np.s_[max(0, place.y() - reach) : place.y() + reach, max(0, place.x() - reach) : place.x() + reach]
-
-
-def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
-    taxels.show_state(framed(guidance()))
-    before = pixels(taxels)
-    taxels.show_state(framed(guidance(target(3))))
-    after = pixels(taxels)
-    assert changed(before[near(taxels, 3, 24)], after[near(taxels, 3, 24)]) > 60
-    assert changed(before[near(taxels, 15, 12)], after[near(taxels, 15, 12)]) == 0
-    ring = after[near(taxels, 3, 24)][(before != after)[near(taxels, 3, 24)].any(axis=2)][:, :3].astype(int)
-    assert (ring.min(axis=1) > 240).any()
-    assert (ring.max(axis=1) < 15).any()
-    qtbot.wait(30)
-    paints = Paints(taxels)
-    taxels.show_state(framed(guidance(target(3))))
-    qtbot.wait(30)
-    assert paints.count == 0, "the same target is drawn no second time"
-    taxels.show_state(framed(guidance(target(15))))
-    qtbot.wait(30)
-    assert paints.count == 1
-
-
-def test_a_target_that_is_not_on_the_map_is_left_out(qtbot):
-    half = TaxelMap(SCENE, PLAN.channels[:12], NAMES)
-    qtbot.addWidget(half)
-    half.show_state(framed(guidance()))
-    before = pixels(half)
-    half.show_state(framed(guidance(target(20))))
-    assert np.array_equal(pixels(half), before)
-
-
-def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):
-    taxels.show_state(framed(guidance()))
-    good = pixels(taxels)
-    taxels.show_state(framed(guidance(done=(3,)), 2))
-    done = pixels(taxels)
-    assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
-    assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
-    assert "done" in taxels.tell(3)
-    assert approved("guide.needs") in taxels.tell(15)
-    taxels.show_state(framed(None, 2))
-    assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
-    assert "needs" not in taxels.tell(15)
 
 
 def test_the_taxel_tab_says_what_the_selected_taxel_still_needs(qtbot):
@@ -295,7 +235,10 @@ def test_a_closing_check_of_nothing_is_no_step(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     before = bench.snapshot
     bench.window.session_view.check_again()
-    assert (bench.snapshot.decisions.closings, bench.snapshot.history.entries) == (before.decisions.closings, before.history)
+    assert (bench.snapshot.decisions.closings, bench.snapshot.history.entries) == (
+        before.decisions.closings,
+        before.history.entries,
+    )
 
 
 def test_turning_and_layers_are_choices_of_the_menus_that_are_remembered(bench, qtbot, tmp_path, recorded):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, QPoint, QPointF, QRectF, Qt, QTimer
-from PySide6.QtGui import QColor, QImage, QMouseEvent, QWheelEvent
+from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtGui import QColor
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QApplication, QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
 
 from app.dialogs.export_dialog import ExportDialog
 from app.dialogs.new_session import NewSessionDialog, shipped_scenes
@@ -21,24 +19,18 @@ from app.panels.plot_panels import PlotPanel, ReadingsPanel
 from app.panels.plots import CurvesPanel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
 from app.panels.rig_panel import ArmPanel
-from app.panels.taxel_map import SMALL, MapCard, Stamps, TaxelMap, draw_mark, fit, plan_map, turns_of
+from app.panels.taxel_map import TaxelMap
 from app.panels.widgets import Painted, theme_colours
-from app.scene3d.camera import first_frame
-from app.scene3d.scene_state import StaticScene
 from app.session_view import RIGHT_PX
-from app.state.policies import Mark
 from app.state.running import Running
 from app.text.guidance_text import BETWEEN
 from app.text.message import Message
-from app.theme import DARK, HUES, LIGHT, Choice, Colours
+from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
 from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
-from skincal.model.scene import resource
-from skincal.session.part import load_part
 from skincal.taxels.result import Method
-from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
     NAMES,
@@ -195,202 +187,6 @@ def test_the_same_frame_draws_nothing(qtbot):
             panel.show_state(at)
     qtbot.wait(30)
     assert sum(paint.count for paint in paints) == 0
-
-
-@pytest.fixture
-def taxels(qtbot):
-    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
-    view.show_state(frame())
-    return view
-
-
-def test_the_legend_counts_anew_where_marks_change_and_never_else(qtbot, monkeypatch):
-    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), BOTH))
-    made = []
-    monkeypatch.setattr(card.legend, "count", lambda *what, count=card.legend.count: (made.append(what), count(*what)))
-    at = frame()
-    card.show_state(at, anew=True)
-    assert card.legend.accessibleDescription() == f"unseen {len(PLAN.channels)}"
-    card.show_state(replace(at, selected=3), anew=False)
-    assert len(made) == 1
-    dead = replace(frame(session(2, dead={3: "stuck"})), revision=2)
-    card.show_state(dead, anew=True)
-    assert len(made) == 2
-
-
-def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
-    place = view.place_of(channel)
-    x, y = round(place.x()), round(place.y())
-    return pixels(view)[y - reach : y + reach, x - reach : x + reach]
-
-
-def test_every_taxel_is_found_where_it_is_drawn(taxels):
-    for channel in PLAN.channels:
-        assert taxels.channel_at(taxels.place_of(int(channel))) == channel
-
-
-def turn(points: np.ndarray) -> float:
-    """Twice the signed area of three of the points."""
-    return float(np.linalg.det(np.stack([points[1] - points[0], points[4] - points[0]])))
-
-
-def test_the_map_keeps_the_proportions_and_the_hand_of_the_layout(taxels):
-    places = np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
-    plan = PLAN.places[PLAN.channels]
-    drawn = np.linalg.norm(places[:, None] - places, axis=2)
-    real = np.linalg.norm(plan[:, None] - plan, axis=2)
-    np.testing.assert_allclose(drawn, real * drawn.max() / real.max(), atol=1e-6)
-    for points, hand in ((plan, 1.0), (places, -1.0)):
-        assert np.sign(turn(points)) == hand * np.sign(turn(plan))
-
-
-@pytest.mark.parametrize("size", [(900.0, 120.0), (120.0, 900.0), (300.0, 300.0)])
-def test_a_map_of_any_shape_stays_inside(size):
-    plan = plan_map(PLAN, PLAN.channels)
-    placed = fit(plan, QRectF(0, 0, *size)).pixels(np.concatenate([plan.places, *plan.outlines]))
-    assert (placed >= 0).all()
-    assert (placed <= np.array(size)).all()
-
-
-def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels):
-    here, there = 3, 20
-    before, other = around(taxels, here), around(taxels, there)
-    responses = np.zeros(24)
-    responses[here] = 80.0
-    taxels.show_state(frame(view=reading(skin=responses)))
-    answering = around(taxels, here)
-    assert changed(before, answering) > 20
-    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))})))
-    known = around(taxels, here)
-    assert changed(before, known) > 20
-    hue = QColor(HUES[0]).getRgb()[:3]
-    assert tuple(int(v) for v in known[9, 9, :3]) == hue
-    plain = around(taxels, here, 20)
-    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))
-    assert changed(plain, around(taxels, here, 20)) > 40
-    assert changed(other, around(taxels, there)) == 0
-
-
-def test_nan_and_infinite_answers_draw_nothing(taxels):
-    before = pixels(taxels)
-    taxels.show_state(frame(view=reading(skin=np.full(24, np.nan))))
-    taxels.show_state(frame(view=reading(skin=np.full(24, np.inf))))
-    assert changed(before, pixels(taxels)) == 0
-
-
-def test_states_differ_in_shape_not_only_in_colour():
-    drawn = []
-    for mark in Mark:
-        image = QImage(40, 40, QImage.Format.Format_RGBA8888)
-        image.fill(Qt.GlobalColor.black)
-        from PySide6.QtCore import QPointF
-        from PySide6.QtGui import QPainter
-
-        painter = QPainter(image)
-        draw_mark(painter, QPointF(20, 20), 12, mark, QColor("white"), QColor("white"))
-        painter.end()
-        drawn.append(np.frombuffer(image.constBits(), np.uint8).reshape(40, 40, 4)[..., 0] > 128)
-    for i, picture in enumerate(drawn):
-        for other in drawn[i + 1 :]:
-            assert (picture != other).sum() > 60
-
-
-@pytest.mark.usefixtures("qapp")
-@pytest.mark.parametrize("radius", [1.6, 2.0, 2.7, SMALL - 0.01])
-def test_small_marks_are_round_and_only_done_is_a_square(radius):
-    stamps, reach = Stamps(radius, 1.0, QColor("white")), max(1, round(radius))
-    drawn = {}
-    for mark in Mark:
-        image = stamps.get(mark.value, "#ffffff").toImage().convertToFormat(QImage.Format.Format_RGBA8888)
-        opaque = np.frombuffer(image.constBits(), np.uint8).reshape(image.height(), image.width(), 4)[..., 3]
-        middle = round(stamps.reach)
-        drawn[mark] = opaque[middle - reach : middle + reach, middle - reach : middle + reach].astype(int)
-        assert opaque.sum() == drawn[mark].sum() or mark is Mark.DEAD, "nothing is cut off, nothing lies outside"
-    assert (drawn[Mark.DONE] == 255).all()
-    for mark in (Mark.UNSEEN, Mark.BLIND, Mark.ROUGH, Mark.GOOD):
-        assert drawn[mark][0, 0] < 0.7 * drawn[mark][0, reach], "no corner"
-    for mark in (Mark.ROUGH, Mark.GOOD):
-        assert drawn[mark][reach, reach] == drawn[mark].max()
-    for mark in (Mark.UNSEEN, Mark.BLIND):
-        assert drawn[mark][reach, reach] < 0.4 * drawn[mark].max(), "hollow"
-    looks = list(drawn.values())
-    for i, picture in enumerate(looks):
-        for other in looks[i + 1 :]:
-            assert np.abs(picture - other).sum() > 4 * 255 * 0.15
-
-
-def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
-    with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
-        QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
-    assert clicked.args == [5]
-    assert taxels.tell(5).startswith(approved("now.taxel_not_poked", short="10-05", pad=5, module=10, channel=5))
-    taxels.show_state(frame(selected=3))
-    with qtbot.waitSignal(taxels.taxel_clicked) as moved:
-        QTest.keyClick(taxels, Qt.Key.Key_Left)
-    assert taxels.place_of(moved.args[0]).x() < taxels.place_of(3).x()
-    with qtbot.assertNotEmitted(taxels.taxel_clicked):
-        QTest.mouseClick(taxels, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
-
-
-@pytest.mark.parametrize("name", ["flat-patch", "icub-forearm"])
-def test_the_map_lies_as_the_part_is_seen_first(name):
-    part = load_part(resource(f"scenes/{name}/scene.toml"))
-    static = StaticScene(part.scene, part.surface, part.laid, part.channels)
-    _, (right, up, back) = first_frame(static.extent, static.facing)
-    plan = plan_map(part.scene.skin.layout, part.channels, turns_of(static))
-    drawn = fit(plan, QRectF(0, 0, 300, 300)).pixels(plan.places) * (1.0, -1.0)
-    seen = static.normals @ back > 0.3
-    on_part = (static.places @ np.stack([right, up]).T)[seen]
-    for way in range(2):
-        assert np.corrcoef(drawn[seen, way], on_part[:, way])[0, 1] > 0.7
-
-
-def test_the_map_comes_nearer_by_wheel_and_keys_moves_along_and_comes_back(qtbot, taxels):
-    def places():
-        return np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
-
-    def turn_wheel(at, notches):
-        none, plain, phase = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
-        event = QWheelEvent(at, at, QPoint(), QPoint(0, 120 * notches), none, plain, phase, False)
-        QApplication.sendEvent(taxels, event)
-
-    whole, first = places(), pixels(taxels)
-    under = taxels.place_of(9)
-    turn_wheel(under, 3)
-    grown = np.linalg.norm(places()[9] - places()[12]) / np.linalg.norm(whole[9] - whole[12])
-    assert grown == pytest.approx(1.25**3)
-    assert abs(places()[9, 0] - under.x()) < 1e-6, "it stays under the pointer"
-    with qtbot.assertNotEmitted(taxels.taxel_clicked):
-        before, start = places(), QPoint(2, 2)
-        QTest.mousePress(taxels, Qt.MouseButton.LeftButton, pos=start)
-        drag = QMouseEvent(
-            QEvent.Type.MouseMove, QPointF(9, 2), QPointF(9, 2), Qt.MouseButton.NoButton, Qt.MouseButton.LeftButton,
-            Qt.KeyboardModifier.NoModifier,
-        )  # fmt: skip
-        QApplication.sendEvent(taxels, drag)
-        QTest.mouseRelease(taxels, Qt.MouseButton.LeftButton, pos=start)
-    np.testing.assert_allclose((places() - before)[:, 0], 7.0)
-    QTest.keyClick(taxels, Qt.Key.Key_0)
-    np.testing.assert_allclose(places(), whole)
-    assert changed(first, pixels(taxels)) == 0
-    for _ in range(12):
-        QTest.keyClick(taxels, Qt.Key.Key_Plus)
-    outside = [c for c in range(24) if not taxels.rect().contains(taxels.place_of(c).toPoint())]
-    taxels.show_state(frame(selected=outside[0]))
-    assert taxels.rect().contains(taxels.place_of(outside[0]).toPoint()), "what is selected comes into the picture"
-    for _ in range(20):
-        QTest.keyClick(taxels, Qt.Key.Key_Minus)
-    np.testing.assert_allclose(places(), whole)
-
-
-def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):
-    from dataclasses import replace
-
-    bare = replace(SCENE, skin=replace(SCENE.skin, layout=None))
-    view = shown(qtbot, TaxelMap(bare, np.arange(24), ChannelNames(None)))
-    view.show_state(frame(where=bare))
-    assert len({view.place_of(c).toTuple() for c in range(24)}) == 24
-    assert view.tell(7).startswith("ch 7  (channel 7)")
 
 
 def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):

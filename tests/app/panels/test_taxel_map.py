@@ -1,0 +1,265 @@
+"""The flat map of the taxels: what it draws, and what the mouse and the keys find on it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
+from PySide6.QtGui import QColor, QImage, QMouseEvent, QPainter, QTransform, QWheelEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.panels.taxel_map import MapCard, TaxelMap, lay_out_map, mark_path, quarter_turns
+from app.scene3d.camera import first_frame
+from app.scene3d.scene_state import StaticScene
+from app.state.policies import Mark
+from app.theme import DARK, HUES
+from skincal.model.scene import resource
+from skincal.session.part import load_part
+from skincal.taxels.result import Method
+from skincal.words.units import ChannelNames
+from tests.app.guide_support import guidance, target
+from tests.app.scene3d_support import estimate
+from tests.app.whole_window import Paints
+from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session, show_in
+from tests.approved import approved
+
+BOTH = (Method.SURFACE, Method.FREE)
+
+
+def shown(qtbot, widget, size=(420, 300)):
+    show_in(DARK)
+    widget.resize(*size)
+    qtbot.addWidget(widget)
+    with qtbot.waitExposed(widget):
+        widget.show()
+    return widget
+
+
+@pytest.fixture
+def taxels(qtbot):
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
+    view.show_state(frame())
+    return view
+
+
+def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
+    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), BOTH))
+    at = frame()
+    card.show_state(at, anew=True)
+    assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels)}"
+    qtbot.wait(30)
+    paints = Paints(card.legend)
+    card.show_state(replace(at, selected=3), anew=False)
+    qtbot.wait(30)
+    assert paints.count == 0
+    dead = frame(session(2, dead={3: "stuck"}))
+    card.show_state(dead, anew=True)
+    assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels) - 1}, disabled 1"
+
+
+def around(view: TaxelMap, channel: int, reach: int = 9) -> np.ndarray:
+    place = view.place_of(channel)
+    x, y = round(place.x()), round(place.y())
+    return pixels(view)[y - reach : y + reach, x - reach : x + reach]
+
+
+def test_every_taxel_is_found_where_it_is_drawn(taxels):
+    for channel in PLAN.channels:
+        assert taxels.channel_at(taxels.place_of(int(channel))) == channel
+
+
+def turn(points: np.ndarray) -> float:
+    """Twice the signed area of three of the points."""
+    return float(np.linalg.det(np.stack([points[1] - points[0], points[4] - points[0]])))
+
+
+def test_the_map_keeps_the_proportions_and_the_hand_of_the_layout(taxels):
+    places = np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
+    plan = PLAN.places[PLAN.channels]
+    drawn = np.linalg.norm(places[:, None] - places, axis=2)
+    real = np.linalg.norm(plan[:, None] - plan, axis=2)
+    np.testing.assert_allclose(drawn, real * drawn.max() / real.max(), atol=1e-6)
+    for points, hand in ((plan, 1.0), (places, -1.0)):
+        assert np.sign(turn(points)) == hand * np.sign(turn(plan))
+
+
+@pytest.mark.parametrize("size", [(900, 120), (160, 900), (300, 300)])
+def test_a_map_of_any_shape_stays_inside(qtbot, size):
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), size)
+    assert all(view.rect().contains(view.place_of(int(c)).toPoint()) for c in PLAN.channels)
+
+
+def test_an_answer_a_state_and_a_selection_each_change_their_taxel_alone(taxels):
+    here, there = 3, 20
+    before, other = around(taxels, here), around(taxels, there)
+    responses = np.zeros(24)
+    responses[here] = 80.0
+    taxels.show_state(frame(view=reading(skin=responses)))
+    answering = around(taxels, here)
+    assert changed(before, answering) > 20
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))})))
+    known = around(taxels, here)
+    assert changed(before, known) > 20
+    hue = QColor(HUES[0]).getRgb()[:3]
+    assert tuple(int(v) for v in known[9, 9, :3]) == hue
+    plain = around(taxels, here, 20)
+    taxels.show_state(frame(session(2, {here: estimate(here, (0, 0, 0))}), selected=here))
+    assert changed(plain, around(taxels, here, 20)) > 40
+    assert changed(other, around(taxels, there)) == 0
+
+
+def test_nan_and_infinite_answers_draw_nothing(taxels):
+    before = pixels(taxels)
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.nan))))
+    taxels.show_state(frame(view=reading(skin=np.full(24, np.inf))))
+    assert changed(before, pixels(taxels)) == 0
+
+
+@pytest.mark.usefixtures("qapp")
+def test_states_differ_in_shape_not_only_in_colour():
+    drawn = []
+    for mark in Mark:
+        image = QImage(40, 40, QImage.Format.Format_RGBA8888)
+        image.fill(Qt.GlobalColor.black)
+        painter = QPainter(image)
+        painter.fillPath(QTransform().translate(20, 20).scale(24, 24).map(mark_path(mark)), QColor("white"))
+        painter.end()
+        drawn.append(np.frombuffer(image.constBits(), np.uint8).reshape(40, 40, 4)[..., 0] > 128)
+    for i, picture in enumerate(drawn):
+        for other in drawn[i + 1 :]:
+            assert (picture != other).sum() > 60
+
+
+def test_small_marks_differ_in_strength(qtbot):
+    view = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES), (150, 60))
+    known = {3: estimate(3, (0, 0, 0)), 4: estimate(4, (0, 0, 0), sd=0.02)}
+    view.show_state(frame(session(1, known)))
+    reds = [around(view, channel, 3)[..., :3].max(axis=(0, 1)).sum() for channel in (3, 4, 5)]
+    assert reds[0] > reds[1] + 20 > reds[2] + 40
+
+
+def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
+    with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
+        QTest.mouseClick(taxels.viewport(), Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
+    assert clicked.args == [5]
+    assert taxels.tell(5).startswith(approved("now.taxel_not_poked", short="10-05", pad=5, module=10, channel=5))
+    taxels.show_state(frame(selected=3))
+    with qtbot.waitSignal(taxels.taxel_clicked) as moved:
+        QTest.keyClick(taxels, Qt.Key.Key_Left)
+    assert taxels.place_of(moved.args[0]).x() < taxels.place_of(3).x()
+    with qtbot.assertNotEmitted(taxels.taxel_clicked):
+        QTest.mouseClick(taxels.viewport(), Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
+
+
+@pytest.mark.parametrize("name", ["flat-patch", "icub-forearm"])
+def test_the_map_lies_as_the_part_is_seen_first(name):
+    part = load_part(resource(f"scenes/{name}/scene.toml"))
+    static = StaticScene(part.scene, part.surface, part.laid, part.channels)
+    _, (right, up, back) = first_frame(static.extent, static.facing)
+    drawn = lay_out_map(part.scene.skin.layout, part.channels, quarter_turns(static)).places
+    seen = static.normals @ back > 0.3
+    on_part = (static.places @ np.stack([right, up]).T)[seen]
+    for way in range(2):
+        assert np.corrcoef(drawn[seen, way], on_part[:, way])[0, 1] > 0.7
+
+
+def test_the_map_comes_nearer_by_wheel_and_keys_moves_along_and_comes_back(qtbot, taxels):
+    def places():
+        return np.array([taxels.place_of(int(c)).toTuple() for c in PLAN.channels])
+
+    def turn_wheel(at, notches):
+        none, plain, phase = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase
+        event = QWheelEvent(at, at, QPoint(), QPoint(0, 120 * notches), none, plain, phase, False)
+        QApplication.sendEvent(taxels.viewport(), event)
+
+    whole, first = places(), pixels(taxels)
+    under = taxels.place_of(9)
+    turn_wheel(under, 2)
+    grown = np.linalg.norm(places()[9] - places()[12]) / np.linalg.norm(whole[9] - whole[12])
+    assert grown == pytest.approx(1.25**2)
+    assert abs(places()[9, 0] - under.x()) < 1e-6, "it stays under the pointer"
+    with qtbot.assertNotEmitted(taxels.taxel_clicked):
+        before, start = places(), QPoint(2, 2)
+        QTest.mousePress(taxels.viewport(), Qt.MouseButton.LeftButton, pos=start)
+        drag = QMouseEvent(
+            QEvent.Type.MouseMove, QPointF(9, 2), QPointF(9, 2), Qt.MouseButton.NoButton, Qt.MouseButton.LeftButton,
+            Qt.KeyboardModifier.NoModifier,
+        )  # fmt: skip
+        QApplication.sendEvent(taxels.viewport(), drag)
+        QTest.mouseRelease(taxels.viewport(), Qt.MouseButton.LeftButton, pos=start)
+    np.testing.assert_allclose((places() - before)[:, 0], 7.0)
+    QTest.keyClick(taxels, Qt.Key.Key_0)
+    np.testing.assert_allclose(places(), whole)
+    assert changed(first, pixels(taxels)) == 0
+    for _ in range(12):
+        QTest.keyClick(taxels, Qt.Key.Key_Plus)
+    outside = [c for c in range(24) if not taxels.rect().contains(taxels.place_of(c).toPoint())]
+    taxels.show_state(frame(selected=outside[0]))
+    assert taxels.rect().contains(taxels.place_of(outside[0]).toPoint()), "what is selected comes into the picture"
+    for _ in range(20):
+        QTest.keyClick(taxels, Qt.Key.Key_Minus)
+    np.testing.assert_allclose(places(), whole)
+
+
+def test_a_skin_without_a_layout_has_a_map_of_all_its_channels(qtbot):
+    bare = replace(SCENE, skin=replace(SCENE.skin, layout=None))
+    view = shown(qtbot, TaxelMap(bare, np.arange(24), ChannelNames(None)))
+    view.show_state(frame(where=bare))
+    assert len({view.place_of(c).toTuple() for c in range(24)}) == 24
+    assert view.tell(7).startswith("ch 7  (channel 7)")
+
+
+def framed(says, generation: int = 1):
+    at = frame(session(generation, {c: estimate(c, (0, 0, 0)) for c in (2, 3, 15)}))
+    return replace(at, guidance=says)
+
+
+def near(view: TaxelMap, channel: int, reach: int) -> tuple[slice, slice]:
+    place = view.place_of(channel).toPoint()
+    return np.s_[max(0, place.y() - reach) : place.y() + reach, max(0, place.x() - reach) : place.x() + reach]
+
+
+def test_the_map_rings_the_target_and_no_other(qtbot, taxels):
+    taxels.show_state(framed(guidance()))
+    before = pixels(taxels)
+    taxels.show_state(framed(guidance(target(3))))
+    after = pixels(taxels)
+    assert changed(before[near(taxels, 3, 24)], after[near(taxels, 3, 24)]) > 60
+    assert changed(before[near(taxels, 15, 12)], after[near(taxels, 15, 12)]) == 0
+    ring = after[near(taxels, 3, 24)][(before != after)[near(taxels, 3, 24)].any(axis=2)][:, :3].astype(int)
+    assert (ring.min(axis=1) > 240).any()
+    assert (ring.max(axis=1) < 15).any()
+    qtbot.wait(30)
+    paints = Paints(taxels)
+    taxels.show_state(framed(guidance(target(3))))
+    qtbot.wait(30)
+    assert paints.count == 0, "the same target is drawn no second time"
+    taxels.show_state(framed(guidance(target(15))))
+    qtbot.wait(30)
+    assert paints.count == 1
+
+
+def test_a_target_that_is_not_on_the_map_is_left_out(qtbot):
+    half = TaxelMap(SCENE, PLAN.channels[:12], NAMES)
+    qtbot.addWidget(half)
+    half.show_state(framed(guidance()))
+    before = pixels(half)
+    half.show_state(framed(guidance(target(20))))
+    assert np.array_equal(pixels(half), before)
+
+
+def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):
+    taxels.show_state(framed(guidance()))
+    good = pixels(taxels)
+    taxels.show_state(framed(guidance(done=(3,)), 2))
+    done = pixels(taxels)
+    assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
+    assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
+    assert "done" in taxels.tell(3)
+    assert approved("guide.needs") in taxels.tell(15)
+    taxels.show_state(framed(None, 2))
+    assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"
+    assert "needs" not in taxels.tell(15)
