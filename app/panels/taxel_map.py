@@ -1,8 +1,8 @@
 """The map: all taxels at once, flat. The mark tells the state of a taxel, the halo its answer, the hue its module.
 
-A cylinder in 3D always hides half of itself; the map never does. A taxel lies where the layout's own plane has it, turned by
-quarters so that up on the map is up on the part as it is seen first. Without a layout the channels stand in rows. A mark is
-hollow, a quarter, half or wholly filled, a full square when the taxel is finished, a cross if it is not used.
+A cylinder in 3D always hides half of itself; the map never does. Taxels have the positions of the flat layout, turned by
+quarters so that up on the map is up in the first 3D view. Without a layout the channels are in rows. A mark is hollow, a
+quarter, half or wholly filled, a full square when the taxel is finished, a cross if it is not used.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames, number
 
 MIN_TURN_GAIN = 1.25
-"""If it is unknown how the skin lies on the part, a tall map is laid on its side if it is this many times as high as wide."""
-QUARTERS = tuple(np.round([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in np.arange(4) * np.pi / 2)
+"""Without a laid skin, a map that is this many times higher than wide is turned by a quarter."""
+QUARTER_ROTATIONS = tuple(np.round([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in np.arange(4) * np.pi / 2)
 """(2, 2) float each: turns to the left by none, one, two and three quarters."""
 ZOOM_STEP = 1.25
 """Factor of one notch of the wheel, or key."""
 MAX_RADIUS_PX = 16.0
-"""Radius of a mark up to which the map can be enlarged."""
+"""Largest radius of a mark when the map is enlarged."""
 SMALL_RADIUS_PX = 3.0
 """Below this radius a quarter looks like a half; strength tells the state in addition to the shape."""
 MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75}
@@ -97,7 +97,7 @@ ZOOM_KEYS: dict[int, float] = {
     Qt.Key.Key_0: 0.0,
 }
 GOOD_MM = f"{GOOD_RMS * 1e3:.0f} mm"
-LEGEND: dict[Mark, tuple[str, str]] = {
+LEGEND_WORDS: dict[Mark, tuple[str, str]] = {
     Mark.UNSEEN: ("\N{WHITE CIRCLE}", "not pressed"),
     Mark.BLIND: ("\N{CIRCLE WITH UPPER RIGHT QUADRANT BLACK}", "undetermined"),
     Mark.ROUGH: ("\N{CIRCLE WITH RIGHT HALF BLACK}", f"error > {GOOD_MM}"),
@@ -143,7 +143,7 @@ def quarter_turns(static: StaticScene) -> int | None:
     # Directions of the layout's x and y in the picture, right and up, (2, 2): a turn resembles it if the trace of their
     # product is large.
     drawn = axes[:2] @ slopes.T
-    return int(np.argmax([np.sum(quarter * drawn) for quarter in QUARTERS]))
+    return int(np.argmax([np.sum(quarter * drawn) for quarter in QUARTER_ROTATIONS]))
 
 
 def lay_out_map(layout: Layout | None, channels: IntArray, turns: int | None = None) -> MapLayout:
@@ -151,9 +151,9 @@ def lay_out_map(layout: Layout | None, channels: IntArray, turns: int | None = N
 
     Parameters
     ----------
-    layout : None if the scene has none; then channels stand in rows, first at the top left
+    layout : None if the scene has none; then channels are in rows, first at the top left
     channels : (n,) channels that are taxels
-    turns : quarters to the left by which up becomes up on the part; None if that is unknown
+    turns : see `quarter_turns`
     """
     if layout is None:
         # Wider than high, as the space for the map is.
@@ -163,7 +163,7 @@ def lay_out_map(layout: Layout | None, channels: IntArray, turns: int | None = N
     if turns is None:
         across, up = np.ptp(layout.places[channels], axis=0)
         turns = 3 if up > MIN_TURN_GAIN * across else 0
-    turn = QUARTERS[turns].T
+    turn = QUARTER_ROTATIONS[turns].T
     outlines = tuple(module.outline @ turn for module in layout.modules)
     labels = tuple(str(module.id) for module in layout.modules)
     return MapLayout(channels, layout.places[channels] @ turn, layout.spacing, outlines, labels)
@@ -320,7 +320,7 @@ class TaxelMap(pg.GraphicsView):
         if event.type() is QEvent.Type.PaletteChange and self._is_made:
             self._draw_all()
 
-    def close(self) -> bool:
+    def close(self) -> bool:  # pyright: ignore[reportIncompatibleMethodOverride]
         # pyqtgraph takes the viewport away here, which ends the program while the map has the focus.
         return QGraphicsView.close(self)
 
@@ -499,7 +499,7 @@ class TaxelMap(pg.GraphicsView):
 def legend_words(marks_of_taxels: IntArray, rivals: int) -> list[tuple[str, str]]:
     """Return symbol and words of each mark with its count."""
     counted = np.bincount(marks_of_taxels, minlength=len(Mark))
-    words = [(LEGEND[mark][0], f"{LEGEND[mark][1]} {counted[mark.value]}") for mark in Mark]
+    words = [(LEGEND_WORDS[mark][0], f"{LEGEND_WORDS[mark][1]} {counted[mark.value]}") for mark in Mark]
     shown = [entry for mark, entry in zip(Mark, words, strict=True) if mark is Mark.UNSEEN or counted[mark.value]]
     return shown + ([("\N{BLACK UP-POINTING TRIANGLE}", f"ambiguous {rivals}")] if rivals else [])
 
@@ -532,7 +532,7 @@ class MapCard(QFrame):
         grid.setColumnStretch(0, 1)
 
     def show_state(self, state: ViewState, *, anew: bool) -> None:
-        """Show a tick; `anew` when the estimates may have changed."""
+        """Show a tick; `anew` if the estimates may have changed."""
         before = self.map.generation
         self.map.show_state(state)
         if self.map.generation != before:

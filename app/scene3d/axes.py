@@ -55,13 +55,13 @@ class AxesLayer(Layer):
         ends = at = NO_POINTS
         if progress is not None and axis:
             direction = progress.force / np.linalg.norm(progress.force)
-            at = contact_point(self.static.surface, progress.axis_point, direction, self._near(state, progress))[None]
+            at = contact_point(self.static.surface, progress.axis_point, direction, self._mean_place(state, progress))[None]
             ends = _span(at, direction[None])
         self.current.show(ends, self.colours.ink)
         self.contact.show(at, self.colours.ink)
         return True
 
-    def _near(self, state: View3DState, progress: Progress) -> FloatArray:
+    def _mean_place(self, state: View3DState, progress: Progress) -> FloatArray:
         """Return the mean position of the taxels that answer now; the middle of the part if none is known."""
         places = [place for c in progress.channels.tolist() if (place := self._place_of(state, c)) is not None]
         return np.mean(places, axis=0) if places else self._middle
@@ -87,7 +87,7 @@ class AxesLayer(Layer):
 
 
 def _key(progress: Progress) -> bytes:
-    """Return what decides the axis in progress; empty while nothing presses."""
+    """Return a key that changes with the axis in progress; empty while nothing presses."""
     known = np.isfinite([progress.force, progress.axis_point]).all() and progress.force.any()
     if progress.phase not in PRESSING or not known:
         return b""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 VIEW_ANGLE_DEG = 24.0
 """Narrow, so that sizes compare across the part, yet wide enough to tell near from far."""
-SLOPE = float(np.tan(np.radians(VIEW_ANGLE_DEG / 2)))
+VIEW_SLOPE = float(np.tan(np.radians(VIEW_ANGLE_DEG / 2)))
 FIT_MARGIN = 1.08
 """Size of the picture over that of the part."""
 MIN_ELONGATION = 2.0
@@ -74,7 +74,7 @@ class CameraPose:
         return bool(np.abs(self.axes[:2] - other.axes[:2]).max() < 0.01)
 
 
-PLAIN = CameraPose(np.eye(3), np.zeros(3), 1.0)
+PLAIN_POSE = CameraPose(np.eye(3), np.zeros(3), 1.0)
 """Before the first picture."""
 
 
@@ -93,7 +93,7 @@ class Viewpoint:
     @property
     def pixel(self) -> float:
         """Metres that one pixel of the desktop shows, at the distance the camera looks at."""
-        return 2.0 * SLOPE * self.pose.distance * self.ratio / self.size[1]
+        return 2.0 * VIEW_SLOPE * self.pose.distance * self.ratio / self.size[1]
 
     def pixel_at(self, points: FloatArray) -> FloatArray:
         """Return the same at points, (n, 3) float, metres: (n,) float."""
@@ -160,8 +160,8 @@ def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_
     """
     centre, axes = first_frame(points, facing_)
     seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
-    distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * FIT_MARGIN / SLOPE + seen[:, 2]
-    return CameraPose(axes, centre, max(float(distances.max()), min_half_height / SLOPE))
+    distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * FIT_MARGIN / VIEW_SLOPE + seen[:, 2]
+    return CameraPose(axes, centre, max(float(distances.max()), min_half_height / VIEW_SLOPE))
 
 
 def first_frame(points: FloatArray, facing_: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -206,7 +206,7 @@ def rotate(camera: vtkCamera, right_deg: float, up_deg: float) -> None:
 def pan(camera: vtkCamera, right: float, up: float) -> None:
     """Move the camera sideways; in heights of the picture."""
     pose = pose_of(camera)
-    place(camera, replace(pose, focus=pose.focus - 2 * pose.distance * SLOPE * (right * pose.right + up * pose.up)))
+    place(camera, replace(pose, focus=pose.focus - 2 * pose.distance * VIEW_SLOPE * (right * pose.right + up * pose.up)))
 
 
 def zoom(camera: vtkCamera, factor: float) -> None:
@@ -224,7 +224,7 @@ def is_visible(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: flo
 def is_inside(pose: CameraPose, at: FloatArray, aspect: float) -> bool:
     """Return whether a point is well inside a picture of this width over height."""
     away = max(float((pose.position - at) @ pose.axes[2]), MIN_DISTANCE)
-    return bool(np.abs(pose.axes[:2] @ (at - pose.focus) / (away * SLOPE * np.array([aspect, 1.0]))).max() <= TARGET_SHARE)
+    return bool(np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max() <= TARGET_SHARE)
 
 
 def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> CameraPose:
@@ -257,9 +257,9 @@ def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> Fl
 def move_closer(pose: CameraPose, at: FloatArray, height: float) -> CameraPose:
     """Return the pose, or a nearer one where a ball at a point would be smaller than `MIN_BALL_PX` in a picture so high."""
     away = float((pose.position - at) @ pose.axes[2])
-    if BALL_DIAMETER * height >= MIN_BALL_PX * 2.0 * SLOPE * away:
+    if BALL_DIAMETER * height >= MIN_BALL_PX * 2.0 * VIEW_SLOPE * away:
         return pose
-    return CameraPose(pose.axes, at, max(MIN_DISTANCE, BALL_DIAMETER * height / (TARGET_BALL_PX * 2.0 * SLOPE)))
+    return CameraPose(pose.axes, at, max(MIN_DISTANCE, BALL_DIAMETER * height / (TARGET_BALL_PX * 2.0 * VIEW_SLOPE)))
 
 
 def interpolate(start: CameraPose, end: CameraPose, share: float) -> CameraPose:
@@ -312,7 +312,7 @@ class AutoCamera:
         self._touched_s, self._way = now_s, None
 
     def step(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
-        """Continue a turn, or begin one that is due; return whether the camera moved.
+        """Continue a turn, or begin one; return whether the camera moved.
 
         `aspect` is the picture's width over its height; `height` is in pixels of the desktop.
         """
@@ -323,7 +323,7 @@ class AutoCamera:
         if target is None:
             return False
         if state.live is not None and state.live.progress.phase in PRESSING:
-            # A turn that a poke interrupts is due again.
+            # After the poke an interrupted turn begins again.
             self._is_due, self._way = self._is_due or self._way is not None, None
             return False
         if self.held or now_s - self._touched_s < AFTER_MANUAL_MOVE_S:

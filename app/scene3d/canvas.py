@@ -1,6 +1,6 @@
 """The widget that shows the picture, drawn by a graphics card or by software.
 
-Importing pyvista takes longer than a window may stand still, and so does the first picture, in which software OpenGL compiles
+Importing pyvista would block the window too long, and so would the first picture, in which software OpenGL compiles
 its shaders. `load` runs in a thread; with EGL or OSMesa, which are not bound to a thread, it also draws that picture. `mount`
 runs in the window's thread and makes the widget.
 """
@@ -127,7 +127,7 @@ class Loaded:
 def load(
     canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: View3DState | None
 ) -> Loaded:
-    """Import what the canvas needs and make what needs no widget, for a first picture of so many pixels.
+    """Import what the canvas needs and make what needs no widget; `size` is that of the first picture in pixels.
 
     Raises
     ------
@@ -170,14 +170,14 @@ def mount(
     canvas: Canvas, loaded: Loaded, static: StaticScene, colours: SceneColours, parent: QWidget
 ) -> tuple[AnyCanvas, SceneRenderer]:
     """Make the widget, and the renderer where `load` could not."""
-    from app.scene3d.scene_renderer import GRID, SceneRenderer
+    from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
 
     if canvas is Canvas.OPENGL:
         from pyvistaqt import QtInteractor
 
-        # Drawn when Qt asks for it and never by itself; its `render` would draw each picture twice.
+        # Drawn only when Qt asks for it; its `render` would draw each picture twice.
         widget = QtInteractor(
-            parent, auto_update=False, multi_samples=CARD_SAMPLES, shape=GRID, border=False, lighting="none"
+            parent, auto_update=False, multi_samples=CARD_SAMPLES, shape=PLOTTER_SHAPE, border=False, lighting="none"
         )  # fmt: skip
         # pyvistaqt would load a mesh that is dropped on it.
         widget.setAcceptDrops(False)

@@ -310,16 +310,16 @@ class CompareLayer(Layer):
         self.dots.pixels = float(np.clip(DOT_DIAMETER / self.viewpoint.pixel, *DOT_PX))
         self.dots.set_pixel_ratio(self.viewpoint.ratio)
         near = ~(facing(self.static.skin_normals, self.static.places, self.viewpoint.pose.position) < 0.0)
-        dots = [_known(cloud.places, near) for cloud in self._shown.clouds]
+        dots = [_select_known(cloud.places, near) for cloud in self._shown.clouds]
         tints = [
             np.tile(np.array(self.colours.tints[cloud.tint], np.uint8), (len(places), 1))
             for cloud, places in zip(self._shown.clouds, dots, strict=True)
         ]
         self.dots.show(np.concatenate(dots), np.concatenate(tints))
-        shafts = _known(self._shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
+        shafts = _select_known(self._shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
         self.shafts.show(shafts, self.colours.tints[Tint.TO])
         self.heads.show_heads(shafts, np.array(self.colours.tints[Tint.TO], np.uint8))
 
 
-def _known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
+def _select_known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
     return rows[near & np.isfinite(rows).all(axis=1)]

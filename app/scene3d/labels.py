@@ -21,12 +21,12 @@ from skincal.geometry import FloatArray
 FONT_POINTS = 14
 LETTER_PX = np.array([8.5, 20.0])
 """Width of a letter and height of a line with its plate, at most."""
-DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
+LABEL_DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
 """Right and up: where words are tried, in this order."""
 OBSTACLE_PX = 7.0
 """Half the width of what labels should not cover."""
 PLATE_OPACITY = 0.85
-"""Words on such a plate have a contrast of 4.5:1 on whatever lies below."""
+"""Words on such a plate have a contrast of 4.5:1 on any colour."""
 
 
 class Labels:
@@ -72,7 +72,7 @@ class Labels:
         edge = np.array(viewpoint.size) / viewpoint.ratio / 2.0
         taken = np.concatenate([obstacles - OBSTACLE_PX, obstacles + OBSTACLE_PX], axis=1)
         for row, (label, half) in enumerate(zip(labels, halves, strict=True)):
-            places = middles[row] + (DIRECTIONS * (label.gap + half) if label.gap else np.zeros((1, 2)))
+            places = middles[row] + (LABEL_DIRECTIONS * (label.gap + half) if label.gap else np.zeros((1, 2)))
             sides = np.minimum((places + half)[:, None], taken[:, 2:]) - np.maximum((places - half)[:, None], taken[:, :2])
             outside = np.maximum(np.abs(places) + half - edge, 0.0).sum(axis=1)
             middles[row] = places[np.argmin(np.prod(np.maximum(sides, 0.0), axis=-1).sum(axis=1).round() + 100.0 * outside)]

@@ -149,7 +149,7 @@ class Layer:
         return NO_POINTS
 
     def follow_camera(self, viewpoint: Viewpoint) -> None:
-        """Update what depends on the camera; called before each picture in which the camera moved."""
+        """Update meshes and labels that depend on the camera; called before each picture after the camera moved."""
         self.viewpoint = viewpoint
         self.draw()
 

@@ -14,7 +14,7 @@ from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
 from app.scene3d.drawing_probe import choose_offscreen
 from app.scene3d.mesh_actors import window_of
-from app.scene3d.scene_renderer import GRID, SceneRenderer
+from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
 from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
 from skincal.files.atomic import write_atomically
 from skincal.mesh.lay import LaidSkin
@@ -26,7 +26,7 @@ from skincal.taxels.result import Method
 
 def make_plotter(size: tuple[int, int]) -> pv.Plotter:
     """Make a plotter that is never on a screen, for a `SceneRenderer`; `size` is in pixels."""
-    plotter = pv.Plotter(off_screen=True, shape=GRID, border=False, lighting="none", window_size=list(size))
+    plotter = pv.Plotter(off_screen=True, shape=PLOTTER_SHAPE, border=False, lighting="none", window_size=list(size))
     # Software OpenGL pays for every sample of every pixel: four of them make a picture take 2.5 times as long.
     window_of(plotter).SetMultiSamples(0)
     return plotter
@@ -53,7 +53,7 @@ def picture(
     path: Path,
     size: tuple[int, int] = (1280, 800),
 ) -> None:
-    """Draw what the window's 3D view shows of a session, as a PNG file of so many pixels.
+    """Draw what the window's 3D view shows of a session, as a PNG file; `size` is in pixels.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The part's mesh in matt grey, and the modules on it as they are planned.
+"""The part's mesh in matt grey, and the planned modules on it.
 
 The outer side is half transparent and the inner side opaque, as two actors of one mesh. So the force axis of a poke is seen
 inside the part, the far wall hides what is behind it, and neither needs the picture sorted by depth.
@@ -43,14 +43,14 @@ class SurfaceLayer(Layer):
         self.inside.prop.color, self.outside.prop.color = colours.back, colours.front
 
 
-LIFT = 4e-4
+OUTLINE_LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
 NUMBER_GAP_PX = 2.0
 """Between a module's first corner and its number: no taxel is there."""
 MIN_MODULE_PX = 40.0
 """Numbers on modules that are smaller on the screen would cover them."""
 MIN_FACING = 0.3
-"""Cosine. Numbers of modules that are turned further from the camera would stand in each other's way at the part's edge."""
+"""Cosine. Numbers of modules that are turned further from the camera would overlap at the part's edge."""
 MAX_NUMBERS = 40
 """Numbers on more modules than this would cover the skin."""
 HUE_SHARE = 0.55
@@ -78,7 +78,7 @@ class ModulesLayer(Layer):
 
     def set_colours(self, colours: SceneColours) -> None:
         known = np.isfinite(self.static.places[:, 0])
-        points = (self.static.places + LIFT * self.static.normals)[known]
+        points = (self.static.places + OUTLINE_LIFT * self.static.normals)[known]
         shades = HUE_SHARE * self.static.hues[known] + (1 - HUE_SHARE) * np.array(colours.faint)
         self.dots.show(points, shades.astype(np.uint8))
 
@@ -112,4 +112,4 @@ def _lifted(outline: FloatArray, places: FloatArray, normals: FloatArray) -> Flo
     if not known.any():
         return outline
     distance = np.linalg.norm(outline[:, None] - places[known], axis=-1)
-    return outline + LIFT * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]
+    return outline + OUTLINE_LIFT * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]

@@ -29,13 +29,13 @@ MIN_HALF_HEIGHT = 0.015
 """m, of the view: half a module."""
 FIRST_LEAN_DEG = (-14.0, -10.0)
 """The first view is this far off straight, so that depth can be seen."""
-GRID = (1, 2)
+PLOTTER_SHAPE = (1, 2)
 """Shape of the plotter's grid: a renderer for the part and one before it, both as large as the picture."""
 POINTS_PER_INCH = 72.0
 
 
 class SceneRenderer:
-    """Layers, light and camera of a scene in a plotter of shape `GRID`."""
+    """Layers, light and camera of a scene in a plotter of shape `PLOTTER_SHAPE`."""
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, colours: SceneColours) -> None:
         self.plotter, self.static, self.window = plotter, static, window_of(plotter)
@@ -139,7 +139,7 @@ class SceneRenderer:
             points, self.static.facing, self._free_aspect(), MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS
         )  # fmt: skip
         place(self.camera, pose)
-        self._known_reach = pose.focus, camera.SLOPE * pose.distance
+        self._known_reach = pose.focus, camera.VIEW_SLOPE * pose.distance
         if has_extent:
             camera.rotate(self.camera, *FIRST_LEAN_DEG)
 

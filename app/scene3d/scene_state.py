@@ -73,16 +73,16 @@ def _rgb(colour: str) -> Colour:
     return red, green, blue
 
 
-def _look(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> SceneColours:
+def _make_colours(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> SceneColours:
     tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
     tints |= {Tint(name): _rgb(hue) for name, hue in of.methods.items()}
     return SceneColours(_rgb(of.window), front, back, ink, faint, tints)
 
 
-DARK = _look(
+DARK = _make_colours(
     theme.DARK, front=(176, 179, 184), back=(74, 77, 83), ink=(245, 245, 245), faint=(128, 132, 140), to=(255, 92, 170)
 )
-LIGHT = _look(
+LIGHT = _make_colours(
     theme.LIGHT, front=(150, 153, 158), back=(214, 216, 220), ink=(16, 18, 22), faint=(120, 124, 130), to=(190, 0, 105)
 )
 

@@ -27,17 +27,17 @@ CORE_RADIUS, OUTLINE_RADIUS = 0.36e-3, 0.75e-3
 HEAD_LENGTH, HEAD_RADIUS = 8e-3, 2.2e-3  # m
 MIN_RING_PX = 13.0
 """Radius of the ring at least, so that it is found on a whole body."""
-SPOKES = 4
+CONE_SPOKES = 4
 """Lines of the cone, from the tip to its rim."""
 LABEL_GAP_PX = 9.0
 """Between ring and name."""
-ALONG = np.linspace(0.2, 1.0, 6)
+LABEL_FREE_SHARES = np.linspace(0.2, 1.0, 6)
 """Shares of the arrow's length, at which labels keep clear of it."""
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
 class TargetLayer(Layer):
-    """Ring, arrow, cone and name of the target; nothing while nobody guides."""
+    """Ring, arrow, cone and name of the target; nothing without a target."""
 
     name = "target"
 
@@ -100,7 +100,9 @@ class TargetLayer(Layer):
     def obstacles(self) -> FloatArray:
         if self._target is None:
             return NO_POINTS
-        return np.concatenate([self.ring.mesh.points[::20], self.at - ALONG[:, None] * self._length * self._target.push])
+        return np.concatenate(
+            [self.ring.mesh.points[::20], self.at - LABEL_FREE_SHARES[:, None] * self._length * self._target.push]
+        )
 
 
 def _frame(third: FloatArray) -> FloatArray:
@@ -127,11 +129,11 @@ def _arrow(margin: float) -> pv.PolyData:
 
 
 def _cone(push: FloatArray, angle: float) -> FloatArray:
-    """Return rim and spokes of a cone as segments, (36 + SPOKES, 2, 3) float, metres.
+    """Return rim and spokes of a cone as segments, (36 + CONE_SPOKES, 2, 3) float, metres.
 
     It opens from the origin against `push`, (3,) float, unit; `angle`, rad, lies between its axis and its side.
     """
     middle, radius = -ARROW_LENGTH * np.cos(angle) * push, ARROW_LENGTH * float(np.sin(angle))
     rim = rings(middle[None], push[None], radius, sides=36).reshape(-1, 2, 3)
-    ends = rim[:: len(rim) // SPOKES, 0]
+    ends = rim[:: len(rim) // CONE_SPOKES, 0]
     return np.concatenate([rim, np.stack([np.zeros_like(ends), ends], axis=1)])

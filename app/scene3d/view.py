@@ -1,6 +1,6 @@
-"""The 3D view as the window sees it: one widget that takes snapshots and says which taxel was clicked.
+"""The widget of the 3D view: it shows snapshots and reports clicked taxels.
 
-Importing this module loads neither VTK nor pyvistaqt; `begin` does, beside the window, which lives on meanwhile.
+Importing this module loads neither VTK nor pyvista; `begin` does, in a thread, while the window works.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 CLOSE_S = 60.0
-"""s. Closing waits so long for VTK, which takes a second or two to load: a program that ends while VTK draws crashes."""
-CLICK_PIXELS = 4.0
+"""Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes."""
+MAX_CLICK_MOVE_PX = 4.0
 """A press that moves less before its release is a click: hands tremble by two or three pixels."""
-DEGREES_PER_WIDTH = 220.0
-"""A drag across the shorter side of the view turns the part by this much: a bit more than its far side."""
+DRAG_DEGREES = 220.0
+"""A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
 WHEEL_STEP = 1.15
-"""Factor of nearness for one notch of the wheel."""
-NOTCH = 120.0
+"""Zoom factor for one notch of the wheel."""
+WHEEL_NOTCH = 120.0
 """Qt's units of a notch."""
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
 
 class Pointer(QObject):
-    """Turns mouse events of a canvas into moves of the stage's camera and into clicks.
+    """Turns mouse events of a canvas into camera moves and clicks.
 
-    Left drag turns, middle or shift-left drag shifts, right drag and the wheel come nearer, a left click picks. The canvas
+    Left drag rotates, middle or shift-left drag pans, right drag and the wheel zoom, a left click picks. The canvas
     itself sees neither mouse nor keys, so no key binding of VTK can fire. `clicked` gets pixels from the lower left.
     """
 
@@ -70,7 +70,7 @@ class Pointer(QObject):
         """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
-            camera.zoom(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / NOTCH))
+            camera.zoom(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / WHEEL_NOTCH))
             self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
@@ -90,7 +90,7 @@ class Pointer(QObject):
         buttons = event.buttons()
         if buttons == Qt.MouseButton.NoButton:
             return
-        if not self._dragged and (event.position() - self._start).manhattanLength() < CLICK_PIXELS:
+        if not self._dragged and (event.position() - self._start).manhattanLength() < MAX_CLICK_MOVE_PX:
             return
         self._dragged = True
         step, self._last = event.position() - self._last, event.position()
@@ -99,7 +99,7 @@ class Pointer(QObject):
             height = max(1, self._canvas.height())
             camera.pan(self._camera(), step.x() / height, -step.y() / height)
         elif buttons & Qt.MouseButton.LeftButton:
-            camera.rotate(self._camera(), step.x() * DEGREES_PER_WIDTH / size, -step.y() * DEGREES_PER_WIDTH / size)
+            camera.rotate(self._camera(), step.x() * DRAG_DEGREES / size, -step.y() * DRAG_DEGREES / size)
         else:
             camera.zoom(self._camera(), WHEEL_STEP ** (-step.y() / 20))
         self._note_move()
@@ -170,7 +170,7 @@ class View3D(QWidget):
                 return load(choice, static, colours, size, state)
             except Exception as error:
                 LOG.exception("the 3D view cannot be made")
-                # Whatever a driver or a library raises here: the session goes on without the picture.
+                # Any error of a driver or a library: the session goes on without the picture.
                 raise InputError(f"There is no 3D view: {error}\n\nEverything else works.") from error
 
         self._threads = ThreadService("scene3d", self)
@@ -188,7 +188,7 @@ class View3D(QWidget):
         """Show a moment of a session; return whether the picture changes.
 
         Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
-        moment is kept, and shown as soon as it is.
+        moment is kept, and shown later.
         """
         self._state = View3DState(snapshot, live, method, selected, self._difference, target, leeway, self._comparison)
         return self.isVisible() and self._show_state()
@@ -216,8 +216,8 @@ class View3D(QWidget):
             self._show_state()
 
     def cover(self, width: int) -> None:
-        """Turn the camera so that no target is brought under what lies over so many pixels of the view, from its left edge."""
-        # Half of the picture is for the target, whatever the view's size.
+        """Keep the picture's middle right of a card that covers `width` pixels of the view, from its left edge."""
+        # At least half of the picture stays free.
         self._covered = min(width / max(1, self.width()), 0.5)
         if self._renderer is not None:
             self._renderer.set_left_overlay(self._covered)
@@ -264,8 +264,8 @@ class View3D(QWidget):
             self._request()
 
     def eye(self) -> camera.CameraPose:
-        """Return how the camera stands; plain while there is no picture."""
-        return camera.PLAIN if self._renderer is None else camera.pose_of(self._renderer.camera)
+        """Return the pose of the camera; `PLAIN_POSE` before the first picture."""
+        return camera.PLAIN_POSE if self._renderer is None else camera.pose_of(self._renderer.camera)
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that exist; empty while the view is not built."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from app.scene3d.camera import PLAIN, CameraPose
+from app.scene3d.camera import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
 from skincal.guide.guidance import Coaching, Guidance, Target
@@ -106,7 +106,7 @@ class ViewState:
     """What is said of a rig that is none: empty of a real one."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])
     """About how many pokes each method takes from the first to enough; none where no layout says."""
-    eye: CameraPose = PLAIN
+    eye: CameraPose = PLAIN_POSE
     """How the 3D view's camera stands: small pictures stand upright beside it."""
 
     @property

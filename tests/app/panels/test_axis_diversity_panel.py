@@ -14,7 +14,7 @@ from window_support import NAMES, changed, frame, pixels, session
 
 from app.panels.inspect_panel import LEGENDS, PLOT_PX, AxisDiversityPanel, InspectPanel
 from app.panels.top_view import AROUND_TAXEL, EDGE, GRAIN, diversity_view
-from app.scene3d.camera import PLAIN
+from app.scene3d.camera import PLAIN_POSE
 from app.session.opening import OpenRequest
 from app.text.guidance_text import FOLLOWS, WHAT, diversity_words
 from app.text.outcomes import METHOD_NAMES
@@ -52,18 +52,18 @@ def diversity(
 
 
 def test_a_contact_is_where_the_tools_upper_end_stood():
-    view = diversity_view(diversity([push(0, 0), push(28, 0), push(28, 90), push(60, 180)]), Method.FREE, PLAIN)
+    view = diversity_view(diversity([push(0, 0), push(28, 0), push(28, 90), push(60, 180)]), Method.FREE, PLAIN_POSE)
     reach = np.sin(np.radians(28.0)) / EDGE
     np.testing.assert_allclose(view.dots, [[0, 0], [reach, 0], [0, reach], [-1, 0]], atol=1e-12)
     assert view.limit == pytest.approx(reach)
     assert view.middle is None
-    turned = diversity_view(diversity([push(28, 0)]), Method.FREE, eye_of(PLAIN.up, -PLAIN.right))
+    turned = diversity_view(diversity([push(28, 0)]), Method.FREE, eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
     np.testing.assert_allclose(turned.dots, [[0, -reach]], atol=1e-12)
 
 
 @pytest.mark.parametrize("best", [0.0, 90.0, 225.0])
 def test_the_tint_is_deepest_where_the_next_poke_tells_most_and_ends_at_the_usable_tilt(best):
-    view = diversity_view(diversity(best=best), Method.FREE, PLAIN)
+    view = diversity_view(diversity(best=best), Method.FREE, PLAIN_POSE)
     row, column = np.unravel_index(view.shade.argmax(), view.shade.shape)
     x, y = (column + 0.5) / GRAIN * 2 - 1, 1 - (row + 0.5) / GRAIN * 2
     side = np.array([np.cos(np.radians(best)), np.sin(np.radians(best))])
@@ -77,14 +77,16 @@ def test_the_tint_is_deepest_where_the_next_poke_tells_most_and_ends_at_the_usab
 
 
 def test_where_nothing_is_worth_a_poke_nothing_is_tinted():
-    view = diversity_view(diversity([push(10, 0)], best=None), Method.FREE, PLAIN)
+    view = diversity_view(diversity([push(10, 0)], best=None), Method.FREE, PLAIN_POSE)
     assert not view.shade.any()
     assert view.wanted is None
 
 
 def test_for_the_surface_method_places_count_and_no_sides():
     view = diversity_view(
-        diversity([push(28, 0)] * 2, offsets=[(0.002, 0, 0), (0, 0.02, 0)], beside=(0.001, 0.001, 0)), Method.SURFACE, PLAIN
+        diversity([push(28, 0)] * 2, offsets=[(0.002, 0, 0), (0, 0.02, 0)], beside=(0.001, 0.001, 0)),
+        Method.SURFACE,
+        PLAIN_POSE,
     )
     np.testing.assert_allclose(view.dots, [[0.4, 0], [0, 1]])
     np.testing.assert_allclose(view.middle, [0.2, 0.2])
@@ -121,7 +123,7 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
     filled = []
     for generation, (own, trust) in enumerate([(True, 1.0), (False, 1.0), (True, 0.1)], start=1):
         panel.show_state(framed(diversity([push(20, 135)], [own], [trust], best=None), generation=generation))
-        view = diversity_view(diversity([push(20, 135)]), Method.FREE, PLAIN)
+        view = diversity_view(diversity([push(20, 135)]), Method.FREE, PLAIN_POSE)
         at = panel.plot._at(view.dots[0])
         x, y = round(PLOT_PX / 2 + at.x()), round(PLOT_PX / 2 + at.y())
         filled.append(ink(pixels(panel.plot)[y - 8 : y + 9, x - 8 : x + 9], colours.text))
@@ -178,10 +180,10 @@ def test_the_same_sky_is_not_drawn_again(panel, qtbot):
     qtbot.wait(30)
     paints = Paints(panel.plot)
     for _ in range(4):
-        panel.show_state(replace(at, now_ns=at.now_ns + 1, eye=eye_of(PLAIN.right + 1e-4, PLAIN.up)))
+        panel.show_state(replace(at, now_ns=at.now_ns + 1, eye=eye_of(PLAIN_POSE.right + 1e-4, PLAIN_POSE.up)))
     qtbot.wait(30)
     assert paints.count == 0
-    turned = replace(at, eye=eye_of(PLAIN.up, -PLAIN.right))
+    turned = replace(at, eye=eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
     panel.show_state(turned)
     qtbot.wait(30)
     assert paints.count == 1
@@ -233,4 +235,4 @@ def test_every_method_has_its_words_and_its_picture():
     of = diversity([push(28, 0)] * 2)
     for method in Method:
         assert diversity_words(of, method)
-        assert (diversity_view(of, method, PLAIN).limit > 0) is (method is not Method.MODULES)
+        assert (diversity_view(of, method, PLAIN_POSE).limit > 0) is (method is not Method.MODULES)

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QApplication, QSizePolicy
 
 from app.panels.now_panel import DIAL_PX, NowPanel
 from app.panels.top_view import AROUND, TOOL, axes_on, top_view
-from app.scene3d.camera import PLAIN
+from app.scene3d.camera import PLAIN_POSE
 from app.state.press_coach import Ask, Hint, Lean
 from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Said, Tone, now_line
@@ -86,7 +86,7 @@ def panel(qtbot):
     return made
 
 
-def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN):
+def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN_POSE):
     """Show a frame in which a tool presses, or none."""
     coached = None if view is None else coaching_of(view.progress, asked)
     at = replace(frame(view=view or reading()), guidance=guidance(asked, method=method), coaching=coached, eye=eye)
@@ -121,7 +121,7 @@ def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     assert panel.headline.width() > wide
 
 
-def of(view=None, asked=ASKED, eye=PLAIN, leeway=LEEWAY):
+def of(view=None, asked=ASKED, eye=PLAIN_POSE, leeway=LEEWAY):
     return top_view(guidance(asked), asked, None if view is None else coaching_of(view.progress, asked), leeway, eye)
 
 
@@ -214,7 +214,7 @@ def test_a_tip_outside_the_picture_is_a_wedge_at_the_rim_on_its_side(panel):
 def test_the_dial_turns_with_the_3d_view(panel):
     pressed(panel)
     one = pixels(panel.dial)
-    pressed(panel, eye=eye_of(PLAIN.up, -PLAIN.right))
+    pressed(panel, eye=eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
     assert changed(one, pixels(panel.dial)) > 100
 
 

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from scipy import ndimage
 
-from app.scene3d.camera import SLOPE, facing, pose_of, project, rotate, zoom
+from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, project, rotate, zoom
 from app.scene3d.canvas import Canvas
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
@@ -171,7 +171,7 @@ def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(
         view.show_moment(shown, None, method, None, target)
         picture, pose = pixels(view).astype(float), pose_of(renderer_of(view).camera)
         cosines = facing(out, places, pose.position)
-        size = 3.2e-3 * view.height() / (2 * SLOPE * pose.distance)
+        size = 3.2e-3 * view.height() / (2 * VIEW_SLOPE * pose.distance)
         for module, hue in enumerate(HUES[:2]):
             own = cosines[12 * module : 12 * module + 12]
             assert np.abs(own).min() > 0.02, "none on the edge, where half a ball would count"

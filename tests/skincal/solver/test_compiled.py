@@ -10,7 +10,7 @@ from skincal.solver.compiled import compiled, kept_at
 from skincal.solver.machine import PROGRAM
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="nothing is kept where no rights can be asked for")
-PLAIN = PROGRAM.read_bytes()
+PLAIN_POSE = PROGRAM.read_bytes()
 
 
 @pytest.fixture(autouse=True)
@@ -34,7 +34,7 @@ def loaded(monkeypatch):
         compilations.clear()
         engine = wasmtime.Engine()
         store = wasmtime.Store(engine)
-        exports = wasmtime.Instance(store, compiled(engine, PLAIN), []).exports(store)
+        exports = wasmtime.Instance(store, compiled(engine, PLAIN_POSE), []).exports(store)
         assert exports["answer_size"](store) > 0
         return not compilations
 
@@ -43,9 +43,9 @@ def loaded(monkeypatch):
 
 def test_the_second_start_reads_what_the_first_has_compiled(loaded):
     assert not loaded()
-    assert kept_at(PLAIN).stat().st_mode & 0o777 == 0o600
-    assert kept_at(PLAIN).parent.stat().st_mode & 0o777 == 0o700
-    assert list(kept_at(PLAIN).parent.iterdir()) == [kept_at(PLAIN)]
+    assert kept_at(PLAIN_POSE).stat().st_mode & 0o777 == 0o600
+    assert kept_at(PLAIN_POSE).parent.stat().st_mode & 0o777 == 0o700
+    assert list(kept_at(PLAIN_POSE).parent.iterdir()) == [kept_at(PLAIN_POSE)]
     assert loaded()
 
 
@@ -84,14 +84,14 @@ def linked(path):
 @pytest.mark.parametrize("spoilt", [cut, flipped, empty, foreign, for_all, linked])
 def test_what_is_not_whole_or_another_may_have_written_is_compiled_anew_and_replaced(loaded, spoilt):
     loaded()
-    spoilt(kept_at(PLAIN))
+    spoilt(kept_at(PLAIN_POSE))
     assert not loaded()
     assert loaded()
 
 
 def test_a_folder_that_others_may_write_is_not_believed(loaded):
     loaded()
-    open_folder(kept_at(PLAIN))
+    open_folder(kept_at(PLAIN_POSE))
     assert not loaded()
     assert not loaded()
 
@@ -104,11 +104,11 @@ def test_what_belongs_to_another_user_is_not_believed(loaded, monkeypatch):
 
 
 def test_another_program_has_a_file_of_its_own():
-    assert kept_at(PLAIN) != kept_at(PLAIN + b" ")
+    assert kept_at(PLAIN_POSE) != kept_at(PLAIN_POSE + b" ")
 
 
 def test_where_nothing_can_be_kept_it_is_compiled(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     engine = wasmtime.Engine()
-    assert isinstance(compiled(engine, PLAIN), wasmtime.Module)
+    assert isinstance(compiled(engine, PLAIN_POSE), wasmtime.Module)
