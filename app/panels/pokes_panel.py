@@ -26,13 +26,13 @@ from app.panels.copying import make_copyable
 from app.panels.widgets import plain_tip, quiet, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
-from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, reason_short, reason_words, rejections, tilt_of
+from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rejections, tilt_of
 from app.theme import GAP
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Estimate
-from skincal.words.poke_words import missed_words
+from skincal.words.poke_words import REASON_WORDS, missed_words, rejection_words, short_rejection
 from skincal.words.units import DASH, ChannelNames, cell, number
 
 _Index = QModelIndex | QPersistentModelIndex
@@ -139,7 +139,7 @@ class PokeTable(QAbstractTableModel):
             name, missed = self._at_landmarks.get(outcome.poke), self._missed.get(outcome.poke)
             if missed is not None:
                 return missed_words(missed)
-            return reason_words(outcome) if name is None else f"at the landmark {name}; {outcome.reason.value}, and none need"
+            return rejection_words(outcome) if name is None else f"at landmark {name}, where no taxel needs to answer"
         answered = ", ".join(self._names.short(int(c)) for c in outcome.channels)
         pose = f"\narm pose {outcome.pose}" if outcome.pose else ""
         change = f"\ntare changed by {number(outcome.tare_change, 2)} N" if outcome.tare_change == outcome.tare_change else ""
@@ -178,7 +178,7 @@ class PokeTable(QAbstractTableModel):
 
 def _outcome_text(record: PokeRecord, doubt: str) -> str:
     if isinstance(record.outcome, Rejection):
-        return f"\N{BALLOT X} {reason_short(record.outcome)}"
+        return f"\N{BALLOT X} {short_rejection(record.outcome)}"
     if record.excluded:
         return "\N{CIRCLED MINUS} excluded"
     return f"\N{CIRCLE WITH LEFT HALF BLACK} {doubt}" if doubt else "\N{CHECK MARK} accepted"
@@ -280,6 +280,6 @@ class PokesPanel(QWidget):
 
 def tally_words(snapshot: Snapshot) -> str:
     """Return how many pokes there are and why some do not count."""
-    reasons = Counter(outcome.reason.value for outcome in rejections(snapshot))
+    reasons = Counter(REASON_WORDS[outcome.reason] for outcome in rejections(snapshot))
     counted = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
     return pokes_words(snapshot, f" ({counted})" if counted else "")

@@ -29,6 +29,7 @@ from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
 from skincal.session.snapshot import Snapshot
+from skincal.words.poke_words import REASON_WORDS
 
 RATE = 48_000
 """Samples a second: what most sound devices run at, so that nobody has to convert."""
@@ -159,7 +160,7 @@ def _of_poking(before: CueMemory, now: CueMemory) -> DueCue | None:
         return DueCue(Cue.ENOUGH)
     verdict = now.outcome if now.outcome is not None and is_news(before.outcome, now.outcome) else None
     if isinstance(verdict, Rejection) and not now.at_landmark:
-        return DueCue(Cue.REJECTED, verdict.reason.value)
+        return DueCue(Cue.REJECTED, REASON_WORDS[verdict.reason])
     if _came(before.outcome, now.outcome) and newly_done(before.guidance, now.guidance):
         return DueCue(Cue.DONE)
     if verdict is not None:

@@ -1,8 +1,4 @@
-"""The line that says what is happening, as a pure function of what a tick hands to the views.
-
-What has to be remembered between two ticks (a verdict that stays long enough to be read, a phase that must last before it is
-announced) is a frozen value that goes in and comes out.
-"""
+"""Status line: what to do now, made from the state of a tick and a frozen memory of the ticks before."""
 
 from __future__ import annotations
 
@@ -16,7 +12,6 @@ from app.state.running import Running
 from app.state.view_state import FAULTS, LinkLook, ViewState
 from app.text.guidance_text import (
     BETWEEN,
-    asked_words,
     done_words,
     end_words,
     enough_words,
@@ -30,8 +25,7 @@ from app.text.guidance_text import (
 )
 from app.text.outcomes import (
     METHOD_NAMES,
-    MISSED_ADVICE,
-    counted_words,
+    accepted_words,
     landed_words,
     link_detail,
     peak_channel,
@@ -44,29 +38,30 @@ from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import LastOperation, OperationKind
-from skincal.words.poke_words import missed_words
+from skincal.words.link_words import link_name
+from skincal.words.poke_words import MISSED_ADVICE, missed_words
 from skincal.words.units import count, newtons, number
 
-VERDICT_S = 2.5
-"""s. A verdict stays at least this long unless the next poke begins: a dozen words are read in it."""
-DEED_S = 6.0
-"""s. What the operator took back, or brought again, is said so long: it was asked for, and must not be missed."""
-SETTLE_S = 0.15
-"""s. A calm phase must last this long before it is said, so that the line does not flicker with noise."""
+RESULT_SHOWN_S = 2.5
+"""The result of a poke stays at least this long unless the next poke begins: enough to read a dozen words."""
+LAST_ACTION_SHOWN_S = 6.0
+"""The operator's last action is shown this long."""
+PHASE_DEBOUNCE_S = 0.15
+"""An idle phase must last this long before it is shown, so that noise does not make the line flicker."""
 
 
-POSES_NAMED = 3
-CHANGE_HINT = "  \N{MIDDLE DOT}  A changes addresses"
+MAX_NAMED_POSES = 3
+CHANGE_HINT = "  \N{MIDDLE DOT}  A: change addresses"
 _SHORT_VERDICTS = {
     LinkAnswer.NO_READING: "no readings",
     LinkAnswer.OTHER_STREAM: "another stream",
     LinkAnswer.OTHER_WIDTH: "wrong number of values",
 }
-"""For large type; the line below says all of it."""
+"""For large type; the line below has the details."""
 
 
 class Tone(Enum):
-    """The mood of the line; each has its own colour and its own sign."""
+    """Kind of status; each has a colour and a sign."""
 
     CALM = "calm"
     WAIT = "wait"
@@ -78,7 +73,7 @@ class Tone(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What came of something: smaller than what to do, and beside it."""
+    """Result of the last poke or action, in smaller type."""
 
     tone: Tone
     words: str
@@ -86,7 +81,7 @@ class Said:
 
 @dataclass(frozen=True, slots=True)
 class Now:
-    """What to do now, verb first, in large type; one line of detail; and what came of the poke or the action before."""
+    """What to do now in large type, one line of detail, and the result of the last poke or action."""
 
     tone: Tone
     headline: str
@@ -96,39 +91,39 @@ class Now:
 
 @dataclass(frozen=True, slots=True)
 class NowMemory:
-    """What the line remembers between two ticks."""
+    """Memory of the status line between two ticks."""
 
     outcome: Outcome | None = None
-    """The newest poke that was seen."""
+    """Newest poke."""
     verdict_until_s: float = -math.inf
     phase: PressPhase = PressPhase.NO_DATA
-    """The phase that is said."""
+    """Phase that is shown."""
     coming: PressPhase = PressPhase.NO_DATA
     coming_since_s: float = -math.inf
     asked: int | None = None
-    """Channel that the frame before asked to poke."""
+    """Channel requested in the tick before."""
     meant: int | None = None
-    """Channel that was asked for when the newest poke was made."""
+    """Channel requested when the newest poke was made."""
     guidance: Guidance | None = None
-    """The frame's before."""
+    """Guidance of the tick before."""
     done: tuple[int, ...] = ()
-    """Channels that became done with the newest poke, ascending."""
+    """Channels finished by the newest poke, ascending."""
     coach: CoachMemory = SILENT
     deed: LastOperation | None = None
-    """What the operator did last."""
+    """Last action of the operator."""
     deed_until_s: float = -math.inf
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
-        """Return a memory that does not announce what is there already: pokes, and what the operator did."""
+        """Make a memory that announces no poke or action of the past."""
         return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.history.last)
 
 
 def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
-    """Return what is said now, and what has to be remembered.
+    """Make the status line and the memory for the next tick.
 
-    Trouble goes before everything. A poke in progress is said at once; a verdict stays `VERDICT_S`; a calm phase is said after
-    `SETTLE_S`.
+    A problem comes first, then a poke in progress, then a result for `RESULT_SHOWN_S`, then an idle phase after
+    `PHASE_DEBOUNCE_S`.
     """
     asked = None if at.target is None else at.target.channel
     memory = replace(_see_deed(_see_outcome(memory, at), at), asked=asked, guidance=at.guidance)
@@ -145,11 +140,11 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
 
 
 def _see_deed(memory: NowMemory, at: ViewState) -> NowMemory:
-    """Notice what the operator did; a poke that ends after it is news again."""
+    """Notice the operator's action; a poke that ends later is news again."""
     deed = at.snapshot.history.last
     if deed is None or deed == memory.deed:
         return memory
-    return replace(memory, deed=deed, deed_until_s=at.now_s + DEED_S, verdict_until_s=-math.inf)
+    return replace(memory, deed=deed, deed_until_s=at.now_s + LAST_ACTION_SHOWN_S, verdict_until_s=-math.inf)
 
 
 def _deed(memory: NowMemory, at: ViewState) -> Said | None:
@@ -159,33 +154,33 @@ def _deed(memory: NowMemory, at: ViewState) -> Said | None:
 
 
 def deed_words(deed: LastOperation) -> str:
-    """Return what the operator did, and what takes it back: `"poke 438 taken back; Ctrl+Y brings it again"`."""
+    """Say what the operator did, and how to reverse it: `"poke 438 undone (Ctrl+Y: redo)"`."""
     if deed.kind is OperationKind.UNDONE:
-        return f"{deed.name} taken back; Ctrl+Y brings it again"
+        return f"{deed.name} undone (Ctrl+Y: redo)"
     if deed.kind is OperationKind.REDONE:
-        return f"{deed.name} brought again; Backspace takes it back"
-    return f"{deed.name}: done; Backspace takes it back"
+        return f"{deed.name} redone (Backspace: undo)"
+    return f"{deed.name} (Backspace: undo)"
 
 
 def _costs(at: ViewState) -> Said | None:
-    """Return what each method would cost, until a poke on the skin counts; None where nobody knows."""
+    """Say how many pokes each method needs, before the first poke on the skin; `None` if unknown."""
     known = [(method, pokes) for method, pokes in at.costs.items() if pokes]
     if len(known) < 2 or at.snapshot.contacts:
         return None
-    each = ", ".join(f"{METHOD_NAMES[method]} about {round_pokes(pokes)}" for method, pokes in known)
-    return Said(Tone.CALM, f"pokes it takes: {each}; V chooses the method")
+    each = ", ".join(f"{round_pokes(pokes)} ({METHOD_NAMES[method]})" for method, pokes in known)
+    return Said(Tone.CALM, f"Pokes needed: about {each}. V switches the method")
 
 
 def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
     newest = newest_outcome(at.snapshot)
     if newest is not None and at.snapshot.pokes[-1].excluded:
-        # It was taken back: nobody must read that it counts.
+        # It was undone: the line must not say that it counts.
         return replace(memory, outcome=newest, verdict_until_s=-math.inf)
     if newest is None or newest is memory.outcome:
         return memory
     grown = newly_done(memory.guidance, at.guidance)
     if is_news(memory.outcome, newest):
-        until_s = at.now_s + VERDICT_S
+        until_s = at.now_s + RESULT_SHOWN_S
         return replace(
             memory,
             outcome=newest,
@@ -196,7 +191,7 @@ def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
         )
     if memory.outcome is None or newest.poke < memory.outcome.poke:
         return replace(memory, outcome=newest, done=())
-    # The same poke again, with the tare after it: that may be what a taxel lacked.
+    # The same poke again, with the tare after it, which may finish a taxel.
     return replace(memory, outcome=newest, done=tuple(sorted(grown.union(memory.done))))
 
 
@@ -204,53 +199,55 @@ def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
     phase = at.live.progress.phase
     if phase is not memory.coming:
         memory = replace(memory, coming=phase, coming_since_s=at.now_s)
-    # A poke's begin and end are said at once: the detector's own two thresholds keep them from flickering.
-    if phase in PRESSING or memory.phase in PRESSING or at.now_s - memory.coming_since_s >= SETTLE_S:
+    # Begin and end of a poke are shown at once: the detector's two thresholds prevent flicker.
+    if phase in PRESSING or memory.phase in PRESSING or at.now_s - memory.coming_since_s >= PHASE_DEBOUNCE_S:
         memory = replace(memory, phase=phase)
     return memory
 
 
 def _trouble(at: ViewState) -> Now | None:
     if at.running is Running.OPENING:
-        return Now(Tone.WAIT, "opening", at.scene.name)
+        return Now(Tone.WAIT, "Opening", at.scene.name)
     if at.running is Running.PAUSED:
-        return Now(Tone.CALM, "paused", "Nothing is recorded; the space bar goes on.")
+        return Now(Tone.CALM, "Paused", "Not recording. Space: continue")
     if at.running is Running.OFFLINE:
-        return Now(Tone.CALM, "no device connected", "Look, change and export; the space bar connects the devices.")
+        return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
     fault = next((link for link in at.live.links if at.look(link) in FAULTS), None)
     if fault is not None:
-        how = f"lost {fault.link}" if at.look(fault) is LinkLook.LOST else f"{fault.link} is frozen"
-        return Now(Tone.BAD, how, link_detail(fault, at) or "It is taken up again by itself.")
+        name = link_name(fault)
+        how = "disconnected" if at.look(fault) is LinkLook.LOST else "stuck"
+        detail = link_detail(fault, at) or "Reconnecting automatically"
+        return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", f"{detail[:1].upper()}{detail[1:]}")
     return None
 
 
 def _pressing(memory: NowMemory, at: ViewState) -> Now:
     how = pressing_words(at.coaching, at.target, at.names)
     if memory.phase is PressPhase.HELD:
-        return Now(Tone.GOOD, "held: release", how or "The still window is full.")
+        return Now(Tone.GOOD, "Release", how or "Held long enough")
     hint = memory.coach.hint
     asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
     force, detail = force_words(memory.coach, at)
     if force:
         tone = Tone.HOLD if memory.coach.force is Force.LOW else Tone.BAD
         return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
-    return Now(Tone.HOLD, asked or "hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
+    return Now(Tone.HOLD, asked or "Hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
-    """Return what to do next, with what the newest poke ended as beside it."""
+    """Say what to do next, with the result of the newest poke."""
     said, detail = _ended(outcome, memory, at)
-    # A quick operator pokes again while this is still said.
+    # A quick operator pokes again while this is still shown.
     following = _calm(memory.phase, at) if at.guidance is None or at.unsolved else _guided(at)
     return Now(following.tone, following.headline, detail or following.detail, said)
 
 
 def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, str]:
-    """Return how a poke ended, and what it changed or what to do better."""
-    number = f"poke {outcome.poke}"
+    """Say how a poke ended, and what it changed or what to do better."""
+    number = f"Poke {outcome.poke}"
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
-        return Said(Tone.GOOD, f"{number} counts at the landmark {name}"), ""
+        return Said(Tone.GOOD, f"{number} accepted at landmark {name}"), ""
     missed = at.snapshot.decisions.missed_landmarks.get(outcome.poke)
     if missed is not None:
         lands = landed_words(outcome, at.names)
@@ -261,30 +258,30 @@ def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, st
     if isinstance(outcome, Rejection):
         return Said(Tone.BAD, f"{number} {words}"), detail
     if memory.meant is not None and memory.meant != peak_channel(outcome):
-        words, detail = counted_words(outcome, at.names), asked_words(outcome, memory.meant, at.names)
+        words = accepted_words(outcome, at.names, memory.meant)
     return Said(Tone.GOOD, f"{number} {words}"), BETWEEN.join(filter(None, (done_words(memory.done, at.names), detail)))
 
 
 def _calm(phase: PressPhase, at: ViewState) -> Now:
     if at.unsolved:
-        left = f"{count(at.unsolved, 'taxel')} to go: what changed concerns all of them. Pokes count meanwhile."
-        return Now(Tone.WAIT, "solving anew", left)
+        return Now(Tone.WAIT, f"Recomputing {count(at.unsolved, 'taxel')}", "You can keep poking")
     if phase is PressPhase.NO_DATA:
         return _no_data(at)
     if phase is PressPhase.TARING and not at.lacks_pose:
         following = _next(at)
-        what = f".  {following}" if following else ": the sensor's offset is taken while nothing touches the part."
-        return Now(Tone.WAIT, "keep hands off", f"Taring{what}")
+        what = f". {following}" if following else " while nothing touches the part"
+        return Now(Tone.WAIT, "Hands off", f"Zeroing the sensor{what}")
     return _guided(at)
 
 
 def _next(at: ViewState) -> str:
-    """Return what to do next, or that it is enough; empty where nobody guides."""
+    """Say what to do next, or that all is finished; empty without a guide."""
     if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
         return enough_words(at.guidance, at.snapshot.dead)
     if at.guidance is None or at.target is None:
         return ""
-    return f"Next: {target_words(at.guidance, at.target, at.names)}"
+    words = target_words(at.guidance, at.target, at.names)
+    return f"Next: {words[:1].lower()}{words[1:]}"
 
 
 def _guided(at: ViewState) -> Now:
@@ -292,42 +289,47 @@ def _guided(at: ViewState) -> Now:
     if at.lacks_pose:
         return _ask_pose(at)
     if guidance is not None and guidance.phase is GuidePhase.ENOUGH:
-        first = "C uses the correction that is offered. " if at.offers else ""
+        first = "C: apply the correction of sensor and arm. " if at.offers else ""
         return Now(Tone.GOOD, enough_words(guidance, dead), first + end_words(guidance, dead))
     if guidance is not None and at.target is not None:
         return Now(Tone.GO, target_words(guidance, at.target, at.names), why_words(guidance, at.target, dead))
     limits = at.scene.contacts
     low, high = number(limits.force_min, 0), newtons(limits.force_max, 0)
-    return Now(Tone.GO, "ready: poke", f"Press {low} to {high} onto a taxel and hold {number(limits.still_s, 1)} s.")
+    return Now(Tone.GO, "Ready", f"Press a taxel with {low} to {high} and hold still for {number(limits.still_s, 1)} s")
 
 
 def _ask_pose(at: ViewState) -> Now:
-    """Return what is asked before the first poke, which would not count without it."""
+    """Ask for the arm pose, without which no poke counts."""
     if any(Stream.JOINTS in link.carries for link in at.live.links):
-        return Now(Tone.WAIT, "waiting for joints", "They say the arm's pose, without which no poke counts.")
+        return Now(Tone.WAIT, "Waiting for the joints", "They give the arm pose. Pokes count only then")
     names = list(at.scene.arm.poses) if at.scene.arm is not None else []
     if not names:
-        return Now(Tone.BAD, "arm pose unknown", f"The scene names none: connect the joints.{CHANGE_HINT}")
-    some = ", ".join(names[:POSES_NAMED]) + (", \N{HORIZONTAL ELLIPSIS}" if len(names) > POSES_NAMED else "")
-    return Now(Tone.GO, "which arm pose?", f"No poke counts without it. Key 7, then choose: {some}")
+        return Now(Tone.BAD, "Arm pose unknown", f"The scene has no named poses: connect the joints{CHANGE_HINT}")
+    some = ", ".join(names[:MAX_NAMED_POSES]) + (", \N{HORIZONTAL ELLIPSIS}" if len(names) > MAX_NAMED_POSES else "")
+    return Now(Tone.GO, "Choose the arm pose", f"Pokes count only then. Key 7: {some}")
 
 
 def _no_data(at: ViewState) -> Now:
     links = at.live.links
     wrong = next((link for link in links if at.look(link) is LinkLook.WRONG), None)
     if wrong is not None:
-        return Now(Tone.BAD, f"{wrong.link}: {_SHORT_VERDICTS[wrong.verdict.answer]}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
+        name, verdict = link_name(wrong), _SHORT_VERDICTS[wrong.verdict.answer]
+        return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]}: {verdict}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
     missing = [link for link in links if at.look(link) in (LinkLook.WAITING, LinkLook.SILENT)]
     if missing:
-        return Now(Tone.WAIT, f"waiting for {' and '.join(link.link for link in missing)}", link_detail(missing[0], at))
+        return Now(
+            Tone.WAIT,
+            f"Waiting for {' and '.join(link_name(link) for link in missing)}",
+            link_detail(missing[0], at),
+        )
     if links and all(at.look(link) is LinkLook.ENDED for link in links):
-        return Now(Tone.CALM, "recording ended", "Everything that was recorded has been read.")
-    return Now(Tone.WAIT, "waiting for data", "Both streams must run before a poke can be taken.")
+        return Now(Tone.CALM, "Recording ended", "All of it has been read")
+    return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
 
 
 def modules_enough_words() -> str:
-    """Return what is said once the modules method needs no more, while another is shown."""
+    """Say that the modules method is finished while another method is shown."""
     settings = GuideSettings()
     pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
-    words = f"By the modules method it is enough: {pokes} pokes on every module, predicted errors of at most {wanted:g} mm."
-    return f"{words} The box above the map, or V, shows that method; then F leads to the file."
+    words = f"The modules method is finished: {pokes} pokes on every module, expected errors of at most {wanted:g} mm."
+    return f"{words} V switches to it, then F shows the result."

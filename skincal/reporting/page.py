@@ -26,9 +26,10 @@ from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences, left_sentences, misfit_sentence
 from skincal.words.link_words import beside_words
+from skincal.words.poke_words import REASON_WORDS
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.taxel_words import state_sentence, unchecked_sentence
-from skincal.words.verdict_words import check_words, closing_words, figures, landmark_words, left_words, verdict_sentence
+from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
 
 DASH = "\N{EN DASH}"
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
@@ -183,7 +184,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     said = AGREES if check.agrees else AGAINST
     yield "Held-out pokes", check_words(facts.verdict), said if check.tells or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
-    yield "Landmarks", landmark_words(landmarks), said
+    yield "Landmarks", agreement_words(landmarks), said
     closings = facts.verdict.closings
     yield "Closing check", closing_words(closings), AGAINST if facts.verdict.moved else AGREES if closings else OPEN
     yield _frame_evidence(facts)
@@ -351,7 +352,8 @@ def _pokes(facts: SessionFacts) -> ReportSection:
     said = [counts, *([f"Taken out: poke {', '.join(out)}."] if out else [])]
     said += [f"Channel {channel} is not used: {why}." for channel, why in facts.snapshot.dead.items()]
     rows = [
-        (reason.value, str(len(found)), ", ".join(str(each.poke) for each in found)) for reason, found in facts.rejected.items()
+        (REASON_WORDS[reason], str(len(found)), ", ".join(str(each.poke) for each in found))
+        for reason, found in facts.rejected.items()
     ]
     tables = (ReportTable(("Reason", "Pokes", "Their numbers"), rows, "Rejected pokes"),) if rows else ()
     return ReportSection("Pokes", said, tables=tables)

@@ -14,66 +14,72 @@ if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
 
 
-MOST_NAMED = 4
-"""Modules that one sentence names; of more the first."""
+MAX_NAMED_MODULES = 4
+"""One sentence names at most the first four modules."""
 
 
 def misfit_sentence(misfit: Misfit) -> str:
-    """Return what is wrong with a module, what would put it right, and how far its taxels lie off then and now."""
+    """Say how a module differs from the layout, what to change, and the mean offset of its taxels before and after."""
     turn = f"{np.degrees(misfit.turn):.0f}"
     too = f", and its angle_deg by {turn} degrees" if misfit.turn else ""
     what = {
-        MisfitKind.MIRRORED: f"is mirrored against the layout: change its mirror{too}",
-        MisfitKind.TURNED: f"is turned by {turn} degrees: change its angle_deg by that",
-        MisfitKind.SWAPPED: f"lies where module {misfit.other} is planned: give that one its first_channel",
+        MisfitKind.MIRRORED: f"is mirrored: change its mirror in the layout{too}",
+        MisfitKind.TURNED: f"is turned: change its angle_deg in the layout by {turn} degrees",
+        MisfitKind.SWAPPED: f"is at the position of module {misfit.other}: give that module its first_channel",
     }[misfit.kind]
-    off = f"{misfit.after * 1e3:.0f} mm off, not {misfit.before * 1e3:.0f} mm"
-    return f"Module {misfit.module} {what}. Its taxels then lie {off}."
+    off = f"{misfit.after * 1e3:.0f} mm from the layout instead of {misfit.before * 1e3:.0f} mm"
+    return f"Module {misfit.module} {what}. Its taxels are then {off}."
 
 
 def change_words(change: ModuleChange) -> str:
-    """Return what a layout is to say of one module: `"module 17: angle_deg = -60, mirror = true"`."""
+    """Format the changed keys of a module: `"module 17: angle_deg = -60, mirror = true"`."""
     values = ", ".join(f"{key} = {str(value).lower()}" for key, value in change.keys.items())
     return f"module {change.module}: {values}"
 
 
 def left_sentences(mend: LayoutMend) -> list[str]:
-    """Return what another layout cannot put right, and why, one sentence each."""
+    """Say which modules a changed layout does not explain, one sentence each."""
     return [_unmended_sentence(left) for left in mend.left]
 
 
 def _unmended_sentence(left: Unmended) -> str:
     numbers = left.modules
     if left.kind is UnmendedKind.STILL_OFF:
-        return f"Module {numbers[0]} lies {left.off * 1e3:.0f} mm off its place even so: poke the modules beside it."
+        return f"Module {numbers[0]} is still {left.off * 1e3:.0f} mm from its planned position. Press the modules around it."
     if left.kind is UnmendedKind.NO_RING:
         start, other = numbers
         return (
-            f"Module {start} lies where module {other} is planned, but no exchange leads around to it: "
-            f"poke modules {start} and {other} and those beside them, so that it is seen where each of them lies."
+            f"Module {start} is at the position of module {other}, but no exchange of modules explains that. "
+            f"Press modules {start} and {other} and their neighbours more."
         )
     if left.kind is UnmendedKind.UNLIKE:
         return (
-            f"Modules {_named(numbers)} lie in each other's places, but they are of different kinds: exchange what the "
-            "layout says of their places by hand."
+            f"Modules {_named(numbers)} are exchanged, but their types differ. Exchange their positions in the layout by hand."
         )
     many = len(numbers) > 1
     return (
-        f"Module{'s' if many else ''} {_named(numbers)} {'do' if many else 'does'} not lie as planned, but no change of the "
-        f"layout lies nearer to {'their' if many else 'its'} taxels: poke {'them' if many else 'it'} more, and look at "
-        f"{'them' if many else 'it'} on the part."
+        f"Module{'s' if many else ''} {_named(numbers)} {'do' if many else 'does'} not match the layout, and no known change "
+        f"of it helps. Press {'them' if many else 'it'} more, and look at {'them' if many else 'it'} on the part."
     )
 
 
 def _named(numbers: Sequence[int]) -> str:
-    named = [str(number) for number in numbers[:MOST_NAMED]]
-    if len(numbers) > MOST_NAMED:
-        return f"{', '.join(named)} and {len(numbers) - MOST_NAMED} more"
+    named = [str(number) for number in numbers[:MAX_NAMED_MODULES]]
+    if len(numbers) > MAX_NAMED_MODULES:
+        return f"{', '.join(named)} and {len(numbers) - MAX_NAMED_MODULES} more"
     return " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
 
 
+DISTANCE_USE_WORDS = {
+    "USED": "used",
+    "UNKNOWN": "one of its modules is not determined",
+    "OFF": "pokes and other distances contradict it",
+    "NO_BETTER": "it does not improve the prediction of held-out pokes",
+}
+
+
 def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
-    """Return how many known distances between modules are used, then of each other one why not; none where none is known."""
+    """Count the used known distances between modules, then say why each other one is not used; empty without any."""
     if not tried:
         return []
     said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
@@ -81,6 +87,8 @@ def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
         kind, (one, other) = "taxels" if each.told.of_taxels else "modules", each.told.ends
         found, told = "", f"{each.told.length * 1e3:.1f} mm"
         if each.found is not None and each.sd is not None:
-            found = f" (pokes alone make it {each.found * 1e3:.1f} mm, and should lie within {2e3 * each.sd:.1f} mm of it)"
-        said.append(f"The distance between {kind} {one} and {other}, {told}, is not used: {each.use.value}{found}.")
+            found = f" (pokes give {each.found * 1e3:.1f} mm, expected within {2e3 * each.sd:.1f} mm)"
+        said.append(
+            f"The distance between {kind} {one} and {other}, {told}, is not used: {DISTANCE_USE_WORDS[each.use.name]}{found}."
+        )
     return said

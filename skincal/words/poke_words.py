@@ -1,51 +1,116 @@
-"""Sentences on pokes: why one was rejected, and why a recording has none."""
+"""Sentences on pokes: why one was rejected, what to do better, and why a recording has none."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Mapping
 
-from skincal.contacts.outcome import BeforePokes, Rejection
+from skincal.contacts.outcome import RAW, BeforePokes, Reason, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.scene import ContactSettings
+from skincal.words.units import number, quantity
 
-if TYPE_CHECKING:
-    pass
+REASON_WORDS: Mapping[Reason, str] = {
+    Reason.TOO_SOFT: "too soft",
+    Reason.TOO_HARD: "too hard",
+    Reason.NOT_STILL: "not held still",
+    Reason.SLID: "tip slid",
+    Reason.TWO_CONTACTS: "something else touched, or the tool twisted",
+    Reason.NO_TAXEL: "no taxel answered",
+    Reason.TOO_MANY_TAXELS: "too many taxels answered",
+    Reason.NOT_CONNECTED: "taxels far apart answered",
+    Reason.SATURATED: "force beyond the sensor's range",
+    Reason.READINGS_LOST: "readings lost",
+    Reason.NO_TARE: "no hands-off pause before the poke",
+    Reason.TARE_CHANGED: "the sensor's zero changed during the poke",
+    Reason.NO_POSE: "arm pose unknown",
+    Reason.ARM_MOVED: "arm moved",
+}
+ADVICE: Mapping[Reason, str] = {
+    Reason.TOO_SOFT: "Press harder, then hold.",
+    Reason.TOO_HARD: "Press softer.",
+    Reason.NOT_STILL: "Press, then hold still until the ring is full.",
+    Reason.SLID: "Keep the tip in one place while you press.",
+    Reason.TWO_CONTACTS: "Touch with the tip only; keep the other hand off.",
+    Reason.NO_TAXEL: "Press nearer to a taxel.",
+    Reason.TOO_MANY_TAXELS: "Use a smaller tip, or press softer.",
+    Reason.NOT_CONNECTED: "Something else touches the skin: remove it.",
+    Reason.SATURATED: "Press softer.",
+    Reason.READINGS_LOST: "The Devices tab shows which readings were lost or late.",
+    Reason.NO_TARE: "Keep hands off for half a second before each poke.",
+    Reason.TARE_CHANGED: "Keep hands off between pokes. If you did, the sensor drifts.",
+    Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
+    Reason.ARM_MOVED: "Keep the arm still during a poke.",
+}
+MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
+"""Advice after a poke too far from the landmark that was asked for."""
+_SHORT_REASONS: Mapping[Reason, str] = {
+    Reason.TWO_CONTACTS: "two contacts?",
+    Reason.NOT_CONNECTED: "far apart",
+    Reason.NO_TARE: "no pause",
+    Reason.TARE_CHANGED: "zero changed",
+    Reason.TOO_MANY_TAXELS: "too many",
+    Reason.SATURATED: "out of range",
+}
+"""Short reasons for a narrow column; the other reasons fit there with their number."""
+_WITHOUT_NUMBER = (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED)
+_WITHOUT_COLON = (Reason.SLID,)
 
 
-def rejection_words(outcome: Rejection) -> str:
-    """Return why a poke does not count: `"too soft (2.1, limit 4 N)"`."""
-    return f"{outcome.reason.value} ({f'{outcome.value:.4g}, limit {outcome.limit:.4g} {outcome.unit}'.rstrip()})"
+def rejection_words(rejection: Rejection) -> str:
+    """Say why a poke was rejected, with number and limit: `"tip slid 2.1 mm (limit 1.5 mm)"`."""
+    reason, value, limit = rejection.reason, rejection.value, rejection.limit
+    words = REASON_WORDS[reason]
+    if rejection.unit == RAW and math.isfinite(value):
+        return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
+    if reason in _WITHOUT_NUMBER or not (math.isfinite(value) and math.isfinite(limit)):
+        return words
+    bound = "needs" if value < limit else "limit"
+    if reason is Reason.NOT_STILL and rejection.unit == "s":
+        return f"held still for only {quantity(value, 's')} ({bound} {quantity(limit, 's')})"
+    colon = "" if reason in _WITHOUT_COLON else ":"
+    if rejection.unit == "1":
+        return f"{words}{colon} {number(100.0 * value, 1)} % ({bound} {number(100.0 * limit, 1)} %)"
+    return f"{words}{colon} {quantity(value, rejection.unit)} ({bound} {quantity(limit, rejection.unit)})"
+
+
+def short_rejection(rejection: Rejection) -> str:
+    """Say why a poke was rejected in few words, with its number: `"tip slid 2.1 mm"`."""
+    words = rejection_words(rejection).partition(" (")[0].replace(":", "").replace(" response", "")
+    words = words.replace("held still for only", "held").partition(", needs")[0]
+    full = REASON_WORDS[rejection.reason]
+    return words.replace(full, _SHORT_REASONS.get(rejection.reason, full))
 
 
 def missed_words(missed: MissedLandmark) -> str:
-    """Return how far a poke passed the landmark that was asked for: `"passes wrist, top at 52 mm, at most 34 mm"`."""
+    """Say how far a poke was from the requested landmark: `"52 mm beside wrist, top (limit 34 mm)"`."""
     if missed.behind:
-        return f"pushes at another side than that of {missed.name}"
-    return f"passes {missed.name} at {missed.miss * 1e3:.0f} mm, at most {missed.limit * 1e3:.0f} mm"
+        return f"not on the side of {missed.name}"
+    return f"{missed.miss * 1e3:.0f} mm beside {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
 
 
 def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
-    """Return what a recording without a poke showed, what a poke would have been, and what may be put right."""
+    """Say what a recording without a poke contains, what a poke needs, and what to check."""
     if not seen.samples:
         return (
-            "No poke was found: no skin frame has a wrench of its time; expected both to be recorded at the same time. "
+            "No poke was found: the force/torque readings and the skin readings never overlap in time. "
             "Check that the recordings belong together."
         )
-    looked = f"No poke was found in {plural(seen.samples, 'frame')} of the skin with their wrenches, over {seen.seconds:.0f} s"
+    looked = f"No poke was found in {plural(seen.samples, 'skin reading')} with force, over {seen.seconds:.0f} s"
     if not seen.tared:
         return (
-            f"{looked}: the force never rested; expected {thresholds.quiet_s:g} s without a touch before a poke. Check the "
-            "force sensor's noise and the unit of its readings."
+            f"{looked}: the force was never steady; expected {thresholds.quiet_s:g} s without a touch before a poke. "
+            "Check the noise of the force/torque sensor and the unit of its readings."
         )
     if seen.answered:
-        skin, check = f"{plural(seen.answered, 'taxel')} answered", "the unit of the wrenches"
+        skin, check = f"{plural(seen.answered, 'taxel')} answered", "the unit of the force"
     elif seen.fell:
-        skin = f"no taxel answered, but {seen.fell} fell below their rest"
-        check = "the skin's polarity in the scene and the unit of the wrenches"
+        skin = f"no taxel answered, but the readings of {seen.fell} fell"
+        check = "the skin's polarity in the scene and the unit of the force"
     else:
-        skin, check = "no taxel answered", "that the part was poked, and the unit of the wrenches"
+        skin, check = "no taxel answered", "that the part was pressed, and the unit of the force"
     return (
-        f"{looked}: the strongest force beside its rest is {seen.strongest:.2g} N, and {skin}; expected a touch of "
+        f"{looked}: the largest change of force is {seen.strongest:.2g} N, and {skin}. A poke needs "
         f"{thresholds.touch_force:g} N or more. Check {check}, or lower touch_force in the scene's [contacts]."
     )

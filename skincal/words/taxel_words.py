@@ -2,73 +2,67 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from skincal.model.errors import plural
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
 from skincal.taxels.shared_errors import PredictedError
 
-if TYPE_CHECKING:
-    pass
-
-
-_STATES = {
+STATE_SENTENCES = {
     Cause.UNPOKED: "No accepted poke touched this taxel.",
-    Cause.ONE_AXIS: "One axis only: the depth along it is unknown. Poke once more with another tilt.",
+    Cause.ONE_AXIS: "All pokes came from one direction, so the depth is unknown. Press again, leaning another way.",
     Cause.ALIKE_AXES: (
-        "All {count} axes lie within {degrees:.1f} degrees of one direction: the depth along it {depth} (limit {sd_max}). "
-        "Poke with another tilt."
+        "All {count} pokes came from directions within {degrees:.1f} degrees, so the depth {depth} (limit {sd_max}). "
+        "Press again, leaning another way."
     ),
     Cause.AXES_APART: (
-        "The axes pass each other at {mm:.0f} mm from their middle (limit {miss_max}): check the arm poses, or exclude the "
+        "The force axes of its pokes miss each other by {mm:.0f} mm (limit {miss_max}). Check the arm poses, or exclude the "
         "wrong pokes."
     ),
-    Cause.OPPOSED: "The {count} pokes push from opposite sides: exclude the wrong ones.",
+    Cause.OPPOSED: "The {count} pokes press from opposite sides. Exclude the wrong ones.",
     Cause.NO_TRIANGLE: (
-        "No triangle of the surface faces the pokes: check that its normals point outward and the wrench's sign."
+        "No part of the mesh faces the pokes. Check that its normals point outward, and the sign of the force."
     ),
-    Cause.OFF_SURFACE: "The axes pass the surface at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose.",
-    Cause.GRAZING: "The pokes graze the surface, so that their axes do not fix a point on it to {sd_max}: poke steeper.",
+    Cause.OFF_SURFACE: "The force axes miss the mesh by {mm:.0f} mm (limit {miss_max}). Check unit and pose of the mesh.",
+    Cause.GRAZING: "The pokes are almost parallel to the surface, so the position is worse than {sd_max}. Press more upright.",
     Cause.MODULE_UNPOKED: "No accepted poke touched its module.",
     Cause.MODULE_UNPLACED: (
-        "Its module answered only beside others, or the plan does not say where it is: poke its own taxels."
+        "Its module answered only together with others, or the layout does not place it. Press its own taxels."
     ),
     Cause.MODULE_OFF: (
-        "The axes pass its module at {mm:.0f} mm (limit {miss_max}): check the mesh's unit and pose, the arm poses, and which "
-        "channels the module has."
+        "The force axes miss its module by {mm:.0f} mm (limit {miss_max}). Check the unit and pose of the mesh, the arm "
+        "poses, and the channels of the module."
     ),
     Cause.MODULE_MOVING: (
-        "Where its module lies does not settle (to {mm:.1f} mm): poke taxels farther apart, with other tilts."
+        "The position of its module still changes by {mm:.1f} mm. Press taxels farther apart, leaning other ways."
     ),
-    Cause.MODULE_BEHIND: "The pokes push its module from behind: check the wrench's sign and the surface's normals.",
-    Cause.MODULE_ONE_POKE: "One poke on its module does not tell how that is turned. Poke another of its taxels.",
-    Cause.MODULE_LOOSE: ("The {count} pokes on its module {tell} how that lies: poke taxels farther apart, with other tilts."),
-    Cause.BY_MODULE: "Not poked itself; known by its module.",
+    Cause.MODULE_BEHIND: "The pokes press its module from behind. Check the sign of the force and the normals of the mesh.",
+    Cause.MODULE_ONE_POKE: "One poke on its module does not show how the module is turned. Press another of its taxels.",
+    Cause.MODULE_LOOSE: "The {count} pokes on its module {tell}. Press taxels farther apart, leaning other ways.",
+    Cause.BY_MODULE: "Not pressed itself; its position follows from its module.",
     Cause.SHARED_ERRORS: (
-        "With the errors that its pokes share, slow ones and the rig's, it {depth} (limit {sd_max}): poke with other tilts, "
-        "and more landmarks."
+        "With sensor and arm errors included, its position {depth} (limit {sd_max}). Press again, leaning other ways, and "
+        "press more landmarks."
     ),
-    Cause.MEAN_OF_POSES: "Mean of {count} poses{left_out}.",
-    Cause.BLIND_IN_POSES: "Blind in each of its {count} poses. In the one with most pokes: {inner}",
+    Cause.MEAN_OF_POSES: "Mean of {count} arm poses{left_out}.",
+    Cause.BLIND_IN_POSES: "Undetermined in each of {count} arm poses. In the one with most pokes: {inner}",
     Cause.GIVEN: "{text}",
 }
 """Sentences on a taxel's state, filled in by `state_sentence`."""
 
 
 def state_sentence(reason: StateReason | None) -> str:
-    """Return why a taxel's state is what it is; empty for None."""
+    """Say why a taxel has its state; empty for `None`."""
     if reason is None:
         return ""
     size = reason.size
-    return _STATES[reason.cause].format(
+    return STATE_SENTENCES[reason.cause].format(
         count=reason.count,
         mm=0.0 if size is None else size * 1e3,
         degrees=max(float(np.degrees(reason.angle)), 0.1),
-        depth="is unknown" if size is None else f"is known to {_coarse(size)} only",
-        tell="do not tell" if size is None else f"tell it to worse than {SD_MAX * 1e3:.0f} mm",
-        left_out=f"; {reason.blind} are blind and left out" if reason.blind else "",
+        depth="is unknown" if size is None else f"is only known to {_coarse(size)}",
+        tell="do not fix its pose" if size is None else f"fix its pose only to worse than {SD_MAX * 1e3:.0f} mm",
+        left_out=f"; {reason.blind} left out as undetermined" if reason.blind else "",
         inner=state_sentence(reason.inner),
         text=reason.text,
         miss_max=f"{MISS_MAX * 1e3:.0f} mm",
@@ -81,44 +75,40 @@ def _coarse(metres: float) -> str:
 
 
 def predicted_words(found: PredictedError, *, apart: bool = True) -> str:
-    """Return the predicted error of a skin: `"1.1 mm mean, 1.7 mm worst"`.
+    """Format the expected error of a skin: `"1.1 mm mean, 1.7 mm worst"`.
 
     Parameters
     ----------
-    apart : also what of it the whole skin and taxels among each other have, where errors are known that all share
+    apart : also split it into the shared shift of the whole skin and the error of taxels relative to each other
     """
     words = f"{found.mean * 1e3:.1f} mm mean, {found.worst * 1e3:.1f} mm worst"
     if not apart or not found.whole:
         return words
     return (
-        f"{words}: the whole skin may be off by {found.whole * 1e3:.1f} mm, "
-        f"taxels among each other by {found.among * 1e3:.1f} mm"
+        f"{words}: the whole skin may be shifted by {found.whole * 1e3:.1f} mm, "
+        f"single taxels relative to it by {found.among * 1e3:.1f} mm"
     )
 
 
 def error_words(found: PredictedError | None, off: float | None) -> str:
-    """Return the predicted error of a skin and what it leaves out; no full stop, since files put it into comments.
+    """Format the expected error of a skin and what it leaves out; without a full stop, since files use it in comments.
 
     Parameters
     ----------
-    found : None where no taxel is known
-    off : m, by how much an ordinary rig's own errors move the taxels besides; None where they are predicted, too
+    found : `None` if no taxel is estimated
+    off : m, additional error of an uncorrected sensor and arm; `None` if `found` includes it
     """
     if found is None:
-        return "no taxel is known"
+        return "no taxel is estimated"
     if off is None:
         return predicted_words(found)
-    return f"{predicted_words(found, apart=False)}, for a right rig; an ordinary one's own errors add about {off * 1e3:.1f} mm"
+    return f"{predicted_words(found, apart=False)}; errors of sensor and arm may add about {off * 1e3:.1f} mm"
 
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
-    """Return by how much the errors of a rig that is not corrected may move the taxels, `off` metres, root mean square.
-
-    `landmark_pokes` is how many were made, which `off` knows of.
-    """
-    leave = "leaves" if landmark_pokes == 1 else "leave"
-    tell = f"{plural(landmark_pokes, 'poke')} at landmarks {leave} that open." if landmark_pokes else "Pokes at landmarks tell."
+    """Say how far errors of an uncorrected sensor and arm may shift the taxels: `off` metres, root mean square."""
+    known = f"{plural(landmark_pokes, 'landmark poke')} cannot rule that out. " if landmark_pokes else ""
     return (
-        f"The rig's own errors are not in the predicted ones: an ordinary rig's move the taxels by about {off * 1e3:.1f} mm, "
-        f"most of it alike. {tell}"
+        f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {off * 1e3:.1f} mm. "
+        f"{known}Press landmarks to measure them."
     )

@@ -1,10 +1,10 @@
-"""The verdict on a session, put into words, for the window, the commands, files and reports: pure functions."""
+"""Sentences of the verdict on a session."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from skincal.guide.progress import GuideSettings, Why
+from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
@@ -12,125 +12,140 @@ from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
 from skincal.taxels.result import Method
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.taxel_words import error_words
+from skincal.words.units import minutes
+
+NEED_WORDS: Mapping[Need, str] = {
+    Need.POKES: "own pokes",
+    Need.ACCURACY: "a smaller expected error",
+    Need.SIDES: "pokes leaning to other sides",
+    Need.BALANCE: "a poke on its other side",
+    Need.DEPTH: "pokes that balance its depth",
+    Need.SETTLED: "one more poke, since the last one moved its position",
+    Need.DECISION: "a poke that decides between two positions",
+}
+WHY_WORDS: Mapping[Why, str] = {
+    Why.DEAD: "disabled",
+    Why.NEVER_FIRED: "never answered at its planned position",
+    Why.OUT_OF_REACH: "out of reach: every side of it was skipped",
+    Why.TILT: "the tool did not lean far enough to determine its depth",
+    Why.AMBIGUOUS: "two positions fit its pokes",
+    Why.STUBBORN: "many pokes were not enough",
+    Why.EARLY: "not pressed enough yet",
+}
 
 
 def verdict_sentence(verdict: Verdict) -> str:
-    """Return what the session has come to: `"All 84 taxels are done, predicted to 3 mm, and the held-out pokes agree."`.
+    """Say what the session has reached: `"All 84 taxels are finished, expected error 3 mm or less. Test pokes agree."`.
 
-    Taxels that are predicted to so much and not done, because they need something else, are not counted.
+    Taxels with a small expected error that still need something else are not counted as finished.
     """
     if not verdict.used:
-        return "No taxel is used." if verdict.left else "No taxel has answered yet."
+        return "All taxels are disabled." if verdict.left else "No taxel has answered yet."
     if verdict.done == verdict.used:
         used = "used " if any(left.why is Why.DEAD for left in verdict.left) else ""
-        done = f"All {plural(verdict.used, used + 'taxel')} are done, predicted to {1e3 * verdict.wanted:g} mm"
+        done = f"All {plural(verdict.used, used + 'taxel')} are finished, expected error {1e3 * verdict.wanted:g} mm or less"
         if verdict.method is Method.MODULES:
-            done = f"{done} among each other"
+            done = f"{done} relative to each other"
     else:
-        given_up = f", {verdict.used - verdict.done} given up" if verdict.enough else ""
-        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are done{given_up}"
-    early = "" if verdict.enough else "Not enough yet: "
-    if early and verdict.done == verdict.used:
-        early, done = "Not enough yet, though ", f"all{done.removeprefix('All')}"
+        given_up = f", {verdict.used - verdict.done} could not be determined" if verdict.enough else ""
+        done = f"{verdict.done} of {plural(verdict.used, 'taxel')} are finished{given_up}"
+    early = "" if verdict.enough else "Not finished: "
     left = verdict.landmarks_left if verdict.done == verdict.used else 0
-    asked = f", {plural(left, 'poke')} at landmarks to go" if left else ""
-    return f"{early}{done}{asked}{_agreement(verdict)}."
-
-
-def _agreement(verdict: Verdict) -> str:
-    """Return what held-out pokes say, then what landmarks say, whatever the pokes said: only they show a shift of all."""
-    if verdict.believed and not verdict.moved:
-        return ", and the held-out pokes and the landmarks agree"
-    return f"{_skin_words(verdict)}; {_landmark_clause(verdict.landmarks)}"
+    asked = f", {plural(left, 'landmark poke')} left" if left else ""
+    if early:
+        done = done[:1].lower() + done[1:]
+    return " ".join(filter(None, (f"{early}{done}{asked}.", _skin_words(verdict), _landmark_words(verdict))))
 
 
 def _skin_words(verdict: Verdict) -> str:
+    """Say whether held-out pokes agree; a movement makes that meaningless."""
     check = verdict.check
     if verdict.moved:
-        return ", but something has moved since the start"
+        return "Something has moved since the start."
     if not check.believed:
-        return ", but the held-out pokes speak against it"
+        return "Test pokes contradict it."
     if not check.tells:
-        return "; too few pokes are held out to check it" if verdict.done else ""
-    return ", and the held-out pokes agree" if check.agrees else ", but the held-out pokes hardly agree"
+        return "There are too few test pokes to check it." if verdict.done else ""
+    return "Test pokes agree." if check.agrees else "Test pokes hardly agree."
 
 
-def _landmark_clause(landmarks: LandmarkAgreement | None) -> str:
+def _landmark_words(verdict: Verdict) -> str:
+    """Say whether landmarks agree, whatever the test pokes show: only landmarks reveal a common shift of all taxels."""
+    landmarks = verdict.landmarks
     if landmarks is None:
-        return "landmarks did not check it, so a shift that all taxels share would not show"
+        return "Not checked with landmarks: a common shift of all taxels would go unnoticed."
     if not landmarks.agrees:
-        return "the landmarks speak against it"
-    return f"the landmarks agree only {_noise_words(landmarks)}" if landmarks.by_noise else "the landmarks agree"
+        return "Landmarks contradict it."
+    return f"Landmarks agree only {_noise_words(landmarks)}." if landmarks.by_noise else "Landmarks agree."
 
 
 def _noise_words(landmarks: LandmarkAgreement) -> str:
-    return f"with noise {landmarks.noisier:g} times the scene's"
+    return f"with {landmarks.noisier:g} x the noise in the scene file"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
-    """Return the numbers behind the sentence, each with its name."""
+    """List the numbers behind the verdict, each with its name."""
     return (
-        ("Done", f"{verdict.done} of {plural(verdict.used, 'taxel')}, {verdict.method.value} method"),
+        ("Finished", f"{verdict.done} of {plural(verdict.used, 'taxel')}, {verdict.method.value} method"),
         ("Needs", done_words(verdict.method, verdict.wanted)),
-        ("Check", check_words(verdict)),
-        ("Landmarks", landmark_words(verdict.landmarks)),
-        ("Closing", closing_words(verdict.closings)),
-        ("Predicted error", error_words(verdict.predicted, verdict.unchecked)),
-        ("Work", f"{plural(verdict.pokes, 'poke')} on the skin that count, in {_minutes(verdict.seconds)}"),
+        ("Test pokes", check_words(verdict)),
+        ("Landmarks", agreement_words(verdict.landmarks)),
+        ("Final check", closing_words(verdict.closings)),
+        ("Expected error", error_words(verdict.predicted, verdict.unchecked)),
+        ("Work", f"{plural(verdict.pokes, 'accepted poke')} on the skin in {minutes(verdict.seconds)}"),
     )
 
 
 def done_words(method: Method, wanted: float) -> str:
-    """Return what makes a taxel done, `wanted` in metres: `"a predicted error of 3 mm or less, and 4 pokes on its module"`."""
+    """Say what finishes a taxel, `wanted` in metres: `"an expected error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
-    error = f"a predicted error of {1e3 * wanted:g} mm or less"
+    error = f"an expected error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:
-        return f"{error} beside what all taxels share, and {settings.module_pokes} pokes on its module"
-    sides = "tilted to several sides and " if method is Method.FREE else ""
-    return f"{error}, {settings.own_pokes} pokes of its own {sides}evenly around it, and the last hardly moved it"
+        return f"{error} relative to the other taxels, and {settings.module_pokes} pokes on its module"
+    sides = " and leaning to several sides" if method is Method.FREE else ""
+    return f"{error}, {settings.own_pokes} own pokes evenly around it{sides}, and a stable position"
 
 
 def check_words(verdict: Verdict) -> str:
-    """Return how many held-out pokes fell where they were predicted, and what it means where these are too few."""
+    """Count the held-out pokes inside their expected range, and say what too few mean."""
     check = verdict.check
     if not check.checked:
-        return "no poke could be held out yet"
-    words = f"{check.inside} of {plural(check.checked, 'held-out poke')} fell where the others predicted"
+        return "none yet"
+    words = f"{check.inside} of {plural(check.checked, 'held-out poke')} inside the expected range"
     if check.believed and not check.tells:
-        return f"{words}: too few to say anything"
+        return f"{words}: too few for a statement"
     if check.agrees:
         return words
     if check.believed:
-        return f"{words}, of 20 it should be 19: the errors may be larger than predicted"
-    return (
-        f"{words}: the errors are larger than predicted. Look whether the part or the sensor moved, and at the scene's frames."
-    )
+        return f"{words}, 95 % should be: errors may be larger than expected"
+    return f"{words}: errors are larger than expected. Check whether the part or the sensor moved, and the frames in the scene."
 
 
-def landmark_words(landmarks: LandmarkAgreement | None) -> str:
-    """Return how landmarks are passed, over what is predicted for them."""
+def agreement_words(landmarks: LandmarkAgreement | None) -> str:
+    """Compare the errors at landmarks with their expected size."""
     if landmarks is None:
-        return f"not checked: it needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
-    how = "held out of the correction" if landmarks.corrected else "without a correction"
+        return f"not checked: needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
+    how = "sensor and arm corrected without them" if landmarks.corrected else "sensor and arm not corrected"
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
-    words = f"{plural(landmarks.pokes, 'poke')}, {how}, pass them at {landmarks.ratio:.1f} times what is predicted"
+    words = f"errors of {plural(landmarks.pokes, 'check poke')} are {landmarks.ratio:.1f} x the expected size ({how})"
     if landmarks.agrees:
         return words
-    return f"{words}: the errors are larger than predicted. Look at the landmarks' places and at the rig."
+    return f"{words}: too large. Check the positions of the landmarks, the sensor and the arm."
 
 
 def closing_words(closings: Sequence[Closing]) -> str:
-    """Return whether anything moved since the start, by the last check, and what those before it found."""
+    """Say whether anything moved since the start, by the last final check and those before it."""
     if not closings:
-        return "not checked: at the end some of the first places are poked once more"
+        return "not done: at the end a few early points are pressed again"
     return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
 def left_words(left: Left) -> str:
-    """Return why a taxel is not done: `"not poked enough yet: needs pokes of its own"`."""
-    needs = ", ".join(need.value for need in left.needs)
-    return f"{left.why.value}: needs {needs}" if needs else left.why.value
+    """Say why a taxel is not finished: `"not pressed enough yet: needs own pokes"`."""
+    why, needs = WHY_WORDS[left.why], needs_clause(left.needs)
+    return f"{why}: {needs}" if needs else why
 
 
-def _minutes(seconds: float) -> str:
-    return f"{max(1, round(seconds / 60.0))} min"
+def needs_clause(needs: Sequence[Need]) -> str:
+    """List the missing things: `"needs own pokes, pokes leaning to other sides"`; empty if nothing is missing."""
+    return f"needs {', '.join(NEED_WORDS[need] for need in needs)}" if needs else ""
