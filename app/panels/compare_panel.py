@@ -40,9 +40,9 @@ from app.scene3d.scene_state import DARK, LIGHT, Cloud, Comparison, Tint
 from app.state.place_sets import Pair, PlaceOrigin, Places, Source, default_pair, sources_of
 from app.state.view_state import ViewState
 from app.text.compare_text import (
+    ARROW_SCALES,
     MODULE_HEADINGS,
     MODULE_HINTS,
-    SCALES,
     arrow_words,
     difference_words,
     listed_modules,
@@ -122,7 +122,7 @@ class ComparePanel(QScrollArea):
         self._connect()
 
     def _fill(self) -> None:
-        self.scale.addItems([scale_choice(scale) for scale in SCALES])
+        self.scale.addItems([scale_choice(scale) for scale in ARROW_SCALES])
         self.scale.setAccessibleName("length of the arrows")
         self.scale.setToolTip("How many times their own length the arrows are drawn")
         self.all.setToolTip("Show the layout and every method's places over each other")
@@ -276,7 +276,7 @@ class ComparePanel(QScrollArea):
 
     def _draw(self, state: ViewState, here: FloatArray, there: FloatArray) -> None:
         """Have the 3D view draw it, and say what is what there."""
-        scale = SCALES[self.scale.currentIndex()]
+        scale = ARROW_SCALES[self.scale.currentIndex()]
         first, second = self.pair(state)
         sets = [(Tint.FROM, first), (Tint.TO, second)]
         if self.all.isChecked():

@@ -25,7 +25,7 @@ from app.panels.top_view import AxisDiversityView, diversity_view
 from app.panels.widgets import Painted, TaxelList, embolden, on_panel, put_rows, quiet, table
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
-from app.text.errors_text import DOUBT_MARKED, FULL, TaxelPoke, rival_words, taxel_pokes
+from app.text.errors_text import FULL_TRUST, MARKED_TRUST, TaxelPoke, rival_words, taxel_pokes
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
 from app.theme import GAP, Colours
@@ -337,6 +337,6 @@ class InspectPanel(QScrollArea):
 
 def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
     """Return the cells of `POKE_HEADINGS`."""
-    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < DOUBT_MARKED else ""
-    trust = "1" if poke.trust >= FULL else number(poke.trust, 2)
+    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MARKED_TRUST else ""
+    trust = "1" if poke.trust >= FULL_TRUST else number(poke.trust, 2)
     return (str(poke.poke), number(poke.weight, 2), sign + trust, cell(poke.miss, "m"))

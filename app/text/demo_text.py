@@ -1,4 +1,4 @@
-"""What is said of a rig that is simulated, and to somebody who sees the window for the first time."""
+"""Texts of the demonstration with a simulated robot."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from app.state.running import Running
 FIRST_MINUTE = (
     (
         "This robot is simulated.",
-        "Nothing is connected; a simulated hand pokes, twice as quick as a careful one. Ctrl+N begins with your devices.",
+        "Nothing is connected. A simulated hand presses the skin. Ctrl+N: start with your own devices.",
     ),
     (
-        "The large line at the bottom says what to do.",
-        "Above it, smaller, stands what came of the last poke. The ring on the part shows where the next one goes.",
+        "The large line at the bottom tells you what to do.",
+        "The small line shows the result of the last poke. The ring on the part shows where to press next.",
     ),
     (
-        "No key takes a poke.",
-        "Hands off, press, hold still, release. Backspace takes a poke back, Ctrl+Y brings it again, P pauses.",
+        "Pokes are recorded automatically.",
+        "Hands off, press, hold still, release. Backspace: undo. Ctrl+Y: redo. P: pause.",
     ),
     (
-        "It comes to an end in about two minutes.",
-        "By the modules method a few pokes place a whole module; V shows the other methods. The verdict leads to the file.",
+        "The demonstration ends in about two minutes.",
+        "A few pokes are enough for each skin module. V: other methods. Then you can write the calibration file.",
     ),
 )
-"""Four things, each with what follows from it."""
-FIRST_MINUTE_END = "Esc or a click closes this. It is said once."
+"""Titles and texts of the first minute."""
+FIRST_MINUTE_END = "Esc or a click closes this card."
 
 
 def simulated_words(pace: int, running: Running) -> str:
-    """Return what stands beside the line while the rig is simulated: `"SIMULATED  2x"`, with the operator's pace."""
+    """Label of a simulated robot: `"SIMULATED  2x"`, with the pace of its operator."""
     return f"SIMULATED  {pace}\N{MULTIPLICATION SIGN}" if running is Running.STREAMING else "SIMULATED"
 
 
 def pace_words(pace: int) -> str:
-    """Return the menu's entry for the pace of a simulated operator."""
+    """Menu entry for the pace of the simulated operator."""
     return f"Pace of the simulated operator: {pace}\N{MULTIPLICATION SIGN}"

@@ -1,8 +1,4 @@
-"""What is said of errors and of doubt: pure functions, without Qt.
-
-First what the panel of errors says, and over what range it draws; then what each poke counts for a taxel, and where else the
-taxel might lie.
-"""
+"""Sentences of the Errors tab, and on pokes and positions in doubt."""
 
 from __future__ import annotations
 
@@ -29,25 +25,25 @@ SYMBOLS: Mapping[Method, str] = {
     Method.SURFACE: "\N{BLACK DIAMOND}",
     Method.MODULES: "\N{BLACK UP-POINTING TRIANGLE}",
 }
-"""Marks a method's line, in words as in the plot."""
+"""Sign of a method, in texts as in the plot."""
 STATISTICS = {
     MEAN: "\N{EM DASH} mean",
     P95: "\N{EN DASH} \N{EN DASH} p95",
     MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
 }
-"""Each after the line that it is drawn with."""
+"""Names of the statistics, with their line styles."""
 STEPS = (1.0, 2.0, 5.0)
 """Marks of a logarithmic axis in each decade."""
-DOUBT_MARKED = 0.5
-"""Trust below which a poke is marked in the list: 99 of 100 good pokes stay above it."""
-FULL = 0.995
-"""Trust from which a poke counts fully, to two decimals."""
-LISTED = 100
-"""Pokes of one taxel in the list, the newest: more are not read."""
+MARKED_TRUST = 0.5
+"""Pokes with less trust are marked in the list: 99 of 100 good pokes have more."""
+FULL_TRUST = 0.995
+"""A poke with this trust counts fully, to two decimals."""
+MAX_LISTED_POKES = 100
+"""The list of a taxel has its newest pokes."""
 
 
 class Axis(Enum):
-    """What errors are drawn against; the value is the word on the button."""
+    """Horizontal axis of the errors; the value is the word on the button."""
 
     POKES = "pokes"
     TIME = "time"
@@ -58,19 +54,19 @@ AXIS_TITLES = {Axis.POKES: "accepted pokes", Axis.TIME: "minutes of poking", Axi
 
 
 def source_words(source: Reference | None) -> str:
-    """Return what errors are measured against; a plan is never called a truth."""
+    """Name the reference of the errors; a plan is not called a truth."""
     if source is None:
-        return "Predicted error; compared with no reference"
+        return "Expected error, without a reference"
     if source.origin is Origin.PLAN:
-        return "Error against the plan, which may lie a few mm off"
+        return "Error against the plan, which may be a few mm off"
     if source.origin is Origin.TRUTH:
         return f"Error against the truth ({source.name})"
     return f"Error against {source.name}"
 
 
 def quantity_words(source: Reference | None) -> str:
-    """Return what the vertical axis shows."""
-    return "predicted error, mm" if source is None else "error, mm"
+    """Title of the vertical axis."""
+    return "expected error, mm" if source is None else "error, mm"
 
 
 def paper_words(method: Method) -> str:
@@ -79,7 +75,7 @@ def paper_words(method: Method) -> str:
 
 
 def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
-    """Return a method's newest figures: of all taxels where `row` is 0, else of the module with index `row` - 1."""
+    """Newest figures of a method: of all taxels if `row` is 0, else of the module with index `row` - 1."""
     course = series.spreads.get(method)
     values = np.full(4, np.nan) if course is None or not len(course) else course[-1, row]
     figures = "   ".join(f"{name} {number(in_millimetres(float(values[at])), 1)}" for at, name in STATISTICS.items())
@@ -88,16 +84,16 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
 
 
 def progress_words(series: ErrorSeries) -> str:
-    """Return what is not worked out yet, or how the course was thinned; empty where there is nothing to say."""
+    """Say what is still being computed, or how the points were thinned; may be empty."""
     if series.missing:
-        return f"working out {count(series.missing, 'point')} of the past"
+        return f"computing {count(series.missing, 'earlier point')}"
     if not len(series.counts):
         return "none yet"
     return f"a point every {series.stride} pokes" if series.stride > 1 else ""
 
 
 def axis_words(series: ErrorSeries, axis: Axis) -> str:
-    """Return the title of the horizontal axis."""
+    """Title of the horizontal axis."""
     return ": ".join(filter(None, (AXIS_TITLES[axis], progress_words(series))))
 
 
@@ -127,29 +123,29 @@ def shown_range(values: Sequence[FloatArray], least: float, most: float) -> tupl
 
 @dataclass(frozen=True, slots=True)
 class TaxelPoke:
-    """What one poke counts for one taxel."""
+    """Weight and trust of one poke for one taxel."""
 
     poke: int
     weight: float
-    """k: the taxel's answer in shares of the strongest in this poke, above 0 to 1."""
+    """k: response of the taxel divided by the strongest response of the poke, above 0 to 1."""
     trust: float
-    """0 to 1: how far the method believes the poke for this taxel."""
+    """Robust weight of the poke for this taxel, 0 to 1."""
     miss: float | None
-    """m, distance of the poke's axis from the estimate; None where there is none."""
+    """m, distance of the force axis from the estimate; `None` without an estimate."""
 
 
 def weight_of(contact: Contact, channel: int) -> float:
-    """Return k = t_j / max t, the share of a taxel's answer in the strongest of a contact."""
+    """Compute k = t_j / max t: response of a taxel divided by the strongest one."""
     return float((contact.responses[contact.channels == channel] / contact.responses.max())[0])
 
 
 def miss_of(contact: Contact, estimate: Estimate) -> float | None:
-    """Return the distance of a contact's axis from an estimate, metres; None where there is no position."""
+    """Compute the distance of a force axis from an estimate, m; `None` without a position."""
     return _misses([contact], estimate)[0]
 
 
 def _misses(contacts: Sequence[Contact], estimate: Estimate) -> list[float] | list[None]:
-    # Together, since each by itself takes 0.3 ms of the window's time.
+    # All at once: one by one each takes 0.3 ms of the window's thread.
     if estimate.position is None or not contacts:
         return [None] * len(contacts)
     poses = np.array([contact.link_from_sensor for contact in contacts])
@@ -160,7 +156,7 @@ def _misses(contacts: Sequence[Contact], estimate: Estimate) -> list[float] | li
 
 
 def taxel_pokes(snapshot: Snapshot, estimate: Estimate) -> tuple[TaxelPoke, ...]:
-    """Return what pokes count for a taxel, newest first: those that touched it and are not excluded; none for a dead one."""
+    """List the counting pokes of a taxel, newest first; none for a disabled taxel."""
     if estimate.state is State.DEAD:
         return ()
     touching = (
@@ -168,7 +164,7 @@ def taxel_pokes(snapshot: Snapshot, estimate: Estimate) -> tuple[TaxelPoke, ...]
         for record in reversed(snapshot.pokes)
         if not record.excluded and isinstance(record.outcome, Contact) and estimate.channel in record.outcome.channels.tolist()
     )
-    listed = list(islice(touching, LISTED))
+    listed = list(islice(touching, MAX_LISTED_POKES))
     return tuple(
         TaxelPoke(c.poke, weight_of(c, estimate.channel), estimate.doubted.get(c.poke, 1.0), miss)
         for c, miss in zip(listed, _misses(listed, estimate), strict=True)
@@ -176,18 +172,18 @@ def taxel_pokes(snapshot: Snapshot, estimate: Estimate) -> tuple[TaxelPoke, ...]
 
 
 def doubting(estimates: Iterable[Estimate]) -> Mapping[int, Sequence[Estimate]]:
-    """Return for each poke that does not count fully the estimates that doubt it, the one that doubts it most first."""
+    """Map each poke that does not count fully to the estimates that doubt it, the strongest doubt first."""
     found: dict[int, list[Estimate]] = {}
     for estimate in estimates:
         for poke, trust in estimate.doubted.items():
-            if trust < FULL:
+            if trust < FULL_TRUST:
                 found.setdefault(poke, []).append(estimate)
     return {poke: sorted(those, key=lambda e: e.doubted[poke]) for poke, those in found.items()}
 
 
 def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> str:
-    """Return the words that mark a poke in the list: `"counts 0.2 for 17-05"`; empty where no taxel doubts it much."""
-    marked = [e for e in doubters if e.doubted[poke] < DOUBT_MARKED]
+    """Mark of a doubted poke in the list: `"counts 0.2 for 17-05"`; may be empty."""
+    marked = [e for e in doubters if e.doubted[poke] < MARKED_TRUST]
     if not marked:
         return ""
     more = f" +{len(marked) - 1}" if len(marked) > 1 else ""
@@ -195,15 +191,16 @@ def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> 
 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
-    """Return how far a poke counts for a taxel, and why."""
+    """Say how much a poke counts for a taxel, and why."""
     words = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
     miss = miss_of(contact, estimate)
-    return words if miss is None else f"{words}: its axis passes {millimetres(miss)} from where the other pokes put the taxel"
+    return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"
 
 
 def rival_words(estimate: Estimate | None) -> str:
-    """Return where else a taxel may lie and what to do about it; empty where its place is the only one."""
+    """Describe a second possible position of a taxel and what to do; empty if there is none."""
     if estimate is None or estimate.rival is None or estimate.position is None:
         return ""
     away = millimetres(float(np.linalg.norm(estimate.rival.position - estimate.position)), 0)
-    return f"Fits nearly as well {away} away (odds {number(estimate.rival.odds, 0)} to 1): poke it from another side."
+    odds = number(estimate.rival.odds, 0)
+    return f"A second position {away} away fits almost as well (odds {odds} to 1). Press from another side."

@@ -1,4 +1,4 @@
-"""What the Help menu says of the program."""
+"""Texts of the Help menu."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from pathlib import Path
 
 from skincal import __version__
 
-NO_DOCUMENTS = "This copy of skincal came without its documents; {name} is in the folder docs of its source."
-LICENCE = "BSD 3-Clause License: it may be used, changed and passed on, with its copyright notice and without any warranty."
+NO_DOCUMENTS = "This copy of skincal has no documents; {name} is in the folder docs of the source."
+LICENCE = "BSD 3-Clause License: you may use, change and pass it on with its copyright notice, without any warranty."
 
 
 def unopened_words(page: Path) -> str:
-    """Return what is said where the desktop opens no such file."""
-    return f"Nothing on this desktop opens {page}; it is a text, and any editor shows it."
+    """Say that the desktop cannot open a page."""
+    return f"No program of this desktop opens {page}. It is a text file for any editor."
 
 
 def about_words(qt: str) -> str:
-    """Return what the program is, its version and licence; `qt` is Qt's version."""
+    """Describe the program, its version and licence; `qt` is Qt's version."""
     return (
-        f"skincal {__version__}\n\nFinds where the taxels of a robot's skin are, from pokes.\n\n"
+        f"skincal {__version__}\n\nLocates the taxels of a robot's skin from pokes.\n\n"
         f"Copyright 2026, skincal authors. {LICENCE}\n\n"
         f"Runs on Python {platform.python_version()} and Qt {qt} (LGPL), {platform.system()} {platform.machine()}."
     )

@@ -1,4 +1,4 @@
-"""What is said of a rig and of what could put it right."""
+"""Sentences of the Rig tab: errors of sensor and arm, and their correction."""
 
 from __future__ import annotations
 
@@ -17,37 +17,38 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
-from skincal.words.units import DASH, cell, millimetres
+from skincal.words.units import DASH, cell, in_millimetres, millimetres, number
 
 
 def offer_text(offer: Offer) -> str:
-    """Return what the button of a correction that could be used says."""
+    """Label the button of an available correction."""
     if offer.frame is not None:
-        return "Correct the sensor's frame"
-    return "Correct the rig anew" if offer.anew else "Correct the rig"
+        return "Correct the sensor frame"
+    return "Update the correction of sensor and arm" if offer.anew else "Correct sensor and arm"
 
 
 def offer_words(offer: Offer) -> str:
-    """Return what is said of a correction that could be used, with the misses."""
+    """Describe an available correction, with the error before and after."""
     if offer.frame is None:
-        then, now = millimetres(offer.action.after), millimetres(offer.action.before)
-        return f"The rig can be corrected: held-out pokes then pass their landmarks at {then}, now at {now}."
-    perhaps = "" if offer.frame.sure else " Another mistake would be nearly as likely: poke another landmark."
+        now, then = number(in_millimetres(offer.action.before), 1), millimetres(offer.action.after)
+        lowers = f"it lowers the error at landmarks it was not fitted to from {now} to {then}"
+        return f"A correction of sensor and arm is ready: {lowers}."
+    perhaps = "" if offer.frame.sure else " Another mistake is almost as likely: press another landmark."
     return frame_sentence(offer.frame) + perhaps
 
 
 def offer_news(offer: Offer) -> str:
-    """Return what is said once of a correction that could be used."""
-    return f"{offer_words(offer)} C uses that; the Rig tab says more, and takes it back."
+    """Announce an available correction."""
+    return f"{offer_words(offer)} C: apply. Rig tab: details and undo."
 
 
 def corrected_words(action: Correct) -> str:
-    """Return what is said when a correction is used."""
-    return f"{correction_sentence(used_of(action))} Backspace takes it back until the next poke, the Rig tab at any time."
+    """Announce that a correction is applied."""
+    return f"{correction_sentence(used_of(action))} Backspace undoes it until the next poke, the Rig tab at any time."
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
-    """Return how far a correction moves, or has moved, the taxels of a method; empty where nobody knows."""
+    """Say how far a correction moves, or has moved, the taxels of a method; empty if unknown."""
     other = review.before.get(method, review.after.get(method))
     if other is None:
         return ""
@@ -58,44 +59,44 @@ def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -
     if not len(apart):
         return ""
     verb = "has moved" if method in review.before else "would move"
-    return f"It {verb} the taxels by {millimetres(float(apart.mean()))} in the mean, {millimetres(float(apart.max()))} at most."
+    return f"It {verb} the taxels by {millimetres(float(apart.mean()))} on average, at most {millimetres(float(apart.max()))}."
 
 
 def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: Sequence[Estimate]) -> tuple[str, ...]:
-    """Return what is said of the rig, most important first."""
+    """List the sentences on sensor and arm, most important first."""
     frame, rig, found = review.frame, review.rig, rig_sentences(review.rig)
     said = [] if frame is None else [frame_sentence(frame)]
     said += [correction_sentence(used) for used in snapshot.decisions.corrections.values()]
     if RIG not in snapshot.decisions.corrections:
         said += found[:1]
     elif not rig.used:
-        said.append(f"The landmark pokes that count now do not speak for it any more. {found[0]}")
+        said.append(f"The present landmark pokes no longer support the correction. {found[0]}")
     moved = moved_words(review, method, estimates)
     return tuple(filter(None, (*said, moved, *found[1:], *distance_sentences(snapshot.tried_distances))))
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Return what is known of the rig's own errors, which held-out pokes of the skin hardly show."""
+    """Say what is known about errors of sensor and arm, which held-out pokes of the skin hardly show."""
     if offers:
-        return f"{offer_words(offers[0])} C uses that, the Rig tab says more."
+        return f"{offer_words(offers[0])} C: apply. Rig tab: details."
     in_use = " ".join(correction_sentence(correction) for correction in used)
     if in_use:
         return in_use
     if review is not None and review.pokes:
         return rig_sentences(review.rig)[0]
-    return "not checked, since landmarks were not poked: an error of the sensor's matrix or of the arm moves all taxels alike"
+    return "not checked, since no landmark was pressed: an error of sensor or arm shifts all taxels together"
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkRow:
-    """What a list says of one landmark."""
+    """Row of the list of landmarks."""
 
     name: str
     here: int
     """Pokes in the present arm pose."""
     every: int
     off: str
-    """How far its pokes pass it, mm, root mean square, as the rig reports them and under the correction that was found."""
+    """Distance of its pokes, mm rms: as reported, and with the correction that was found."""
 
 
 def landmark_rows(snapshot: Snapshot, review: Review | None, pose: str) -> list[LandmarkRow]:

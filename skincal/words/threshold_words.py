@@ -1,4 +1,4 @@
-"""The thresholds of a poke for the page that changes them: what each is called, its unit and why it is as it is. No Qt."""
+"""Titles, units and reasons of the poke thresholds, and problems with typed values."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from skincal.contacts.thresholds import ThresholdUse
 from skincal.model.scene import RISING, ContactSettings, most_of
 from skincal.words.units import UNITS, DisplayUnit, count, number
 
-ABOUT = (
-    "What a poke must pass to count. A change holds for pokes that begin from then on, is kept in the session and can be "
-    "undone; earlier pokes stay as they are."
-)
+ABOUT = "Conditions for a poke to count. A change applies to later pokes only, is saved in the session and can be undone."
 
 
 @dataclass(frozen=True, slots=True)
 class ThresholdWords:
-    """What is said of one threshold."""
+    """Texts of one threshold."""
 
     title: str
     unit: DisplayUnit
@@ -33,40 +30,40 @@ GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
         "force_min": ThresholdWords(
             "Least force",
             UNITS["N"],
-            "A softer push leaves its axis uncertain: 1.4\N{DEGREE SIGN} at 4 N and 0.1 N of noise.",
+            "A softer press makes the force axis uncertain: 1.4\N{DEGREE SIGN} at 4 N with 0.1 N noise.",
         ),
-        "force_max": ThresholdWords("Most force", UNITS["N"], "Above it foam bottoms out, and a hand slides."),
+        "force_max": ThresholdWords("Most force", UNITS["N"], "Above it the foam is fully compressed and the tip slides."),
         "touch_force": ThresholdWords(
-            "A poke begins above", UNITS["N"], "Ten times the noise of a good sensor; more where noise begins pokes."
+            "A poke begins above", UNITS["N"], "Ten times the noise of a good sensor. Increase it if noise starts pokes."
         ),
         "release_force": ThresholdWords(
-            "A poke ends below", UNITS["N"], "Less than what begins it, so that noise cannot end it."
+            "A poke ends below", UNITS["N"], "Below the start force, so that noise does not end the poke."
         ),
     },
     "Holding still": {
-        "still_s": ThresholdWords("Held still for", UNITS["s"], "Readings are averaged over it: 15 skin frames at 50 Hz."),
-        "still_change": ThresholdWords("The force varies by", UNITS["1"], "At most, as a standard deviation, in that time."),
-        "slide_max": ThresholdWords("The axis travels", UNITS["m"], "At most, in that time, where the contact is."),
+        "still_s": ThresholdWords("Held still for", UNITS["s"], "Readings are averaged over it: 15 skin readings at 50 Hz."),
+        "still_change": ThresholdWords("The force varies by", UNITS["1"], "Maximum standard deviation during this time."),
+        "slide_max": ThresholdWords("The axis travels", UNITS["m"], "Maximum movement of the contact during this time."),
         "pitch_max": ThresholdWords(
             "Pitch of the axis",
             UNITS["m"],
-            "At most; more shows a second contact or a torque. Up to 20 mm where the sensor's matrix is off by 2 %.",
+            "Maximum; more means a second contact or a twist. Up to 20 mm if the sensor matrix has 2 % error.",
         ),
     },
     "What the skin answers": {
-        "taxels_max": ThresholdWords("Taxels that answer", UNITS[""], "At most; a palm or a large tip reaches more."),
-        "response_min": ThresholdWords("A taxel answers above", _RAW, "In raw values, beyond its rest; 10 of 255 is usual."),
+        "taxels_max": ThresholdWords("Taxels that answer", UNITS[""], "Maximum; a palm or a large tip reaches more."),
+        "response_min": ThresholdWords("A taxel answers above", _RAW, "In raw values above the baseline; 10 of 255 is common."),
         "response_noises": ThresholdWords(
-            "and above its noise times", DisplayUnit(1.0, "", 1), "So that a noisy taxel does not answer by itself."
+            "and above its noise times", DisplayUnit(1.0, "", 1), "Keeps a noisy taxel from answering without a touch."
         ),
         "gap_factor": ThresholdWords(
-            "Neighbours lie within", DisplayUnit(1.0, "spacings", 1), "Taxels farther apart do not answer one tip."
+            "Neighbours lie within", DisplayUnit(1.0, "spacings", 1), "Taxels farther apart cannot answer the same tip."
         ),
     },
     "Hands off": {
-        "quiet_s": ThresholdWords("Quiet for", UNITS["s"], "Before and after each poke, to tare: 10 skin frames at 50 Hz."),
+        "quiet_s": ThresholdWords("Quiet for", UNITS["s"], "Around each poke, to zero the sensor: 10 skin readings at 50 Hz."),
         "tare_change_max": ThresholdWords(
-            "The tare changes by", UNITS["N"], "At most, from before to after a poke; more is drift, or something leans."
+            "The zero changes by", UNITS["N"], "Maximum change from before to after a poke; more is drift or a second touch."
         ),
     },
 }
@@ -75,12 +72,12 @@ WORDS = {name: words for group in GROUPS.values() for name, words in group.items
 
 
 def shown_value(name: str, value: float) -> str:
-    """Return a threshold, in its SI unit, as the field shows it: without its unit."""
+    """Format a threshold for its field, without the unit."""
     return f"{value * WORDS[name].unit.factor:.6g}"
 
 
 def with_unit(name: str, value: float) -> str:
-    """Return a threshold with its unit."""
+    """Format a threshold with its unit."""
     return f"{shown_value(name, value)} {WORDS[name].unit.text}".rstrip()
 
 
@@ -117,7 +114,7 @@ def _in(unit: DisplayUnit) -> str:
 
 
 def use_words(name: str, use: ThresholdUse) -> str:
-    """Return how the newest pokes stand against a threshold."""
+    """Compare the newest pokes with a threshold."""
     if not use.pokes:
         return "No poke yet."
     unit = WORDS[name].unit

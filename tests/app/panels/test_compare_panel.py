@@ -17,7 +17,7 @@ from app.scene3d.scene_state import Cloud, Comparison, Tint
 from app.session.opening import OpenRequest
 from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, other_source, sources_of
 from app.text.compare_text import (
-    MOST_MODULES,
+    MAX_LISTED_MODULES,
     difference_words,
     listed_modules,
     listed_words,
@@ -154,12 +154,12 @@ def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
 
 
 def test_of_too_many_modules_the_worst_are_listed():
-    few = [ModuleDifference(index, 12, 0.001 * (index % 7), 0.0, 0.0) for index in range(MOST_MODULES)]
+    few = [ModuleDifference(index, 12, 0.001 * (index % 7), 0.0, 0.0) for index in range(MAX_LISTED_MODULES)]
     assert listed_modules(few) == few
-    assert listed_words(MOST_MODULES) == ""
+    assert listed_words(MAX_LISTED_MODULES) == ""
     many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
     listed = listed_modules(many)
-    assert (len(listed), listed[0].module) == (MOST_MODULES, 99)
+    assert (len(listed), listed[0].module) == (MAX_LISTED_MODULES, 99)
     assert [module.mean for module in listed] == sorted((module.mean for module in listed), reverse=True)
     assert listed_words(41) == approved("compare.worst_modules", listed=40, count=41)
 

@@ -14,7 +14,16 @@ from app.panels.taxel_map import TaxelMap
 from app.scene3d import scene_state
 from app.scene3d.estimates import BLIND_HALF_LENGTH, EstimatesLayer
 from app.scene3d.scene_state import StaticScene, View3DState
-from app.text.errors_text import LISTED, doubt_mark, doubt_words, doubting, miss_of, rival_words, taxel_pokes, weight_of
+from app.text.errors_text import (
+    MAX_LISTED_POKES,
+    doubt_mark,
+    doubt_words,
+    doubting,
+    miss_of,
+    rival_words,
+    taxel_pokes,
+    weight_of,
+)
 from app.theme import DARK
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, Rival, State
@@ -70,10 +79,10 @@ def test_no_poke_counts_for_a_dead_taxel():
 
 
 def test_a_taxels_pokes_are_sought_no_further_than_they_are_listed():
-    at = session(1, {3: doubted(3)}, [touch(poke) for poke in range(2, LISTED + 2)])
+    at = session(1, {3: doubted(3)}, [touch(poke) for poke in range(2, MAX_LISTED_POKES + 2)])
     unread = replace(at, pokes=(None, *at.pokes))
     pokes = taxel_pokes(unread, at.estimates[Method.FREE][3])
-    assert [poke.poke for poke in pokes] == list(range(LISTED + 1, 1, -1))
+    assert [poke.poke for poke in pokes] == list(range(MAX_LISTED_POKES + 1, 1, -1))
 
 
 def test_a_poke_that_counts_less_is_marked_with_the_taxel_and_the_reason():
