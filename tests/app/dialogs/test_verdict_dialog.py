@@ -27,10 +27,10 @@ from skincal.taxels.shared_errors import PredictedError
 from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.taxel_words import error_words
 from skincal.words.verdict_words import (
+    agreement_words,
     check_words,
     done_words,
     figures,
-    landmark_words,
     left_words,
     verdict_sentence,
 )
@@ -154,9 +154,9 @@ def test_what_moved_meanwhile_goes_before_all_else():
 
 
 def test_what_landmarks_say_and_what_nobody_checked_is_said():
-    assert landmark_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
-    assert landmark_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
-    assert landmark_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
+    assert agreement_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
+    assert agreement_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
+    assert agreement_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
     assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Predicted error"] == approved(
         "verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1"
     )

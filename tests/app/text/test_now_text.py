@@ -16,12 +16,11 @@ from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkLook
-from app.text.now_text import DEED_S, SETTLE_S, VERDICT_S, NowMemory, Said, Tone, now_line
+from app.text.now_text import LAST_ACTION_SHOWN_S, PHASE_DEBOUNCE_S, RESULT_SHOWN_S, NowMemory, Said, Tone, now_line
 from app.text.outcomes import (
     error_words,
     link_words,
     pitch_of,
-    reason_words,
     summary_words,
     tilt_of,
     verdict_detail,
@@ -32,6 +31,7 @@ from skincal.model.actions import MissedLandmark
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import History, LastOperation, OperationKind
 from skincal.taxels.result import Estimate, Method, State
+from skincal.words.poke_words import rejection_words
 from skincal.words.units import DASH, ChannelNames, age, count, number, point_mm, quantity, rate
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import decided, estimate
@@ -79,14 +79,16 @@ def test_small_words():
 
 
 def test_a_rejection_names_its_number_and_its_limit():
-    assert reason_words(slip(1)) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
-    assert reason_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == approved("now.too_soft", seen=3.1, least=4.0)
-    assert reason_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == approved("now.too_short", seen=0.12, least="0.30")
-    assert reason_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == approved("now.not_still", seen=8.0, most=5.0)
-    assert reason_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered", "as sessions of old have it"
-    assert reason_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW)) == approved("now.none_answered", largest=4.3, needed="12.0")
+    assert rejection_words(slip(1)) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
+    assert rejection_words(slip(1, Reason.TOO_SOFT, 3.1, 4.0, "N")) == approved("now.too_soft", seen=3.1, least=4.0)
+    assert rejection_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == approved("now.too_short", seen=0.12, least="0.30")
+    assert rejection_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == approved("now.not_still", seen=8.0, most=5.0)
+    assert rejection_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered", "as sessions of old have it"
+    assert rejection_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW)) == approved(
+        "now.none_answered", largest=4.3, needed="12.0"
+    )
     assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW), NAMES) == "rejected: no taxel answered"
-    assert reason_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "tare changed"
+    assert rejection_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "the sensor's zero changed during the poke"
 
 
 def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
@@ -156,16 +158,16 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
     quiet = frame(session(1), reading(PressPhase.READY), 100.0)
     memory = NowMemory.of(quiet.snapshot)
     _, memory = say(memory, quiet)
-    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + SETTLE_S))
+    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + PHASE_DEBOUNCE_S))
     assert text == "ready: poke"
     done = session(2, pokes=[slip(1)])
     text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
     assert text == approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5)
-    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S - 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S - 0.01))
     assert text.startswith("poke 1 rejected")
     text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
     assert text == "hold still"
-    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + VERDICT_S + 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S + 0.01))
     assert text == "ready: poke"
 
 
@@ -179,7 +181,7 @@ def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_i
     first = session(1, pokes=[touch(1)])
     _, memory = say(NowMemory(), frame(first, reading(PressPhase.READY), 10.0))
     again = session(2, pokes=[touch(1)])
-    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + VERDICT_S + 1))
+    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + RESULT_SHOWN_S + 1))
     assert text == "ready: poke"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
     text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
@@ -389,9 +391,9 @@ def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_whil
     now, memory = now_line(memory, frame(after, reading(PressPhase.PRESSING, 8.0), 100.0))
     assert now.result == Said(Tone.CALM, words)
     assert now.headline == "hold still", "beside what to do, not in its place"
-    now, memory = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + DEED_S - 0.1))
+    now, memory = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + LAST_ACTION_SHOWN_S - 0.1))
     assert now.result is not None
-    now, _ = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + DEED_S + 0.1))
+    now, _ = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + LAST_ACTION_SHOWN_S + 0.1))
     assert now.result is None
     now, _ = now_line(memory, frame(replace(after, pokes=(*after.pokes, *session(1, pokes=[touch(439)]).pokes)), now_s=101.0))
     assert now.result == Said(Tone.GOOD, "poke 439 accepted 10-03  11.2 N"), "a poke that ends is newer"

@@ -32,7 +32,7 @@ from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence
 from skincal.words.taxel_words import state_sentence
-from skincal.words.verdict_words import check_words, figures, landmark_words, verdict_sentence
+from skincal.words.verdict_words import agreement_words, check_words, figures, verdict_sentence
 from tests.approved import approved
 from tests.skincal.cli.test_cli_landmarks import Log
 
@@ -124,7 +124,7 @@ def test_a_method_is_timed_with_the_errors_that_a_correction_shares(imported, mo
 
 def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):
     closing = next(words for name, words in figures(facts.verdict) if name == "Closing")
-    for words in (check_words(facts.verdict), landmark_words(facts.verdict.landmarks), closing):
+    for words in (check_words(facts.verdict), agreement_words(facts.verdict.landmarks), closing):
         assert page.text.count(words) == 1
     assert "Closing check" in page.text
 
@@ -302,7 +302,7 @@ def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
         assert ", ".join(f"{miss * 1e3:.1f}" for miss in misses) in found
     (used,) = facts.snapshot.decisions.corrections.values()
     assert correction_sentence(used) in found
-    assert landmark_words(facts.verdict.landmarks) in found
+    assert agreement_words(facts.verdict.landmarks) in found
     assert frame_sentence(facts.frame) in found
     # Pokes at landmarks are no rejected pokes, though no taxel answered.
     assert f"{len(log.names)} at landmarks, 0 rejected" in found
