@@ -109,7 +109,7 @@ def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
     done, total = _done(guidance, dead)
     if not total:
         return "All taxels are disabled"
-    given_up = f", {total - done} could not be determined" if done < total else ""
+    given_up = f", {total - done} undetermined" if done < total else ""
     return f"Finished: {done} of {count(total, 'taxel')}{given_up}"
 
 

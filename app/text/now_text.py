@@ -60,6 +60,10 @@ _SHORT_VERDICTS = {
 """For large type; the line below has the details."""
 
 
+_SHORT_NAMES = {"wrench": "sensor"}
+"""Short names of links, for large type."""
+
+
 class Tone(Enum):
     """Kind of status; each has a colour and a sign."""
 
@@ -319,7 +323,7 @@ def _no_data(at: ViewState) -> Now:
     if missing:
         return Now(
             Tone.WAIT,
-            f"Waiting for {' and '.join(link_name(link) for link in missing)}",
+            f"Waiting for {', '.join(_SHORT_NAMES.get(link.link, link.link) for link in missing)}",
             link_detail(missing[0], at),
         )
     if links and all(at.look(link) is LinkLook.ENDED for link in links):

@@ -165,7 +165,7 @@ def test_the_demo_comes_to_its_verdict_by_itself_within_three_minutes(bench):
     bench.open(OpenRequest(scene=path, server=server_command(path), demo=True))
     bench.until(lambda: isinstance(QApplication.activeModalWidget(), VerdictDialog), END_MS)
     dialog = QApplication.activeModalWidget()
-    assert dialog.sentence.text().startswith("All 84 taxels are done")
+    assert dialog.sentence.text().startswith("All 84 taxels are finished")
     dialog.reject()
     bench.qtbot.wait(200)
     assert QApplication.activeModalWidget() is None, "once"

@@ -304,7 +304,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     bench.open_served()
     now = bench.window.session_view.workspace.now
     bench.key(Qt.Key.Key_V)
-    bench.until(lambda: now.headline.text().startswith("poke the landmark "))
+    bench.until(lambda: now.headline.text().startswith("Press the landmark "))
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
     bench.until(lambda: bench.window.session_view.state.target.channel is not None and now.headline.text().startswith("poke "))
     asked = bench.window.session_view.state.target
@@ -317,5 +317,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
         now.headline.setText(longest)
         assert not is_elided(now.headline)
     reason = approved("guide.one_more")
-    longest = "  \N{MIDDLE DOT}  ".join([reason, "4200 of 4200 done", approved("guide.pokes_left", pokes=1240, minutes=46)])
+    longest = "  \N{MIDDLE DOT}  ".join(
+        [reason, "4200 of 4200 taxels finished", approved("guide.pokes_left", pokes=1240, minutes=46)]
+    )
     assert now.detail.fontMetrics().horizontalAdvance(longest) <= now.detail.width()

@@ -66,7 +66,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
 
     bench.key(Qt.Key.Key_Space)
     assert bench.controller.running is Running.PAUSED
-    assert workspace.now.headline.text() == "paused"
+    assert workspace.now.headline.text() == "Paused"
     bench.until_all_is_taken_in()
     pokes, estimates = len(bench.snapshot.pokes), known(bench.snapshot)
     assert len(estimates) >= 2
@@ -110,7 +110,7 @@ def reopened(bench, kept: Path, estimates: dict, path: Path) -> None:
     bench.open(OpenRequest(session=kept))
     assert bench.controller.running is Running.OFFLINE
     assert known(bench.snapshot) == estimates
-    assert bench.window.session_view.workspace.now.headline.text() == "no device connected"
+    assert bench.window.session_view.workspace.now.headline.text() == "No device connected"
     findings: list[tuple[str, ...]] = []
     bench.controller.export("csv", path, Method.SURFACE, None, findings.append, pytest.fail)
     bench.until(lambda: bool(findings), OPEN_MS)

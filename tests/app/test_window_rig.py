@@ -281,7 +281,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     assert poked.asked == "", "these are enough for this arm pose"
     poked.until_offered()
     (offer,) = poked.frame.offers
-    assert offer_text(offer) == "Correct the rig"
+    assert offer_text(offer) == "Correct sensor and arm"
     assert len(poked.said) == 1
     assert offer_words(offer) in poked.said[0]
     assert approved("rig.offer_keys") in poked.said[0]
@@ -336,8 +336,8 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
     assert len(waiting) >= 6, "84 taxels of seven modules, a module in each tick"
     assert waiting == sorted(waiting, reverse=True)
     assert all(snapshot is before for snapshot, left, _ in shown if left)
-    assert "solving anew" in [words for _, left, words in shown if left]
-    bench.until(lambda: poked.now.headline.text() != "solving anew", 5000)
+    assert "Recomputing" in [words.split()[0] for _, left, words in shown if left]
+    bench.until(lambda: not poked.now.headline.text().startswith("Recomputing"), 5000)
     assert moved(before.estimates, bench.snapshot.estimates) > 1e-5
 
 

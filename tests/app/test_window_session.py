@@ -149,7 +149,7 @@ def first_look(keys: Keys) -> None:
     bench.until(lambda: len(bench.accepted()) >= 3 and all(p.outcome.final for p in bench.snapshot.pokes))
     keys.tap(Key.Key_Space)
     assert bench.controller.running is Running.PAUSED
-    assert keys.headline == "paused"
+    assert keys.headline == "Paused"
     shown = pixels(keys.workspace.map)
     target = keys.guidance.target.channel
     keys.tap(Key.Key_N)

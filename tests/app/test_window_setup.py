@@ -142,7 +142,7 @@ def test_devices_in_each_others_place_are_told_and_one_key_swaps_them(qtbot, pag
     name(page, "wrench", device(noisy(CHANNELS)).address)
     name(page, "skin", device(noisy(6)).address)
     says(qtbot, page, "wrench", approved("links.other_stream", found="skin", width=CHANNELS))
-    says(qtbot, page, "skin", approved("links.other_stream", found="F/T sensor", width=6))
+    says(qtbot, page, "skin", approved("links.other_stream", found="force/torque sensor", width=6))
     QTest.keyClick(page.fields["skin"], Key.Key_F6)
     says(qtbot, page, "wrench", "good")
     says(qtbot, page, "skin", "good")
@@ -504,7 +504,7 @@ def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):
             folder=bench.documents / "s",
         )
     )
-    line_says(bench, "which arm pose?", "Key 7")
+    line_says(bench, "Choose the arm pose", "Key 7")
     assert not bench.snapshot.pokes
     bench.key(Key.Key_7)
     poses = bench.window.session_view.workspace.rig.arm.poses

@@ -79,5 +79,5 @@ def test_window_commands_verdict_and_report_say_the_same_predicted_error(tmp_pat
     page = html.unescape(report_page(facts))
     (column,) = (text for name, text in figures(facts.verdict) if said.startswith(name.lower()))
     assert column in page
-    assert column.startswith(said.removeprefix("predicted error "))
+    assert column.startswith(said.removeprefix("expected error "))
     assert all(f">{1e3 * size:.2f}<" in page for size in (facts.methods[2].predicted.mean, facts.methods[2].predicted.worst))

@@ -14,7 +14,7 @@ from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis, Slip
 from skincal.taxels.result import Cause, StateReason
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
-from skincal.words.link_words import link_verdict_words, silent_links
+from skincal.words.link_words import STREAM_NAMES, link_verdict_words, silent_links
 from skincal.words.rig_words import correction_sentence, correction_words, frame_sentence, rig_sentences
 from skincal.words.taxel_words import state_sentence, unchecked_sentence
 from tests.approved import approved
@@ -29,7 +29,7 @@ def test_of_three_links_that_are_silent_each_is_named_and_nothing_is_cut(count, 
     links = [LinkHealth(each.value, LinkState.FAILED, why, (each,), "", 0, 0.0, 0, {}) for each in streams]
     said = str(InputError(f"{silent_links(links)} No session was made."))
     assert "\N{HORIZONTAL ELLIPSIS}" not in said
-    assert all(approved("links.nothing_usable_no_port", link=each.value, port="/dev/pts/0") in said for each in streams)
+    assert all(approved("links.nothing_usable_no_port", link=STREAM_NAMES[each], port="/dev/pts/0") in said for each in streams)
     assert (why in said) is told
 
 
@@ -97,7 +97,7 @@ STATES = (
     ),
     (StateReason(Cause.BY_MODULE), approved("taxel.by_module")),
     (StateReason(Cause.SHARED_ERRORS, size=0.0351), approved("taxel.shared_errors", depth="35 mm")),
-    (StateReason(Cause.MEAN_OF_POSES, 3), "Mean of 3 poses."),
+    (StateReason(Cause.MEAN_OF_POSES, 3), "Mean of 3 arm poses."),
     (StateReason(Cause.MEAN_OF_POSES, 2, blind=1), approved("taxel.mean_of_poses_without", count=2, blind=1)),
     (
         StateReason(Cause.BLIND_IN_POSES, 2, inner=StateReason(Cause.OPPOSED, 4)),
@@ -168,7 +168,7 @@ def test_what_no_layout_puts_right_is_explained(left, sentence):
 def test_a_correction_in_use_says_its_misses():
     rig = UsedCorrection(RIG, Correction(np.eye(6)), 0.0074, 0.0012, 21)
     words = approved("rig.corrected", pokes=21, with_mm=1.2, without_mm=7.4)
-    assert correction_words(rig) == f"the rig {words}"
+    assert correction_words(rig) == f"sensor and arm {words}"
     assert correction_sentence(rig) == f"The rig {words}."
     frame = replace(rig, of=FRAME)
     assert correction_words(frame) == approved("rig.frame_corrected", pokes=21, with_mm=1.2, without_mm=7.4)
@@ -261,7 +261,7 @@ def test_landmarks_are_recommended_only_where_none_was_poked():
         ),
         (
             LinkVerdict(LinkAnswer.OTHER_STREAM, Stream.SKIN, Stream.WRENCH, 6),
-            approved("links.other_stream", found="F/T sensor", width=6),
+            approved("links.other_stream", found="force/torque sensor", width=6),
         ),
         (
             LinkVerdict(LinkAnswer.OTHER_WIDTH, Stream.SKIN, width=20, expected=64),

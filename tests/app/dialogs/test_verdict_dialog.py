@@ -327,7 +327,7 @@ def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
         NAMES.short(7),
         approved("verdict.left_never_answered"),
     ]
-    assert texts[0] == [NAMES.short(4), "not used"]
+    assert texts[0] == [NAMES.short(4), "disabled"]
 
 
 def test_nothing_is_listed_where_nothing_is_left(qtbot):

@@ -149,7 +149,7 @@ def test_the_next_side_is_a_square_and_the_tint_is_seen(panel):
 def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
     panel.show_state(framed(diversity([push(20, 0)] * 5, [True, True, False, False, False])))
     assert panel.whose.text() == "10-03, the target"
-    assert panel.spread.text() == "Axes spread 9\N{DEGREE SIGN}, wanted 15\N{DEGREE SIGN}"
+    assert panel.spread.text() == "Directions spread 9\N{DEGREE SIGN}, needs 15\N{DEGREE SIGN}"
     assert panel.contacts.text() == "5 pokes, 2 its own"
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
@@ -170,7 +170,7 @@ def test_it_is_of_the_selected_taxel_else_of_the_target_and_goes_where_there_is_
     assert panel.whose.text() == "11-03"
     panel.show_state(replace(framed(None, asked=None), selected=None))
     assert panel.isHidden()
-    panel.show_state(replace(at, diversity=None, revision=9))
+    panel.show_state(replace(at, diversity=None, snapshot=replace(at.snapshot, generation=9)))
     assert panel.isHidden()
 
 

@@ -289,7 +289,7 @@ def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbo
     assert panel.summary.text().startswith("24 taxels, mean 7.0 mm")
     choose(panel, 0, "Layout")
     assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
-    panel.show_state(replace(reviewed, method=Method.SURFACE, revision=4))
+    panel.show_state(replace(reviewed, method=Method.SURFACE, snapshot=replace(reviewed.snapshot, generation=4)))
     assert panel.boxes[1].currentText() == "Free after correction"
     panel.show_state(at(known(), generation=5))
     assert [each.currentText() for each in panel.boxes] == ["Layout", "Free method"], "what is gone is not compared"

@@ -66,7 +66,7 @@ def until_offered(bench: Bench, folder) -> ComparePanel:
         return panel.save.isVisible()
 
     bench.until(offered, OPEN_MS)
-    assert "Module 17 is mirrored" in panel.health.text()
+    assert approved("modules_check.mirrored_clause", module=17) in panel.health.text()
     assert workspace.tabs.currentWidget() is panel
     return panel
 

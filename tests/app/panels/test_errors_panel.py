@@ -67,7 +67,7 @@ def test_a_plan_is_never_called_a_truth():
     chosen = source_words(reference(Origin.FILE, "right_forearm.txt"))
     assert chosen == "Error against right_forearm.txt"
     assert source_words(None).startswith("Predicted error;")
-    assert (quantity_words(None), quantity_words(reference(Origin.PLAN))) == ("predicted error, mm", "error, mm")
+    assert (quantity_words(None), quantity_words(reference(Origin.PLAN))) == ("expected error, mm", "error, mm")
 
 
 def test_the_papers_figures_are_labelled():
@@ -248,7 +248,7 @@ def test_what_is_drawn_follows_axis_module_and_source(panel, queue):
     assert changed(pictures[0], pictures[3]) == 0
     assert changed(pictures[0], pictures[4]) > 20  # module 11 was not touched
     assert not any(line.isVisible() for line in panel.plot.papers.values())
-    assert panel.plot.item.getAxis("left").labelText == "predicted error, mm"
+    assert panel.plot.item.getAxis("left").labelText == "expected error, mm"
 
 
 def test_the_papers_lines_are_drawn_where_an_error_is(panel):

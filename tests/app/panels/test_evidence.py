@@ -113,7 +113,7 @@ def test_the_list_of_pokes_marks_what_a_taxel_doubts(qtbot):
     plain = pixels(panel)
     panel.show_state(frame(session(2, {3: doubted(3, p2=0.2)}, pokes)))
     assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} counts 0.2 for 10-03"
-    assert "its axis passes" in panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole)
+    assert "its force axis is" in panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole)
     assert panel.model.index(1, 1).data() == "\N{CHECK MARK} accepted"
     assert changed(plain, pixels(panel)) > 50
     panel.show_state(frame(session(3, {3: doubted(3, p2=0.2)}, pokes, excluded=[2])))

@@ -56,14 +56,17 @@ def every_headline() -> list[str]:
     says = guidance(ASKED)
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
     said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
-    said += [f"poke 349-11, tilt 28{DEGREE} {lean_words(lean, names)}", enough_words(guidance(done=range(24)), ())]
+    said += [
+        f"Press taxel 349-11, lean the tool 28{DEGREE} {lean_words(lean, names)}",
+        enough_words(guidance(done=range(24)), ()),
+    ]
     said += [
         hint_words(Hint(ask, amount, lean), ASKED, names)
         for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
     ]
     said += [
         approved("now.waiting_for_all"),
-        "no device connected",
+        "No device connected",
         approved("guide.enough", done=4200, count=4200),
         approved("guide.enough_given_up", done=4100, count=4200, left=100),
     ]

@@ -31,6 +31,7 @@ from skincal.contacts.outcome import PressPhase, Reason
 from skincal.files.formats import ExportFormat
 from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
 from skincal.taxels.result import Method
+from skincal.words.poke_words import REASON_WORDS
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
     NAMES,
@@ -131,7 +132,7 @@ def test_now_says_what_happens_and_the_ring_fills(qtbot):
     panel = shown(qtbot, NowPanel(), (700, 80))
     panel.begin(session())
     panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
-    assert panel.headline.text() == "hold still"
+    assert panel.headline.text() == "Hold still"
     little = pixels(panel.sign)
     panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
     assert changed(little, pixels(panel.sign)) > 200
@@ -230,7 +231,7 @@ def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtb
     words = index.data()
     assert words.startswith("\N{BALLOT X} ")
     assert panel.table.sizeHintForIndex(index).width() <= panel.table.columnWidth(1), words
-    assert reason.value in index.data(Qt.ItemDataRole.ToolTipRole), "in full where the pointer is"
+    assert REASON_WORDS[reason] in index.data(Qt.ItemDataRole.ToolTipRole), "in full where the pointer is"
 
 
 def test_another_session_replaces_the_list(qtbot):
@@ -247,7 +248,7 @@ def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
     assert panel.cells[Method.FREE][0].text() == "1.0  2.0  3.0"
     assert panel.cells[Method.FREE][3].text() == "1.0 mm"
     assert "apart" in panel.reason.text()
-    assert panel.worst.item(0).text().endswith("not poked yet")
+    assert panel.worst.item(0).text().endswith("not pressed yet")
     with qtbot.waitSignal(panel.mark_dead_requested) as asked:
         QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
     assert asked.args == [3]

@@ -133,13 +133,13 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.LOST: at(READY, pokes, enough, lost=("skin",)),
     }
     said = {
-        Cue.CONTACT: "press harder",
-        Cue.HELD: "held: release",
+        Cue.CONTACT: "Press harder",
+        Cue.HELD: "Release",
         Cue.ACCEPTED: "counted for 10-03",
         Cue.REJECTED: "rejected: slid",
         Cue.DONE: f"{NAMES.short(2)} done",
         Cue.ENOUGH: approved("guide.enough", done=24, count=24),
-        Cue.LOST: "lost skin",
+        Cue.LOST: "Skin disconnected",
     }
     assert set(said) == set(Cue)
     cues, line = due_cue(CueMemory(), at(guided=nearly))[1], now_line(NowMemory(), at(guided=nearly))[1]

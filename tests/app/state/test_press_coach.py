@@ -47,36 +47,36 @@ class Line:
 def test_force_goes_before_all_else_and_the_rest_is_a_detail():
     line = Line()
     now = line.show(held(10.0, newtons=3.0), 2 * COACH_S)
-    assert (now.tone, now.headline) == (Tone.HOLD, "press harder")
+    assert (now.tone, now.headline) == (Tone.HOLD, "Press harder")
     assert now.detail == approved("press.too_soft_and_tilt", seen=3.0, least=4.0, degrees=18, neighbour="10-02")
     now = line.show(held(10.0, newtons=16.0), 2 * COACH_S)
-    assert (now.tone, now.headline) == (Tone.BAD, "press less")
+    assert (now.tone, now.headline) == (Tone.BAD, "Press softer")
 
 
 def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
     line = Line()
-    assert line.show(held(10.0)).headline == "hold still"
-    assert line.show(held(10.0), COACH_S / 2).headline == "hold still"
+    assert line.show(held(10.0)).headline == "Hold still"
+    assert line.show(held(10.0), COACH_S / 2).headline == "Hold still"
     now = line.show(held(10.0), COACH_S)
     assert (now.tone, now.headline) == (Tone.HOLD, approved("press.more_tilt", degrees=18, neighbour="10-02"))
     assert now.detail == approved("press.force_aim_tilt", newtons=8.0, aim_mm=0.0, degrees=10, wanted=28)
 
 
 def test_a_push_within_ten_degrees_is_as_asked():
-    assert Line().show(held(18.5), 1.0).headline == "hold still"
-    assert Line().show(held(37.5), 1.0).headline == "hold still"
+    assert Line().show(held(18.5), 1.0).headline == "Hold still"
+    assert Line().show(held(37.5), 1.0).headline == "Hold still"
     assert Line().show(held(17.5), 1.0).headline.startswith("tilt 1")
     assert Line().show(held(38.5), 1.0).headline == f"tilt 10{DEGREE} less"
 
 
 def test_nothing_is_said_of_a_poke_that_counts():
     line = Line()
-    assert line.show(held(8.0), 1.0).headline.startswith("tilt")
+    assert line.show(held(8.0), 1.0).headline.startswith("Lean")
     now = line.show(held(8.0, phase=PressPhase.STILL, still=0.3))
-    assert now.headline == "hold still", "at once"
-    assert line.show(held(8.0, phase=PressPhase.STILL, still=0.9), 2.0).headline == "hold still"
+    assert now.headline == "Hold still", "at once"
+    assert line.show(held(8.0, phase=PressPhase.STILL, still=0.9), 2.0).headline == "Hold still"
     now = line.show(held(8.0, phase=PressPhase.HELD, still=1.0), 1.0)
-    assert (now.tone, now.headline) == (Tone.GOOD, "held: release")
+    assert (now.tone, now.headline) == (Tone.GOOD, "Release")
     assert now.detail == approved("press.aim_tilt", aim_mm=0.0, degrees=8, wanted=28)
 
 
@@ -88,8 +88,8 @@ def test_the_hint_comes_back_only_where_the_hand_goes_on_moving():
     for _ in range(8):
         line.show(held(8.0, phase=PressPhase.STILL, still=0.3), 0.1)
         line.show(held(8.0), 0.1)
-    assert set(line.said) == {"hold still"}
-    assert line.show(held(8.0), 0.5).headline.startswith("tilt")
+    assert set(line.said) == {"Hold still"}
+    assert line.show(held(8.0), 0.5).headline.startswith("Lean")
 
 
 def test_the_line_does_not_flicker_at_its_limits():
@@ -127,25 +127,25 @@ def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
     line = Line()
     off = np.array(TO_2) * 0.0062
     now = line.show(held(5.0, aside=off, landed=2), 1.0)
-    assert now.headline == "aim 6 mm toward 10-03"
+    assert now.headline == "Move the tip 6 mm toward 10-03"
     assert now.detail == approved("press.counts_there_and_tilt", newtons=8.0, taxel="10-02", degrees=5, wanted=28)
     near = np.array(TO_2) * 0.9 * AIM_FAR
-    assert Line().show(held(28.0, aside=near, landed=2), 1.0).headline == "hold still"
-    assert Line().show(held(28.0, aside=off, landed=3), 1.0).headline == "hold still", (
+    assert Line().show(held(28.0, aside=near, landed=2), 1.0).headline == "Hold still"
+    assert Line().show(held(28.0, aside=off, landed=3), 1.0).headline == "Hold still", (
         "the target answers: its place is not known"
     )
 
 
 def test_who_pokes_elsewhere_altogether_is_not_called_back():
     now = Line().show(held(0.0, aside=(0.03, 0.0, 0.0), landed=15), 1.0)
-    assert (now.headline, now.detail) == ("hold still", approved("press.counts_there", newtons=8.0, taxel="11-03"))
+    assert (now.headline, now.detail) == ("Hold still", approved("press.counts_there", newtons=8.0, taxel="11-03"))
 
 
 def test_the_surface_method_asks_for_no_tilt():
     straight = target(3)
-    assert Line(straight, Method.SURFACE).show(held(20.0, asked=straight), 1.0).headline == "hold still"
-    assert Line(straight, Method.SURFACE).show(held(31.0, asked=straight), 1.0).headline == f"tilt 31{DEGREE} less"
-    assert Line(straight, Method.FREE).show(held(20.0, asked=straight), 1.0).headline == f"tilt 20{DEGREE} less"
+    assert Line(straight, Method.SURFACE).show(held(20.0, asked=straight), 1.0).headline == "Hold still"
+    assert Line(straight, Method.SURFACE).show(held(31.0, asked=straight), 1.0).headline == f"Lean 31{DEGREE} less"
+    assert Line(straight, Method.FREE).show(held(20.0, asked=straight), 1.0).headline == f"Lean 20{DEGREE} less"
 
 
 def test_the_surface_method_takes_any_tilt_that_does_not_slide_as_learnt():
@@ -159,7 +159,7 @@ def test_a_place_without_a_taxel_is_met_by_whatever_answers():
     place = replace(place, channel=None)
     now = Line(place).show(held(28.0, aside=(0.006, 0.0, 0.0), landed=15, asked=place), 1.0)
     assert (now.headline, now.detail) == (
-        "hold still",
+        "Hold still",
         approved("press.force_aim_tilt", newtons=8.0, aim_mm=6.0, degrees=28, wanted=28),
     )
 
@@ -167,7 +167,7 @@ def test_a_place_without_a_taxel_is_met_by_whatever_answers():
 def test_without_a_target_the_line_says_what_it_always_said():
     line = Line(None)
     now = line.show(held(20.0), 1.0)
-    assert (now.headline, now.detail) == ("hold still", approved("press.keep_still", newtons=8.0))
+    assert (now.headline, now.detail) == ("Hold still", approved("press.keep_still", newtons=8.0))
     assert line.show(held(20.0, phase=PressPhase.HELD)).detail == approved("press.window_full")
 
 

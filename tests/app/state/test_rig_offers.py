@@ -107,7 +107,7 @@ def test_nothing_is_offered_before_a_review_or_from_too_few_pokes():
 
 def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
     (offer,) = offers(review(), at())
-    assert offer_text(offer) == "Correct the rig"
+    assert offer_text(offer) == "Correct sensor and arm"
     assert "1.2 mm" in offer_words(offer)
     assert "7.4 mm" in offer_words(offer)
     action = offer.action
@@ -152,7 +152,7 @@ def test_the_key_does_what_is_offered_first():
     def may(offers):
         return allowed(at(), arm_scene(), (), Running.STREAMING, (), None, None, offers).correct
 
-    assert offer_text(may(offers(review(), at()))) == "Correct the rig"
+    assert offer_text(may(offers(review(), at()))) == "Correct sensor and arm"
     assert offer_text(may(offers(review(diagnosis=WRONG), at()))) == approved("rig.offer_frame")
     assert may(()) is None
 
@@ -177,19 +177,19 @@ def test_an_offer_is_announced_once_and_made_once():
     rig_review.review = then
     assert rig_review.offers(used) == ()
     rig_review.review = replace(then, pokes=review(pokes=9).pokes)
-    assert "C uses that" in offer_news(rig_review.news(used)), "another one is offered"
+    assert "C: apply" in offer_news(rig_review.news(used)), "another one is offered"
 
 
 # What is said
 
 
-@pytest.mark.parametrize(("of", "what"), [(RIG, "The rig"), (FRAME, "The sensor's frame")])
+@pytest.mark.parametrize(("of", "what"), [(RIG, "Sensor and arm"), (FRAME, "The sensor frame")])
 def test_what_is_in_use_is_said_with_its_misses(of, what):
     words = correction_sentence(in_use(of, 21))
     assert words.startswith(what)
     for part in ("21", "1.2 mm", "7.4 mm"):
         assert part in words
-    assert ("held-out" in words) == (of == RIG)
+    assert ("not fitted" in words) == (of == RIG)
 
 
 PLACES = np.tile([0.0, 0.0, 0.01], (24, 1))
@@ -298,7 +298,7 @@ def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
 def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, panel):
     answer = review()
     panel.show_state(shown(at(), answer))
-    assert panel.offer.text().startswith("Correct the rig")
+    assert panel.offer.text().startswith("Correct sensor and arm")
     assert panel.offer.isVisible()
     with qtbot.waitSignal(panel.correct_requested) as wanted:
         panel.offer.click()

@@ -55,7 +55,7 @@ def test_a_tool_that_leans_over_the_rim_leans_away_from_a_neighbour():
     )
     # Nobody near: the tilt is said alone.
     alone = replace(guidance(asked), places=np.full((24, 3), 1.0))
-    assert target_words(alone, asked, NAMES) == f"poke 10-09, tilt 28{DEGREE}"
+    assert target_words(alone, asked, NAMES) == f"Press taxel 10-09, lean the tool 28{DEGREE}"
 
 
 def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
@@ -84,7 +84,7 @@ def test_enough_names_how_many_meet_what():
     assert end_words(every, ()) == approved("verdict.on_space_bar")
     assert enough_words(every, {4: "stuck"}) == approved("guide.enough", done=23, count=23)
     assert enough_words(guidance(done=range(20)), ()) == approved("guide.enough_given_up", done=20, count=24, left=4)
-    assert end_words(every, {4: "stuck"}).startswith(f"1 not used{BETWEEN}")
+    assert end_words(every, {4: "stuck"}).startswith(f"1 disabled{BETWEEN}")
 
 
 def guided(says: Guidance | None, pokes=(), generation: int = 1, phase: PressPhase = PressPhase.READY, now_s: float = 100.0):
@@ -105,14 +105,16 @@ def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_
     assert (now.tone, now.headline) == (Tone.GO, approved("guide.straight", taxel="10-03"))
     assert now.detail == approved("guide.depth", now_mm=12.4, then_mm=6.1, done=0, count=24)
     now, _ = settled(guidance(asked), PressPhase.TARING)
-    assert (now.headline, now.detail) == ("keep hands off", approved("guide.next_while_taring", taxel="10-03"))
+    assert (now.headline, now.detail) == ("Hands off", approved("guide.next_while_taring", taxel="10-03"))
     now, _ = settled(guidance(done=range(24)))
     assert (now.tone, now.headline) == (Tone.GOOD, approved("guide.enough", done=24, count=24))
-    assert settled(None)[0].headline == "ready: poke"
-    assert settled(guidance())[0].headline == "ready: poke", "nothing that could be reached is left"
+    assert settled(None)[0].headline == "Ready"
+    assert settled(guidance())[0].headline == "Ready", "nothing that could be reached is left"
 
 
-@pytest.mark.parametrize(("peak", "said"), [(3, "poke 1 accepted 10-03  11.2 N"), (5, "poke 1 counted for 10-05  11.2 N")])
+@pytest.mark.parametrize(
+    ("peak", "said"), [(3, "Poke 1 accepted: 10-03, 11.2 N"), (5, "Poke 1 accepted for 10-05 (asked: 10-03)")]
+)
 def test_a_poke_on_another_taxel_counts_where_it_landed(peak, said):
     _, memory = settled(guidance(target(3)))
     done = guided(guidance(target(7)), [touch(1, (peak,))], 2, PressPhase.TARING, 101.0)
@@ -133,14 +135,14 @@ def test_a_rejection_is_a_rejection_whatever_was_asked():
     assert now.result == Said(Tone.BAD, approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
     assert now.headline == approved("guide.straight", taxel="10-05"), "the target stays"
     now, _ = now_line(memory, guided(guidance(target(5)), [slip(1)], 2, PressPhase.PRESSING, 101.2))
-    assert now.headline == "hold still"
+    assert now.headline == "Hold still"
 
 
 def test_without_a_guide_every_accepted_poke_is_accepted():
     _, memory = settled(None)
     now, _ = now_line(memory, guided(None, [touch(1, (5,))], 2, PressPhase.TARING, 101.0))
-    assert now.result.words == "poke 1 accepted 10-05  11.2 N"
-    assert now.headline == "ready: poke"
+    assert now.result.words == "Poke 1 accepted: 10-05, 11.2 N"
+    assert now.headline == "Ready"
 
 
 class Asked:
@@ -237,7 +239,7 @@ def test_a_poke_that_is_taken_back_is_not_said_to_count():
     poke = touch(1, (3,))
     before = NowMemory.of(session())
     now, memory = now_line(before, frame(session(2, pokes=[poke]), now_s=1.0))
-    assert now.result.words.startswith("poke 1 accepted")
+    assert now.result.words.startswith("Poke 1 accepted")
     now, memory = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.1))
     assert now.result is None
     later, _ = now_line(memory, frame(session(3, pokes=[poke], excluded=[1]), now_s=1.2))

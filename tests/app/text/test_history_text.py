@@ -34,7 +34,7 @@ def known():
 
 def test_the_newest_stands_first_with_how_far_back_it_is():
     assert history_lines(known(), NOON + 200.0) == [
-        HistoryLine("12:00:30", "poke 3 (taken back)", 0, 1),
+        HistoryLine("12:00:30", "poke 3 (undone)", 0, 1),
         HistoryLine("12:01:40", "mark of channel 7", 1, 0),
         HistoryLine("12:00:10", "poke 1", 2, 0),
     ], "poke 2 is out already: undo passes it over"
@@ -74,7 +74,7 @@ def test_enter_takes_back_down_to_a_line_or_brings_again(qtbot):
     dialog.show_state(frame(known()))
     with qtbot.waitExposed(dialog):
         dialog.show()
-    assert [dialog.list.topLevelItem(row).text(1) for row in range(3)] == ["poke 3 (taken back)", "mark of channel 7", "poke 1"]
+    assert [dialog.list.topLevelItem(row).text(1) for row in range(3)] == ["poke 3 (undone)", "mark of channel 7", "poke 1"]
     back, again = [], []
     dialog.taken_back.connect(back.append)
     dialog.brought_again.connect(again.append)

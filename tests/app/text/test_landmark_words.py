@@ -24,6 +24,7 @@ from skincal.session.landmark_pokes import REACTION_S, LandmarkFinder
 from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
+from skincal.words.poke_words import REASON_WORDS
 from tests.app.guide_support import guidance, part, target
 from tests.app.scene3d_support import decided, laid
 from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
@@ -343,7 +344,7 @@ def test_it_is_said_what_to_do_which_of_how_many_it_is_and_what_it_is_worth():
     assert target_words(asked, asked.target, NAMES) == approved("landmark.ask", name="corner")
     worth = approved("landmark.worth", now_mm=7.1, then_mm=2.5, pokes=6)
     assert gain_words(asked.gain) == worth
-    assert gain_words(replace(asked.gain, pokes=1)).endswith("after 1 poke")
+    assert gain_words(replace(asked.gain, pokes=1)).startswith("after 1 poke ")
     assert gain_words(None) == ""
     assert landmark_words(LandmarkTarget(CORNER, 2, 6)) == approved("landmark.which_of", number=3, count=6)
     assert why_words(asked, asked.target, ()) == approved("landmark.which_of_and_worth", number=1, count=6, worth=worth)
@@ -366,7 +367,7 @@ def test_a_poke_at_a_landmark_is_named_and_heard_as_accepted(poke):
 def test_elsewhere_a_poke_that_no_taxel_answered_is_rejected():
     _, ear = due_cue(CueMemory(), frame(of_pokes()))
     due, _ = due_cue(ear, frame(of_pokes(press(1, LATER))))
-    assert due == DueCue(due.sound, Reason.NO_TAXEL.value)
+    assert due == DueCue(due.sound, REASON_WORDS[Reason.NO_TAXEL])
     assert due.sound.name == "REJECTED"
     said, _ = now_line(now_line(NowMemory(), frame(of_pokes()))[1], frame(of_pokes(press(1, LATER))))
     assert said.result.tone is Tone.BAD

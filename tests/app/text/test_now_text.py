@@ -88,7 +88,7 @@ def test_a_rejection_names_its_number_and_its_limit():
         "now.none_answered", largest=4.3, needed="12.0"
     )
     assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW), NAMES) == "rejected: no taxel answered"
-    assert rejection_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "the sensor's zero changed during the poke"
+    assert rejection_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "sensor zero changed"
 
 
 def test_an_accepted_poke_names_the_taxel_that_answered_most_and_the_force():
@@ -159,22 +159,22 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
     memory = NowMemory.of(quiet.snapshot)
     _, memory = say(memory, quiet)
     text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + PHASE_DEBOUNCE_S))
-    assert text == "ready: poke"
+    assert text == "Ready"
     done = session(2, pokes=[slip(1)])
     text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
     assert text == approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5)
     text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S - 0.01))
-    assert text.startswith("poke 1 rejected")
+    assert text.startswith("Poke 1 rejected")
     text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
-    assert text == "hold still"
+    assert text == "Hold still"
     text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S + 0.01))
-    assert text == "ready: poke"
+    assert text == "Ready"
 
 
 def test_a_poke_that_was_there_before_is_not_announced():
     old = session(1, pokes=[touch(1)])
     text, _ = say(NowMemory.of(old), frame(old, reading(PressPhase.NO_DATA)))
-    assert text == "waiting for data"
+    assert text == "Waiting for data"
 
 
 def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_is():
@@ -182,7 +182,7 @@ def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_i
     _, memory = say(NowMemory(), frame(first, reading(PressPhase.READY), 10.0))
     again = session(2, pokes=[touch(1)])
     text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + RESULT_SHOWN_S + 1))
-    assert text == "ready: poke"
+    assert text == "Ready"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
     text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))
     assert text == approved("now.rejected_tare", poke=1, seen=1.4, most=1.0)
@@ -195,32 +195,36 @@ def test_a_flicker_between_calm_phases_is_not_said():
         phase = PressPhase.READY if i % 10 else PressPhase.TARING
         text, memory = say(memory, frame(view=reading(phase), now_s=10.0 + 0.033 * i))
         said.append(text)
-    assert "keep hands off" not in said
-    assert said[-1] == "ready: poke"
+    assert "Hands off" not in said
+    assert said[-1] == "Ready"
 
 
 def test_what_is_said_while_pressing():
     def pressed(phase, force):
         return now_line(NowMemory(), frame(view=reading(phase, force)))[0]
 
-    assert pressed(PressPhase.PRESSING, 2.0).headline == "press harder"
-    assert pressed(PressPhase.PRESSING, 16.0).headline == "press less"
-    assert pressed(PressPhase.STILL, 8.0).headline == "hold still"
-    assert pressed(PressPhase.HELD, 8.0).headline == "held: release"
+    assert pressed(PressPhase.PRESSING, 2.0).headline == "Press harder"
+    assert pressed(PressPhase.PRESSING, 16.0).headline == "Press softer"
+    assert pressed(PressPhase.STILL, 8.0).headline == "Hold still"
+    assert pressed(PressPhase.HELD, 8.0).headline == "Release"
 
 
 def test_trouble_goes_before_phases():
     lost = (link(state=LinkState.LOST, text="/dev/x vanished; plug it in."),)
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=lost)))
-    assert (now.tone, now.headline, now.detail) == (Tone.BAD, "lost wrench", "/dev/x vanished; plug it in.")
+    assert (now.tone, now.headline, now.detail) == (
+        Tone.BAD,
+        "Force/torque sensor disconnected",
+        "/dev/x vanished; plug it in.",
+    )
     paused, _ = now_line(NowMemory(), frame(view=reading(PressPhase.PRESSING, 5.0), running=Running.PAUSED))
-    assert paused.headline == "paused"
+    assert paused.headline == "Paused"
     fresh = session(2, pokes=[touch(1)])
     now, _ = now_line(NowMemory(), frame(fresh, reading(PressPhase.READY, links=lost)))
-    assert now.headline == "lost wrench"
+    assert now.headline == "Force/torque sensor disconnected"
     waiting = (link(last_host_ns=0), link("skin"))
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=waiting), now_s=100.1))
-    assert now.headline == "waiting for wrench"
+    assert now.headline == "Waiting for sensor"
 
 
 def test_a_link_without_good_readings_is_said_in_place_of_waiting():
@@ -231,7 +235,7 @@ def test_a_link_without_good_readings_is_said_in_place_of_waiting():
     assert now.detail.startswith(approved("links.other_width", width=20, of="the scene has", expected=64))
     listening = (link(), link("skin", verdict=LinkVerdict(LinkAnswer.LISTENING, Stream.SKIN)))
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.NO_DATA, links=listening), now_s=100.1))
-    assert now.headline == "waiting for skin"
+    assert now.headline == "Waiting for skin"
     frozen = (link(verdict=LinkVerdict(LinkAnswer.FROZEN, Stream.WRENCH)), link("skin"))
     now, _ = now_line(NowMemory(), frame(view=reading(PressPhase.READY, links=frozen), now_s=100.1))
     assert (now.tone, now.headline, now.detail) == (Tone.BAD, "wrench is frozen", approved("links.frozen"))
@@ -256,11 +260,11 @@ def test_a_light_is_that_of_a_good_link_for_good_readings_alone(answer, look):
 def test_an_unknown_arm_pose_is_asked_before_anything_else_is(phase):
     unknown = reading(phase, pose="", link_from_sensor=None)
     now, _ = now_line(NowMemory(phase=phase), frame(session(), unknown, where=arm_scene()))
-    assert (now.tone, now.headline) == (Tone.GO, "which arm pose?")
+    assert (now.tone, now.headline) == (Tone.GO, "Choose the arm pose")
     assert "low, high" in now.detail
     joints = (link(), link("joints", last_host_ns=0))
     now, _ = now_line(NowMemory(phase=phase), frame(session(), replace(unknown, links=joints), where=arm_scene()))
-    assert now.headline == "waiting for joints"
+    assert now.headline == "Waiting for the joints"
     known, _ = now_line(NowMemory(phase=phase), frame(session(), reading(phase), where=arm_scene()))
     assert "pose" not in known.headline
 
@@ -390,13 +394,13 @@ def test_what_was_taken_back_is_said_with_the_key_that_brings_it_again_also_whil
     after = replace(session(2, pokes=[poke], excluded=[438]), history=History(last=LastOperation(1, kind, "poke 438")))
     now, memory = now_line(memory, frame(after, reading(PressPhase.PRESSING, 8.0), 100.0))
     assert now.result == Said(Tone.CALM, words)
-    assert now.headline == "hold still", "beside what to do, not in its place"
+    assert now.headline == "Hold still", "beside what to do, not in its place"
     now, memory = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + LAST_ACTION_SHOWN_S - 0.1))
     assert now.result is not None
     now, _ = now_line(memory, frame(after, reading(PressPhase.READY), 100.0 + LAST_ACTION_SHOWN_S + 0.1))
     assert now.result is None
     now, _ = now_line(memory, frame(replace(after, pokes=(*after.pokes, *session(1, pokes=[touch(439)]).pokes)), now_s=101.0))
-    assert now.result == Said(Tone.GOOD, "poke 439 accepted 10-03  11.2 N"), "a poke that ends is newer"
+    assert now.result == Said(Tone.GOOD, "Poke 439 accepted: 10-03, 11.2 N"), "a poke that ends is newer"
 
 
 def test_what_was_done_before_the_session_was_opened_is_no_news():

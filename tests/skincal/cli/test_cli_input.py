@@ -89,7 +89,7 @@ def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
     options = ["record", "--wrench", "/dev/ttyNone1", "--skin", "/dev/ttyNone2", *SCENE, "--out", tmp_path / "s"]
     code, out, err = run(*options, "--seconds", "0.5", "--json")
     assert code == 2
-    assert approved("links.nothing_usable_no_port", link="wrench", port="/dev/ttyNone1") in err
+    assert approved("links.nothing_usable_no_port", link="force/torque sensor", port="/dev/ttyNone1") in err
     assert json.loads(out)["links"]["skin"]["readings"] == 0
 
 
@@ -100,8 +100,8 @@ def test_addresses_that_were_exchanged_are_said_to_be(run, tmp_path):
     options = ["record", "--wrench", f"file:{tmp_path / 'skin.txt'}", "--skin", f"file:{tmp_path / 'wrench.txt'}", *SCENE]
     code, _, err = run(*options, "--out", tmp_path / "s", "--seconds", "0.5")
     assert code == 2
-    assert approved("links.other_stream_alone", link="wrench", found="skin", width=CHANNELS) in err
-    assert approved("links.other_stream_alone", link="skin", found="F/T sensor", width=6) in err
+    assert approved("links.other_stream_alone", link="force/torque sensor", found="skin", width=CHANNELS) in err
+    assert approved("links.other_stream_alone", link="skin", found="force/torque sensor", width=6) in err
 
 
 def recording(folder: Path, wrench: str | Path, skin: str | Path, *more: str) -> list[str]:
@@ -340,7 +340,7 @@ def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_by
     options = ["record", "--skin", f"file:{skin}", *SCENE, "--out", tmp_path / "s", "--seconds", "0.5", "--wrench"]
     code, out, err = run(*options, "/dev/ttyNone1", "--json")
     assert (code, json.loads(out)["session"]) == (2, None)
-    assert approved("links.nothing_usable", link="wrench") in err
+    assert approved("links.nothing_usable", link="force/torque sensor") in err
     assert not (tmp_path / "s").exists()
     noise = tmp_path / "noise.bin"
     noise.write_bytes(bytes(range(256)) * 20)

@@ -286,7 +286,7 @@ def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tm
 
 
 def test_what_was_checked_and_what_could_not_be_stands_in_the_files(part):
-    words = "Not enough yet: 3 of 84 taxels are done; too few pokes are held out to check it; the landmarks agree"
+    words = "Not finished: 3 of 84 taxels are finished. Landmarks agree"
     made = make_calibration(part)
     calibration = replace(made, verdicts={Method.SURFACE: words}, unmodelled_rig_error_m={Method.SURFACE: 0.0071})
     written = json.loads(json_text(calibration))

@@ -109,7 +109,7 @@ def skipping(tmp_path_factory):
 def test_taxels_and_landmarks_that_were_skipped_are_enough_wherever_it_is_said(skipping, capsys):
     folder, enough, words, skipped = skipping
     assert enough
-    assert words.startswith("78 of 84 taxels are done")
+    assert words.startswith("78 of 84 taxels are finished")
     assert any(isinstance(each, SkipPoke) for each in skipped)
     assert any(isinstance(each, SkipLandmark) for each in skipped)
     assert said_of(folder, capsys) == {words}

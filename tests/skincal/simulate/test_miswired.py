@@ -83,7 +83,7 @@ def test_landmarks_name_what_is_wrong_with_the_wires(tmp_path, capsys, maker, wi
     assert main(["solve", str(tmp_path / "s"), "--json"]) == 0
     frame = json.loads(capsys.readouterr().out)["rig"]["frame"]
     assert (frame["right"], frame["sure"]) == (False, True)
-    assert f"The sensor's frame looks wrong: {words}." in frame["words"]
+    assert f"The sensor frame looks wrong: {words}." in frame["words"]
 
 
 def test_a_sensor_that_is_right_is_said_to_be(tmp_path, capsys):
