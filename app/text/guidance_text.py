@@ -29,7 +29,7 @@ FOLLOWS: Mapping[Method, str] = {
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
-    """Say what to press: `"Press taxel 17-04, lean the tool 28° toward 17-05"`."""
+    """Say what to press: `"Press taxel 17-04, lean 28° toward 17-05"`."""
     if target.landmark:
         return f'Press the landmark "{target.landmark}"'
     if target.channel is None:
@@ -39,7 +39,7 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
         return f"{press}, tool upright"
     lean = lean_of(guidance, target)
     side = "" if lean is None else f" {lean_words(lean, names)}"
-    return f"{press}, lean the tool {degrees(target.tilt)}{side}"
+    return f"{press}, lean {degrees(target.tilt)}{side}"
 
 
 def landmark_words(landmark: LandmarkTarget) -> str:
@@ -105,12 +105,13 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Say that the session is finished: `"Finished: 80 of 84 taxels, 4 could not be determined"`."""
+    """Say that the session is finished: `"Finished: 80 of 84 (4 undetermined)"`."""
     done, total = _done(guidance, dead)
     if not total:
         return "All taxels are disabled"
-    given_up = f", {total - done} undetermined" if done < total else ""
-    return f"Finished: {done} of {count(total, 'taxel')}{given_up}"
+    return (
+        f"Finished: {done} of {total} ({total - done} undetermined)" if done < total else f"Finished: {count(total, 'taxel')}"
+    )
 
 
 NOTHING_TO_CHECK = "The final check needs two points pressed before in this arm pose: landmarks, or taxels with an estimate."

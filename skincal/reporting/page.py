@@ -36,7 +36,7 @@ _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u20
 _NUMERIC = re.compile(rf"-?[\d.]+|{DASH}")
 AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
 """What a check says of the verdict."""
-CHECKS = ("Check", "Landmarks", "Closing")
+CHECKS = ("Test pokes", "Landmarks", "Final check")
 """The verdict's figures that are rows of its evidence."""
 RANGES_MOST = 40
 """Ranges of channels in a cell: of more, how many there are."""

@@ -312,7 +312,7 @@ def test_what_to_poke_is_said_and_not_cut_at_1280_by_720(bench, choice):
     assert (bench.window.width(), bench.window.height()) == (1280, 720)
     for longest in (
         approved("guide.away", taxel="24-11", degrees=28, neighbour="24-03"),
-        approved("guide.enough", done=84, count=84),
+        approved("guide.enough", count=84),
     ):
         now.headline.setText(longest)
         assert not is_elided(now.headline)

@@ -169,7 +169,7 @@ def test_a_correction_in_use_says_its_misses():
     rig = UsedCorrection(RIG, Correction(np.eye(6)), 0.0074, 0.0012, 21)
     words = approved("rig.corrected", pokes=21, with_mm=1.2, without_mm=7.4)
     assert correction_words(rig) == f"sensor and arm {words}"
-    assert correction_sentence(rig) == f"The rig {words}."
+    assert correction_sentence(rig) == f"Sensor and arm {words}."
     frame = replace(rig, of=FRAME)
     assert correction_words(frame) == approved("rig.frame_corrected", pokes=21, with_mm=1.2, without_mm=7.4)
 

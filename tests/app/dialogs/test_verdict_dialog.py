@@ -27,6 +27,7 @@ from skincal.taxels.shared_errors import PredictedError
 from skincal.words.rig_words import correction_sentence, rig_sentences
 from skincal.words.taxel_words import error_words
 from skincal.words.verdict_words import (
+    WHY_WORDS,
     agreement_words,
     check_words,
     done_words,
@@ -126,15 +127,15 @@ def test_one_sentence_says_what_the_session_has_come_to(what, said):
 
 def test_the_figures_are_those_of_the_verdict():
     assert figures(verdict(GIVEN_UP)) == (
-        ("Done", approved("verdict.done_of_method", done=23, count=24, method="surface")),
+        ("Finished", approved("verdict.done_of_method", done=23, count=24, method="surface")),
         (
             "Needs",
             approved("verdict.needs_surface", target_mm=3),
         ),
-        ("Check", approved("verdict.check", good=13, held_out=14)),
+        ("Test pokes", approved("verdict.check", good=13, held_out=14)),
         ("Landmarks", approved("verdict.landmarks_held_out", pokes=21, ratio="0.9")),
-        ("Closing", approved("closing.none")),
-        ("Predicted error", approved("verdict.predicted_apart", mean_mm="1.1", worst_mm="2.1", whole_mm="1.2", among_mm="0.5")),
+        ("Final check", approved("closing.none")),
+        ("Expected error", approved("verdict.predicted_apart", mean_mm="1.1", worst_mm="2.1", whole_mm="1.2", among_mm="0.5")),
         ("Work", approved("verdict.work", pokes=252, minutes=9)),
     )
     assert approved("verdict.check_against") in check_words(verdict(checked=Check(14, 7)))
@@ -149,7 +150,9 @@ def test_what_moved_meanwhile_goes_before_all_else():
     said = verdict(closings=(moved,))
     assert verdict_sentence(said) == approved("closing.in_verdict", count=24, target_mm=3)
     assert said.doubted
-    assert dict(figures(said))["Closing"].startswith(approved("closing.moved_begin", what="the sensor or the arm", shift="9.0"))
+    assert dict(figures(said))["Final check"].startswith(
+        approved("closing.moved_begin", what="the sensor or the arm", shift="9.0")
+    )
     assert not verdict(closings=(moved, replace(moved, chance=0.3))).doubted
 
 
@@ -157,7 +160,7 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
     assert agreement_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
     assert agreement_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
     assert agreement_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
-    assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Predicted error"] == approved(
+    assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Expected error"] == approved(
         "verdict.predicted_unchecked", mean_mm="1.1", worst_mm="2.1", unchecked_mm="7.1"
     )
     assert error_words(None, 0.0071) == approved("verdict.predicted_none")
@@ -202,8 +205,8 @@ def test_what_a_taxel_needs_to_be_done_is_that_of_the_method():
 
 @pytest.mark.parametrize("why", list(Why))
 def test_every_reason_is_said(why):
-    assert left_words(Left(1, why, ())) == why.value
-    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == approved("verdict.left_pokes_and_sides", why=why.value)
+    assert left_words(Left(1, why, ())) == WHY_WORDS[why]
+    assert left_words(Left(1, why, (Need.POKES, Need.SIDES))) == approved("verdict.left_pokes_and_sides", why=WHY_WORDS[why])
 
 
 def shown(qtbot, *left: Left, checked: Check = AGREES, **changes) -> VerdictDialog:
@@ -294,7 +297,7 @@ def test_on_a_screen_of_720_pixels_the_buttons_are_seen_and_the_words_scroll(qtb
 def test_what_is_known_of_the_rig_is_said():
     used = UsedCorrection(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6)
     offer = Offer(correct_action(RIG, Correction(np.eye(6)), 0.0096, 0.0056, 6))
-    assert rig_state((offer,), (), None).endswith(approved("verdict.rig_offer", after_mm=9.6))
+    assert rig_state((offer,), (), None).endswith(approved("verdict.rig_offer", after_mm=5.6))
     assert rig_state((), (used,), None) == correction_sentence(used)
     assert rig_state((), (), None).startswith(approved("verdict.rig_unchecked"))
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))

@@ -150,7 +150,7 @@ def test_words_say_what_the_method_needs_and_which_the_guide_follows(panel):
     panel.show_state(framed(diversity([push(20, 0)] * 5, [True, True, False, False, False])))
     assert panel.whose.text() == "10-03, the target"
     assert panel.spread.text() == "Directions spread 9\N{DEGREE SIGN}, needs 15\N{DEGREE SIGN}"
-    assert panel.contacts.text() == "5 pokes, 2 its own"
+    assert panel.contacts.text() == "5 pokes, 2 strongest here"
     assert "free method" in panel.follows.text()
     assert "tilt" in panel.follows.text()
     panel.show_state(framed(diversity([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))

@@ -57,7 +57,7 @@ def every_headline() -> list[str]:
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
     said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
     said += [
-        f"Press taxel 349-11, lean the tool 28{DEGREE} {lean_words(lean, names)}",
+        f"Press taxel 349-11, lean 28{DEGREE} {lean_words(lean, names)}",
         enough_words(guidance(done=range(24)), ()),
     ]
     said += [
@@ -67,7 +67,7 @@ def every_headline() -> list[str]:
     said += [
         approved("now.waiting_for_all"),
         "No device connected",
-        approved("guide.enough", done=4200, count=4200),
+        approved("guide.enough", count=4200),
         approved("guide.enough_given_up", done=4100, count=4200, left=100),
     ]
     for phase in PressPhase:

@@ -138,7 +138,7 @@ def test_whatever_is_heard_is_said_in_the_same_frame():
         Cue.ACCEPTED: "counted for 10-03",
         Cue.REJECTED: "rejected: slid",
         Cue.DONE: f"{NAMES.short(2)} done",
-        Cue.ENOUGH: approved("guide.enough", done=24, count=24),
+        Cue.ENOUGH: approved("guide.enough", count=24),
         Cue.LOST: "Skin disconnected",
     }
     assert set(said) == set(Cue)

@@ -65,8 +65,8 @@ def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
 def test_a_push_within_ten_degrees_is_as_asked():
     assert Line().show(held(18.5), 1.0).headline == "Hold still"
     assert Line().show(held(37.5), 1.0).headline == "Hold still"
-    assert Line().show(held(17.5), 1.0).headline.startswith("tilt 1")
-    assert Line().show(held(38.5), 1.0).headline == f"tilt 10{DEGREE} less"
+    assert Line().show(held(17.5), 1.0).headline.startswith("Lean 1")
+    assert Line().show(held(38.5), 1.0).headline == f"Lean 10{DEGREE} less"
 
 
 def test_nothing_is_said_of_a_poke_that_counts():

@@ -109,7 +109,7 @@ def test_a_rig_is_offered_only_where_held_out_pokes_speak_for_it():
     (offer,) = offers(review(), at())
     assert offer_text(offer) == "Correct sensor and arm"
     assert "1.2 mm" in offer_words(offer)
-    assert "7.4 mm" in offer_words(offer)
+    assert "from 7.4 to 1.2 mm" in offer_words(offer)
     action = offer.action
     assert (action.of, action.before, action.after, action.pokes) == (RIG, 0.0074, 0.0012, 6)
     np.testing.assert_array_equal(correction_of(action).matrix, MATRIX)

@@ -123,7 +123,7 @@ def test_a_method_is_timed_with_the_errors_that_a_correction_shares(imported, mo
 
 
 def test_a_check_stands_once_and_the_closing_check_is_one_of_them(facts, page):
-    closing = next(words for name, words in figures(facts.verdict) if name == "Closing")
+    closing = next(words for name, words in figures(facts.verdict) if name == "Final check")
     for words in (check_words(facts.verdict), agreement_words(facts.verdict.landmarks), closing):
         assert page.text.count(words) == 1
     assert "Closing check" in page.text

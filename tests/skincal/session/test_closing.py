@@ -377,7 +377,7 @@ def test_made_again_the_last_one_counts_and_those_before_are_kept():
     for _ in range(3):
         it.session.act(Undo())
     assert first.after < second.after
-    assert dict(figures(verdict))["Closing"].endswith(
+    assert dict(figures(verdict))["Final check"].endswith(
         approved("closing.earlier", shift=f"{first.shift * 1e3:.1f}", poke=first.after)
     )
     written = json.loads(json_text(it.session.calibration()))
