@@ -4,9 +4,10 @@
 counts for the estimates, and is left out only where it is predicted. The taxel that answered it most is solved without it; the
 poke's axis passes that place at r = E (p - a), two numbers across the push. Their covariance is E S E' + D, with S that of the
 taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a chi-squared of two degrees of freedom,
-at most 5.99 in 95 of 100 pokes.
+at most 5.99 in 95 of 100 pokes. To D the scatter of the contact points is added that the pokes which are not held out show
+beyond the scene's noise (`contact_scatter.py`).
 
-By the modules method the module that the poke touched is solved without it (`predicted_squares`), and the axis passes the
+By the modules method the module that the poke touched is solved without it (`predicted_misses`), and the axis passes the
 middle of the pads that answered; the rest is the same.
 
 This shows errors that the prediction does not know of: a wrong frame, a slipped sensor, a part that moved. It does not show
@@ -26,10 +27,11 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
+from skincal.guide.contact_scatter import PokeMisses, learn_scatter
 from skincal.guide.guidance import Guidance
 from skincal.guide.progress import GuideSettings, Need, Why, worked
 from skincal.model.scene import NoiseSettings
-from skincal.modules.estimate import predicted_squares
+from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_poked
 from skincal.rig.closing import Closing
@@ -137,19 +139,23 @@ def check(
             else _check_modules(contacts, channels, evidence, noise, module_model, estimates)
         )
     used = set(channels)
-    pairs = [(poke, channel) for poke, channel in held_out(contacts) if channel in used]
+    strongest = [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts]
+    pairs = [(poke, channel) for poke, channel in strongest if channel in used]
     answers = evidence(sorted({channel for _, channel in pairs}))
     cuts = _cuts(answers, pairs)
     if not cuts:
         return Check(0, 0)
     solution = solve(_without(answers, [others for _, others in cuts]), [method], noise, surface)
-    return _counted(_distances(answers, np.array([out for out, _ in cuts]), solution, method, noise))
+    return _counted(_misses(answers, np.array([out for out, _ in cuts]), solution, method, noise), contacts)
 
 
-def _counted(squares: FloatArray) -> Check:
-    """Count the squared distances that are known, and those of at most `INSIDE`."""
-    known = np.isfinite(squares)
-    return Check(int(known.sum()), int((squares[known] <= INSIDE).sum()))
+def _counted(misses: PokeMisses, contacts: Sequence[Contact]) -> Check:
+    """Count the held-out pokes, and those inside; the scatter is learned from the other pokes."""
+    known = misses.select(np.flatnonzero(np.isfinite(misses.misses).all(axis=1)))
+    out = np.isin(known.pokes, [poke for poke, _ in held_out(contacts)])
+    scatter = learn_scatter(known.select(np.flatnonzero(~out)))
+    squares = known.select(np.flatnonzero(out)).squares(scatter)
+    return Check(len(squares), int((squares <= INSIDE).sum()))
 
 
 def _check_modules(
@@ -170,9 +176,11 @@ def _check_modules(
     if fit is None:
         return Check(0, 0)
     touches, fitted = fit
-    out = [poke for poke, _ in held_out(contacts)]
-    at = np.flatnonzero(np.isin(answers.pokes[touches.rows], out) & (fitted.misses[touches.of] <= MISS_MAX))
-    return _counted(predicted_squares(touches, fitted, noise, at))
+    at = np.flatnonzero(fitted.misses[touches.of] <= MISS_MAX)
+    rows = touches.rows[at]
+    levers = touches.middles(fitted.pads)[0][at] - answers.sensors[rows]
+    found = _poke_misses(answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
+    return _counted(found, contacts)
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
@@ -205,8 +213,8 @@ def _without(answers: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
     )
 
 
-def _distances(answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> FloatArray:
-    """Return (n,) the squared distance of each held-out axis from its taxel, in standard deviations; NaN where unknown."""
+def _misses(answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> PokeMisses:
+    """Compute how far each left-out axis passes its taxel; NaN where the taxel is unknown."""
     if method is Method.FREE and solution.free is not None:
         places, known = solution.factors.solutions, solution.free
         there = known.sds <= SD_MAX
@@ -215,15 +223,29 @@ def _distances(answers: Evidence, out: IntArray, solution: Solution, method: Met
         there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
-    # What is not known is set to 0 to keep the algebra finite, and becomes NaN at the end.
+    # What is not known is set to 0 to keep the algebra finite, and becomes NaN below.
     covariances = np.where(there[:, None, None], known.covariances, 0.0)
     places = np.where(there[:, None], places, 0.0)
     pairs, lever = answers.pairs[out], places - answers.sensors[out]
-    own = row_precision(pairs, lever, answers.forces[out], offset_square(answers.weights[out], noise), noise)
-    total = pairs @ covariances @ pairs.transpose(0, 2, 1) + np.asarray(np.linalg.inv(own), dtype=np.float64)
+    precision = row_precision(pairs, lever, answers.forces[out], offset_square(answers.weights[out], noise), noise)
+    own = np.asarray(np.linalg.inv(precision), dtype=np.float64)
     off = (pairs @ (places - answers.nearest[out])[:, :, None])[:, :, 0]
-    distances = np.sum(off * np.asarray(np.linalg.solve(total, off[:, :, None])[:, :, 0], dtype=np.float64), axis=1)
-    return np.where(there, distances, np.nan)
+    total = pairs @ covariances @ pairs.transpose(0, 2, 1) + own
+    return _poke_misses(answers, out, lever, np.where(there[:, None], off, np.nan), total, own)
+
+
+def _poke_misses(
+    answers: Evidence, rows: IntArray, levers: FloatArray, misses: FloatArray, covariances: FloatArray, own: FloatArray
+) -> PokeMisses:
+    return PokeMisses(
+        pokes=answers.pokes[rows],
+        poses=answers.poses[rows],
+        pairs=answers.pairs[rows],
+        levers=levers,
+        misses=misses,
+        covariances=covariances,
+        variances=np.trace(own, axis1=1, axis2=2) / 2.0,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -275,19 +275,23 @@ def _fitted_modules(
         )
 
 
-def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:
-    """Return (n,) the squared distance of pokes from where the others of their module predict them, in standard deviations.
-
-    NaN where the others do not predict: too few, or the place worse than `SD_MAX`. Where the predicted errors are true it is a
-    chi-squared of two degrees of freedom.
+def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> tuple[FloatArray, ...]:
+    """Predict pokes from the other pokes of their module.
 
     Parameters
     ----------
     touches, fitted : all pokes, and the modules as these put them
     at : (n,) indices of the touches
+
+    Returns
+    -------
+    misses : (n, 2) float, metres, along the pairs of the pokes; NaN where the others predict nothing: too few, or worse than
+        `SD_MAX`
+    covariances : (n, 2, 2) float, m^2, of the misses: the module's and the poke's own
+    own : (n, 2, 2) float, m^2, of the poke's own noise
     """
     if not len(at):
-        return np.empty(0)
+        return np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2))
     rows, gradients = whitened(touches, fitted.pads, noise), touches.middles(fitted.pads)[1][at]
     slopes, misses, trust = rows.slopes[at], rows.misses[at], fitted.trust[at, None, None]
     every = fitted.trust[:, None, None] * (rows.slopes.transpose(0, 2, 1) @ rows.slopes)
@@ -303,5 +307,17 @@ def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at
     seen = slopes @ roots
     leverage = seen @ seen.transpose(0, 2, 1)
     off = misses[:, :, None] + trust * (leverage @ misses[:, :, None])
-    squares = np.sum(off * np.linalg.solve(np.eye(2) + leverage, off), axis=(1, 2))
-    return np.where(known & (sds <= SD_MAX), squares, np.nan)
+    scale = np.asarray(np.linalg.inv(rows.whiten[at]), dtype=np.float64)
+    there = (known & (sds <= SD_MAX))[:, None]
+    to_metres = scale.transpose(0, 2, 1)
+    return (
+        np.where(there, (scale @ off)[:, :, 0], np.nan),
+        scale @ (np.eye(2) + leverage) @ to_metres,
+        scale @ to_metres,
+    )
+
+
+def predicted_squares(touches: Touches, fitted: Fitted, noise: NoiseSettings, at: IntArray) -> FloatArray:
+    """Compute (n,) squared misses of `predicted_misses` in standard deviations: chi-squared of two degrees of freedom."""
+    misses, covariances, _ = predicted_misses(touches, fitted, noise, at)
+    return np.asarray(np.sum(misses * np.linalg.solve(covariances, misses[:, :, None])[:, :, 0], axis=1))

@@ -1,0 +1,105 @@
+"""Scatter of the contact points, learned from how far a session's own pokes miss their predictions.
+
+The scene's noise says how far a press acts from where the taxels answer. Skins and hands differ: a wide skin, an uneven tip or
+a careless aim scatter more. The extra variance is one number for the session, the same in each direction across the push.
+
+Errors of the rig must not pass for scatter. They are shared by pokes that follow each other in one arm pose, so the misses are
+compared within windows of such pokes. In each window the rigid motion (six numbers) that explains most is taken out first.
+Wrong poses, drift and a creeping arm therefore stay in the check. The median of the rest is robust against single bad pokes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray
+
+CHI2_2DOF_MEDIAN = 1.3863
+WINDOW_POKES = 12
+"""Pokes of one window, half a minute of work: 24 numbers, of which a rigid motion takes six."""
+MIN_WINDOWS = 8
+"""Windows below which the scene's noise is kept: of fewer misses the median is too uncertain (8 % in standard deviations)."""
+MAX_NOISE_FACTOR = 1.5
+"""Largest learned noise of a poke over the scene's (standard deviations). Sessions whose regions are right need at most 1.44
+(skin that spreads a press over six taxels). Larger misses come from an error of the rig or the mesh, so the scene's noise
+judges them."""
+MOTION_LEVER_M = 0.2
+"""Typical distance from the sensor to the skin: a turn counts as the way at this distance."""
+MOTION_RIDGE = 1.0
+"""1/m^2, added to the information of each motion (a prior of 1 m): one that a window does not determine is no division by 0."""
+BISECTIONS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokeMisses:
+    """How far n pokes pass the positions that all other pokes predict."""
+
+    pokes: IntArray
+    """(n,) numbers of the pokes."""
+    poses: IntArray
+    """(n,) equal where the arm's pose has the same name."""
+    pairs: FloatArray
+    """(n, 2, 3) float: two unit directions across each push."""
+    levers: FloatArray
+    """(n, 3) float, metres, from the sensor's origin to the predicted position."""
+    misses: FloatArray
+    """(n, 2) float, metres, along `pairs`."""
+    covariances: FloatArray
+    """(n, 2, 2) float, m^2, predicted of `misses`, by the scene's noise."""
+    variances: FloatArray
+    """(n,) float, m^2: the part of the poke's own noise, the mean of both directions."""
+
+    def select(self, rows: IntArray) -> PokeMisses:
+        """Select some of the pokes."""
+        return PokeMisses(*(getattr(self, name)[rows] for name in self.__slots__))
+
+    def squares(self, scatter: float) -> FloatArray:
+        """Compute (n,) squared misses in standard deviations, with `scatter`, m^2, added to each direction."""
+        total = self.covariances + scatter * np.eye(2)
+        return np.sum(self.misses * np.linalg.solve(total, self.misses[:, :, None])[:, :, 0], axis=1)
+
+
+def learn_scatter(misses: PokeMisses) -> float:
+    """Learn the variance, m^2, that contact points have beyond the scene's noise.
+
+    0 if the scene's noise is enough. 0 as well if more than `MAX_NOISE_FACTOR` is needed: an error and not scatter.
+    """
+    windows = _windows(misses)
+    if len(windows) < MIN_WINDOWS:
+        return 0.0
+    own = misses.select(windows.ravel())
+    shape = (*windows.shape, 2)
+    motions = np.concatenate([own.pairs, np.cross(own.levers[:, None], own.pairs) / MOTION_LEVER_M], axis=2)
+
+    def median(scatter: float) -> float:
+        whiten = np.linalg.inv(np.linalg.cholesky(own.covariances + scatter * np.eye(2)))
+        slopes = (whiten @ motions).reshape(len(windows), -1, 6)
+        sides = (whiten @ own.misses[:, :, None]).reshape(len(windows), -1, 1)
+        held = slopes.transpose(0, 2, 1) @ slopes
+        taken = slopes @ np.linalg.solve(held + MOTION_RIDGE * np.eye(6), slopes.transpose(0, 2, 1))
+        # Of each miss the motion takes its leverage.
+        left = 1.0 - np.diagonal(taken, axis1=1, axis2=2)
+        rest = (sides - taken @ sides)[:, :, 0] / np.sqrt(np.maximum(left, 0.05))
+        return float(np.median(np.sum(rest.reshape(shape) ** 2, axis=2)))
+
+    low, high = 0.0, (MAX_NOISE_FACTOR**2 - 1.0) * float(np.median(misses.variances))
+    if median(low) <= CHI2_2DOF_MEDIAN:
+        return low
+    if median(high) > CHI2_2DOF_MEDIAN:
+        return 0.0
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2.0
+        low, high = (middle, high) if median(middle) > CHI2_2DOF_MEDIAN else (low, middle)
+    return high
+
+
+def _windows(misses: PokeMisses) -> IntArray:
+    """Find (w, WINDOW_POKES) rows of pokes that follow each other in one arm pose; what is left of a pose is dropped."""
+    order = misses.pokes.argsort(kind="stable")
+    found = [np.empty((0, WINDOW_POKES), dtype=np.int64)]
+    for pose in np.unique(misses.poses):
+        rows = order[misses.poses[order] == pose]
+        found.append(rows[: len(rows) // WINDOW_POKES * WINDOW_POKES].reshape(-1, WINDOW_POKES))
+    return np.concatenate(found)
