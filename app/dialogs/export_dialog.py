@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLine
 
 from app.dialogs.task_dialog import TaskDialog
 from app.panels.widgets import quiet
-from skincal.files.formats import EXPORT_FORMATS, ExportFormat, FormatInfo
+from skincal.files.formats import ExportFormat
 from skincal.taxels.result import Method
 from skincal.words.units import count
 
@@ -25,8 +25,8 @@ class ExportDialog(TaskDialog):
         self._stem = stem
         self._named_by_hand = False
         self.format = QComboBox()
-        for format_, words in EXPORT_FORMATS.items():
-            self.format.addItem(words.title, format_)
+        for each in ExportFormat:
+            self.format.addItem(each.title, each)
         self.about = quiet(wrap=True)
         self.path = QLineEdit()
         self.path.setAccessibleName("file")
@@ -74,28 +74,25 @@ class ExportDialog(TaskDialog):
     def _chosen(self) -> ExportFormat:
         return self.format.currentData()
 
-    def _words(self) -> FormatInfo:
-        return EXPORT_FORMATS[self._chosen()]
-
     def _format_chosen(self) -> None:
-        words = self._words()
-        self.about.setText(words.about)
-        self.method.setEnabled(not words.every_method)
+        words = self._chosen()
+        self.about.setText(words.description)
+        self.method.setEnabled(not words.holds_all_methods)
         if self._named_by_hand:
-            self.path.setText(str(Path(self.path.text()).with_suffix(words.ending)))
+            self.path.setText(str(Path(self.path.text()).with_suffix(words.suffix)))
         self._propose_name()
 
     def _propose_name(self) -> None:
         if not self._named_by_hand:
             method = f"-{self.method.currentText()}" if self.method.isEnabled() else ""
-            self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{self._words().ending}")))
+            self.path.setText(str(self._stem.with_name(f"{self._stem.name}{method}{self._chosen().suffix}")))
 
     def _path_edited(self) -> None:
         self._named_by_hand = True
 
     def _browse(self) -> None:
-        words = self._words()
-        path, _ = QFileDialog.getSaveFileName(self, "Export calibration", self.path.text(), f"{words.title} (*{words.ending})")
+        words = self._chosen()
+        path, _ = QFileDialog.getSaveFileName(self, "Export calibration", self.path.text(), f"{words.title} (*{words.suffix})")
         if path:
             self._named_by_hand = True
             self.path.setText(path)

@@ -687,10 +687,10 @@ class Controller(QObject):
 
         def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
-            from skincal.files.formats import EXPORT_FORMATS, ExportFormat
+            from skincal.files.formats import ExportFormat
             from skincal.session.checked import checked, verdicts_of
 
-            methods = session.methods if EXPORT_FORMATS[ExportFormat(format_)].every_method else (method,)
+            methods = session.methods if ExportFormat(format_).holds_all_methods else (method,)
             verdicts = verdicts_of(part, snapshot, methods, rig)
             _make_folder(path.parent)
             return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.files.formats import EXPORT_FORMATS, ExportFormat, formats_help
+from skincal.files.formats import ExportFormat, formats_help
 from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 
@@ -319,10 +319,10 @@ def _write_all(pipeline: Pipeline, folder: Path, part: str | None) -> tuple[list
     calibration = checked_calibration(pipeline.session, _rig_answer(pipeline.session))
     methods = tuple(calibration.estimates)
     names: list[tuple[str, str, Method]] = []
-    for format_, words in EXPORT_FORMATS.items():
+    for format_ in ExportFormat:
         stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
-        own = [(format_.value, f"{stem}-{method.value}{words.ending}", method) for method in methods]
-        names += [(format_.value, f"calibration{words.ending}", methods[0])] if words.every_method else own
+        own = [(format_.value, f"{stem}-{method.value}{format_.suffix}", method) for method in methods]
+        names += [(format_.value, f"calibration{format_.suffix}", methods[0])] if format_.holds_all_methods else own
     # Several formats of the same calibration have the same faults, which are said once.
     findings: dict[str, None] = {}
     for format_, name, method in names:

@@ -73,6 +73,11 @@ class Calibration:
     unmodelled_rig_error_m: Mapping[Method, float | None] = field(default_factory=dict[Method, "float | None"])
     """m rms, by method: shift from rig errors that the predicted error leaves out (`unchecked_of`)."""
 
+    part: str | None = None
+    """Skin part that the operator named for the iCub file; see `skincal.files.icub.skin_part`."""
+    mesh_findings: tuple[str, ...] = ()
+    """Sentences on the mesh."""
+
     def estimates_by(self, method: Method) -> tuple[Estimate, ...]:
         """Return the estimates of one method.
 

@@ -17,8 +17,9 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
@@ -26,9 +27,8 @@ import numpy as np
 
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
-from skincal.files.formats import EXPORT_FORMATS, ExportFormat
-from skincal.files.frames import mjcf_text, npz_bytes, sdf_text, urdf_text
-from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, icub_text, parse_icub, skin_part
+from skincal.files.formats import ExportFormat
+from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, parse_icub, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import LaidSkin, lay
 from skincal.mesh.load import Finding, load_surface
@@ -191,7 +191,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def csv_text(calibration: Calibration) -> str:
+def csv_text(calibration: Calibration, _method: Method | None = None) -> str:
     """Return the CSV text of every method; what is not known is left empty.
 
     Positions are metres in the link frame, `sd_mm` is the predicted sd along the weakest direction, millimetres; gains are as
@@ -291,8 +291,8 @@ ESTIMATE_KEYS = {
 GAIN_KEYS = {"pokes": "pokes", "mean": "raw_per_N", "spread": "sd_raw_per_N"}
 
 
-def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> str:
-    """Return the JSON text of every method; `mesh_findings` are sentences on the mesh."""
+def json_text(calibration: Calibration, _method: Method | None = None) -> str:
+    """Format every method as JSON."""
     scene = calibration.scene
     layout = scene.skin.layout
     check, closings = calibration.landmark_check, [_closing(closing) for closing in calibration.closings]
@@ -308,7 +308,7 @@ def json_text(calibration: Calibration, mesh_findings: tuple[str, ...] = ()) -> 
         },
         "mesh": None
         if scene.surface is None
-        else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(mesh_findings)},
+        else {"file": scene.surface.path.name, "sha256": calibration.mesh_sha256, "findings": list(calibration.mesh_findings)},
         "contact_settings": _settings(scene.contacts, CONTACT_UNITS),
         "noise": _settings(scene.noise, NOISE_UNITS),
         "channels": [int(channel) for channel in calibration.channels],
@@ -448,7 +448,7 @@ def write_calibration(
 
     Parameters
     ----------
-    format : name of an `ExportFormat`; whether it holds `method` alone or every method is in `EXPORT_FORMATS`
+    format : name of an `ExportFormat`; a file of one method holds `method`
     part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
 
     Returns
@@ -466,8 +466,8 @@ def write_calibration(
 
 def _other_ending(path: Path, written: ExportFormat) -> tuple[str, ...]:
     """Warn if a file name has the suffix of another format; unknown suffixes are the operator's choice."""
-    ending, right = path.suffix.lower(), EXPORT_FORMATS[written].ending
-    others = [format_.value for format_, words in EXPORT_FORMATS.items() if words.ending == ending != right]
+    ending, right = path.suffix.lower(), written.suffix
+    others = [each.value for each in ExportFormat if each.suffix == ending != right]
     return tuple(
         f"{path.name} ends in {path.suffix} and holds the format {written.value}; expected the ending {right}: rename the "
         f"file, or choose the format {other}."
@@ -489,8 +489,11 @@ def calibration_file(
     # Refuses a method without estimates before the mesh is loaded.
     calibration.estimates_by(method)
     shape = _part(calibration)
-    content = _content(calibration, wanted, method, part, shape)
-    methods = tuple(calibration.estimates) if EXPORT_FORMATS[wanted].every_method else (method,)
+    module, _, function = wanted.writer.partition(":")
+    write = getattr(import_module(module), function)
+    written: str | bytes = write(replace(calibration, part=part, mesh_findings=shape.findings), method)
+    content = written.encode() if isinstance(written, str) else written
+    methods = tuple(calibration.estimates) if wanted.holds_all_methods else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
         sentences += lint(calibration, each, _reference(calibration, each, shape))
@@ -498,21 +501,6 @@ def calibration_file(
     if wanted is ExportFormat.ICUB:
         sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, content.decode("utf-8"))]
     return content, tuple(sentences)
-
-
-def _content(calibration: Calibration, format_: ExportFormat, method: Method, part: str | None, shape: _Part) -> bytes:
-    if format_ is ExportFormat.NPZ:
-        return npz_bytes(calibration, method)
-    if format_ is ExportFormat.ICUB:
-        text = icub_text(calibration, method, part)
-    elif format_ is ExportFormat.JSON:
-        text = json_text(calibration, shape.findings)
-    elif format_ is ExportFormat.CSV:
-        text = csv_text(calibration)
-    else:
-        of_one = {ExportFormat.URDF: urdf_text, ExportFormat.SDF: sdf_text, ExportFormat.MJCF: mjcf_text}
-        text = of_one.get(format_, ply_text)(calibration, method)
-    return text.encode("utf-8")
 
 
 def _part(calibration: Calibration) -> _Part:

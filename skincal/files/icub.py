@@ -86,8 +86,8 @@ def representatives(layout: Layout | None, width: int, placed: IntArray) -> IntA
     return mapping
 
 
-def icub_text(calibration: Calibration, method: Method, part: str | None = None) -> str:
-    """Return the position file of one method, a row for every channel of the skin; `part` as for `skin_part`."""
+def icub_text(calibration: Calibration, method: Method) -> str:
+    """Format the position file of one method, with a row for every channel of the skin."""
     width = calibration.scene.skin.channels
     estimates = calibration.estimates_by(method)
     taxels = placed_taxels(estimates)
@@ -95,7 +95,7 @@ def icub_text(calibration: Calibration, method: Method, part: str | None = None)
     rows[taxels.channels] = np.hstack([taxels.positions, taxels.normals])
     mapping = representatives(calibration.scene.skin.layout, width, taxels.channels)
     comments = _comments(calibration, method, estimates)
-    return _text(skin_part(calibration, part), _word(calibration.scene.link), mapping, rows, comments)
+    return _text(skin_part(calibration, calibration.part), _word(calibration.scene.link), mapping, rows, comments)
 
 
 def positions_text(part: str, rows: FloatArray, comment: str) -> str:

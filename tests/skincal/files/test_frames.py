@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skincal.files.export import write_calibration
-from skincal.files.formats import EXPORT_FORMATS, ExportFormat
+from skincal.files.formats import ExportFormat
 from skincal.files.frames import mjcf_text, npz_bytes, quaternions_of, sdf_text, urdf_text
 from skincal.taxels.result import Method
 from tests.skincal.files.files_support import Part, estimate, make_calibration, make_part
@@ -151,6 +151,5 @@ def test_names_from_strangers_stay_names(calibration, text_of):
 
 
 def test_every_format_has_an_ending_and_a_line_of_its_own():
-    assert list(EXPORT_FORMATS) == list(ExportFormat)
-    assert len({words.ending for words in EXPORT_FORMATS.values()}) == len(EXPORT_FORMATS)
-    assert all(words.about.endswith(".") and "\n" not in words.about for words in EXPORT_FORMATS.values())
+    assert len({each.suffix for each in ExportFormat}) == len(ExportFormat)
+    assert all(each.description.endswith(".") and "\n" not in each.description for each in ExportFormat)
