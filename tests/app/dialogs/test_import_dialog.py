@@ -16,7 +16,7 @@ from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
 from app.dialogs import import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
-from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, imported_words, stream_row
+from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, NO_RECORDING, imported_words, stream_row
 from app.text_size import STEPS
 from skincal.files.importers.overview import StreamPreview
 from skincal.model.readings import Stream
@@ -86,9 +86,9 @@ def test_a_recording_is_imported_by_keys_and_opens(bench, scene, samples, tmp_pa
         QTest.keyClicks(field, str(text))
     until_seen(bench, dialog)
     assert dialog.objection.isVisible() is False
-    assert dialog.kind.text().startswith("Logs of yarpdatadumper: force/torque, skin.")
+    assert dialog.kind.text().startswith("Logs of yarpdatadumper: force/torque sensor, skin.")
     rows = [[dialog.streams.topLevelItem(k).text(column) for column in (0, 4)] for k in range(2)]
-    assert rows == [["Force/torque", "6"], ["Skin", "24"]]
+    assert rows == [["Force/torque sensor", "6"], ["Skin", "24"]]
     assert "up to" in dialog.curve.accessibleDescription()
     assert files_under(bench.documents) == [], "nothing is written before it is asked for"
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
@@ -120,7 +120,7 @@ def test_tables_that_are_dropped_lead_to_the_same(bench, scene, samples, tmp_pat
     assert drop(dialog, of(other))
     bench.until(lambda: dialog.fields[Stream.SKIN].text() == str(other / "left_forearm_skin"), 5000)
     assert drop(dialog, of(scene))
-    assert approved("import.no_recording") in dialog.objection.text()
+    assert NO_RECORDING in dialog.objection.text()
 
 
 def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene, samples, tmp_path, recorded):
@@ -298,7 +298,5 @@ def test_what_is_said_of_a_stream():
     )  # fmt: skip
     empty = StreamPreview(Stream.JOINTS, "f", 1, 0.0, 0.0, 0, ())
     assert stream_row(empty)[2:] == ("\N{EN DASH}", "0.0", "\N{EN DASH}", "\N{EN DASH}")
-    assert imported_words(Imported(Path("s"), 3, 2)) == approved("import.done", folder="s", pokes="3 pokes", accepted=2)
-    assert imported_words(Imported(Path("s"), 0, 0, "Nothing pressed.")) == approved(
-        "import.no_poke_done", why="Nothing pressed.", folder="s"
-    )
+    assert imported_words(Imported(Path("s"), 3, 2)) == "The recording is the session s: 3 pokes, 2 accepted."
+    assert imported_words(Imported(Path("s"), 0, 0, "Nothing pressed.")) == "Nothing pressed. The recording is the session s."

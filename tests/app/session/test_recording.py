@@ -8,6 +8,7 @@ import pytest
 
 from app.session.opening import OpenRequest
 from app.session.recording import Recording, SessionFolder
+from app.text.message import copy_words
 from skincal.contacts.outcome import Reason
 from skincal.journal import writer
 from skincal.model.actions import Exclude
@@ -16,7 +17,7 @@ from skincal.model.scene import resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from tests.app.window_support import slip
-from tests.approved import approved, approved_pattern
+from tests.approved import approved_pattern
 from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 
@@ -154,7 +155,7 @@ def test_pokes_that_were_all_rejected_are_not_lost_without_a_question_either(ben
 def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
     before = sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*"))
     bench.open(OpenRequest(session=SAMPLE))
-    assert approved("session.ships_copied", folder=SAMPLE) in [message.text for message in bench.messages]
+    assert copy_words(SAMPLE) in [message.text for message in bench.messages]
     assert bench.controller.would_lose == 0
     assert bench.controller.act(Exclude(bench.accepted()[0].poke))
     assert bench.controller.would_lose > 0

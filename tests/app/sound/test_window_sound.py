@@ -40,7 +40,7 @@ def test_a_lost_device_is_heard_again_and_again(bench):
     bench.until(lambda: len(bench.accepted()) >= 1)
     os.kill(bench.device_pid(), signal.SIGKILL)
     bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
-    assert bench.window.session_view.workspace.now.headline.text().startswith("lost ")
+    assert bench.window.session_view.workspace.now.headline.text().endswith(" disconnected")
 
 
 def test_old_pokes_are_not_heard(bench, recorded):
