@@ -65,10 +65,10 @@ def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
     # Before VTK is imported: on a machine without OpenGL that may fail, too.
     choose_offscreen()
     from app.scene3d.offscreen import picture
-    from skincal.mesh.lay import lay
+    from skincal.mesh.lay import place_layout
 
     skin = pipeline.scene.skin
-    laid = None if skin.layout is None else lay(skin.layout, skin.anchor, pipeline.session.surface)
+    laid = None if skin.layout is None else place_layout(skin.layout, skin.anchor, pipeline.session.surface)
     picture(pipeline.scene, pipeline.session.surface, laid, pipeline.snapshot(), method, path)
     return path
 

@@ -51,7 +51,7 @@ from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
 from skincal.files.reference import Origin
-from skincal.guide.guidance import Guidance, leeway
+from skincal.guide.guidance import Guidance, max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import (
     Action,
@@ -81,7 +81,7 @@ from skincal.words.verdict_words import verdict_sentence
 if TYPE_CHECKING:
     from skincal.files.reference import Reference, TaxelPositions
     from skincal.guide.verdict import Verdict
-    from skincal.modules.health import LayoutMend
+    from skincal.modules.health import LayoutRepair
 
 KINDS_OF_PLACES = "Known places (*.json *.csv *.txt *.ini);;All files (*)"
 VERDICT_MS = 3000
@@ -212,7 +212,7 @@ class Workspace(QWidget):
         self.now.show_state(state)
         anew = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, anew=anew)
-        room = 0.0 if state.guidance is None else leeway(state.guidance)
+        room = 0.0 if state.guidance is None else max_angle_error(state.guidance)
         self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
         self._show_tab()
 
@@ -705,7 +705,7 @@ class SessionView(QObject):
             self._say_failure,
         )
 
-    def ask_layout(self, mend: LayoutMend) -> None:
+    def ask_layout(self, mend: LayoutRepair) -> None:
         """Ask for a file, write the corrected layout there, and say where it is or why it is not."""
         scene = self.workspace.part.scene
         given, name = scene.skin.layout, str(self._folder() / f"{scene.name}-corrected.modules.toml")

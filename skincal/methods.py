@@ -16,7 +16,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.result import PER_TAXEL, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.shared_errors import SharedRows, carried
+from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 from skincal.taxels.solve import Solution, estimate_free, estimate_surface, solve
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def estimate_taxels(
     evidence = table.evidence([channel for channel in channels if channel not in dead] if alone else [])
     solved = estimate_from(evidence, channels, alone, noise, surface, dead, doubting=doubting)
     for method in alone:
-        moved = carried(evidence, list(solved[method].values()), noise, shared)
+        moved = add_shared_errors(evidence, list(solved[method].values()), noise, shared)
         solved[method] = {estimate.channel: estimate for estimate in moved}
     if Method.MODULES in methods:
         if model is None:
@@ -86,9 +86,9 @@ def estimate_taxels(
         found = estimate_modules(table, model, modules, noise, [others[begin]], dead, doubting, shared, kept)
         if kept:
             # Imported only where a scene knows distances.
-            from skincal.modules.distances import refined
+            from skincal.modules.distances import apply_distances
 
-            found |= refined(model, kept, found, noise)[0]
+            found |= apply_distances(model, kept, found, noise)[0]
         solved[Method.MODULES] = {
             channel: found.get(channel) or _without(channel, Method.MODULES, dead) for channel in channels
         }
@@ -201,7 +201,7 @@ def average_over_poses(
     """
     poses: dict[str, list[Contact]] = {}
     # What distances say is the same in every pose, and would count once for each.
-    model = model if model is None or not model.distances else model.replanned(model.layout)
+    model = model if model is None or not model.distances else model.with_layout(model.layout)
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
     # By name, so that the order in which the poses came does not matter. Without contacts every taxel is unseen.
@@ -222,7 +222,14 @@ def _average(of_poses: list[Estimate]) -> Estimate:
         best = max(seen, key=lambda estimate: estimate.contacts)
         reason = StateReason(Cause.BLIND_IN_POSES, len(seen), inner=best.reason)
         return Estimate(
-            channel, method, State.BLIND, contacts, normal=best.normal, weakest=best.weakest, sd=best.sd, reason=reason
+            channel,
+            method,
+            State.BLIND,
+            contacts,
+            normal=best.normal,
+            worst_direction=best.worst_direction,
+            sd=best.sd,
+            reason=reason,
         )
     position, covariance = np.zeros(3), np.zeros((3, 3))
     moves = [estimate.moved for estimate in good if estimate.moved is not None]
@@ -239,7 +246,7 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     length = float(np.linalg.norm(normals))
     return Estimate(
         channel, method, State.ESTIMATED, contacts, position=position, normal=normals / length if length > 0 else None,
-        covariance=covariance, weakest=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
+        covariance=covariance, worst_direction=_unsigned(axes[:, -1]), sd=float(np.sqrt(values[-1])),
         rms=float(np.sqrt(np.trace(covariance))), moved=moved,
         reason=StateReason(Cause.MEAN_OF_POSES, len(good), blind=len(seen) - len(good)),
     )  # fmt: skip

@@ -83,7 +83,7 @@ class ComparePanel(QScrollArea):
     comparison_changed = Signal(object)
     """`Comparison`, or None while nothing is compared."""
     layout_wanted = Signal(object)
-    """`LayoutMend`: the corrected layout is to be saved."""
+    """`LayoutRepair`: the corrected layout is to be saved."""
     file_wanted = Signal()
     """The operator is to choose a file of places."""
     session_wanted = Signal()

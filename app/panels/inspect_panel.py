@@ -206,7 +206,7 @@ def estimate_cells(estimate: Estimate | None) -> tuple[str, ...]:
     return (
         point_mm(estimate.position),
         millimetres(estimate.rms),
-        direction(estimate.weakest),
+        direction(estimate.worst_direction),
         millimetres(estimate.sd),
         str(estimate.contacts),
         MARK_WORDS[mark_of(estimate)],

@@ -16,7 +16,7 @@ from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import leeway
+from skincal.guide.guidance import max_angle_error
 from skincal.session.snapshot import Snapshot
 from skincal.words.units import degrees, millimetres, newtons
 
@@ -70,7 +70,7 @@ class Dial(Painted):
         if guidance is None or target is None:
             return
         coaching = state.coaching
-        view = top_view(guidance, target, coaching, leeway(guidance), state.eye)
+        view = top_view(guidance, target, coaching, max_angle_error(guidance), state.eye)
         key = self._looks(view, None if coaching is None else coaching.landed)
         if key != self._key:
             self._key, self._view = key, view

@@ -12,7 +12,7 @@ import numpy as np
 
 from app.scene3d.camera import CameraPose
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.guidance import Coaching, Guidance, Target
+from skincal.guide.guidance import Guidance, PokeError, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
 
@@ -68,8 +68,10 @@ class TopView:
     """The tool is held as asked."""
 
 
-def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leeway: float, eye: CameraPose) -> TopView:
-    """Return the picture of a target and of the tool that presses, which may be off the wanted push by `leeway`, rad."""
+def top_view(
+    guidance: Guidance, target: Target, coaching: PokeError | None, max_angle_error: float, eye: CameraPose
+) -> TopView:
+    """Return the picture of a target and of the tool that presses; its push may be off by `max_angle_error`, rad."""
     axes = axes_on(target.normal, eye)
     # What is asked of the tool's upper end is asked above its tip, wherever that is.
     tip = np.zeros(2) if coaching is None else -(axes @ coaching.off)
@@ -79,10 +81,10 @@ def top_view(guidance: Guidance, target: Target, coaching: Coaching | None, leew
         channels=guidance.channels[near],
         taxels=apart[near],
         wanted=tip - TOOL * (axes @ target.push),
-        room=tip - TOOL * (cone(target.push, leeway) @ axes.T),
+        room=tip - TOOL * (cone(target.push, max_angle_error) @ axes.T),
         tip=None if coaching is None else tip,
         upper=None if coaching is None else tip - TOOL * (axes @ coaching.push),
-        right=coaching is not None and coaching.error <= leeway,
+        right=coaching is not None and coaching.error <= max_angle_error,
     )
 
 

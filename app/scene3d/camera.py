@@ -15,7 +15,7 @@ import numpy as np
 from app.scene3d.scene_state import BALL_DIAMETER, View3DState
 from skincal.geometry import FloatArray, cross_matrix
 from skincal.guide.guidance import PRESSING, Target
-from skincal.mesh.surface import Surface, skin_point
+from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera, vtkRenderer
@@ -330,7 +330,7 @@ class AutoCamera:
             return False
         if self._is_due:
             self._is_due = False
-            start, at = pose_of(camera), skin_point(self._surface, target.place, target.normal)
+            start, at = pose_of(camera), point_on_skin(self._surface, target.place, target.normal)
             end = start
             if not is_visible(start, at, target.normal, aspect):
                 end = turn_to(start, at, target.normal, aspect, self._level)

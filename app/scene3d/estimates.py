@@ -185,9 +185,9 @@ def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
         up = np.array([[0.0, 0.0, 1.0] if estimate.normal is None else estimate.normal])
         line = np.stack([estimate.position[None], there], axis=1)
         return np.concatenate([line, rings(there, up, RING_RADIUS).reshape(-1, 2, 3)])
-    if estimate.foot is not None and estimate.weakest is not None:
-        along = (planned - estimate.foot) @ estimate.weakest if np.isfinite(planned).all() else 0.0
-        middle, half = estimate.foot + along * estimate.weakest, BLIND_HALF_LENGTH * estimate.weakest
+    if estimate.line_point is not None and estimate.worst_direction is not None:
+        along = (planned - estimate.line_point) @ estimate.worst_direction if np.isfinite(planned).all() else 0.0
+        middle, half = estimate.line_point + along * estimate.worst_direction, BLIND_HALF_LENGTH * estimate.worst_direction
         return np.stack([middle - half, middle + half])[None]
     return NO_POINTS
 

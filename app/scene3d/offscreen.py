@@ -17,7 +17,7 @@ from app.scene3d.mesh_actors import window_of
 from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
 from app.scene3d.scene_state import LIGHT, StaticScene, View3DState
 from skincal.files.atomic import write_atomically
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene
 from skincal.session.snapshot import Snapshot
@@ -47,7 +47,7 @@ def draw(plotter: pv.BasePlotter) -> NDArray[np.uint8]:
 def picture(
     scene: Scene,
     surface: Surface | None,
-    laid: LaidSkin | None,
+    laid: PlacedLayout | None,
     snapshot: Snapshot,
     method: Method,
     path: Path,

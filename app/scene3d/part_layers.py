@@ -13,7 +13,7 @@ from app.scene3d.camera import facing
 from app.scene3d.mesh_actors import PART, Dots, Label, Layer, Segments, closed
 from app.scene3d.scene_state import HUES, ColourArray, SceneColours, StaticScene
 from skincal.geometry import FloatArray
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 
@@ -62,7 +62,7 @@ class ModulesLayer(Layer):
 
     name = "modules"
 
-    def __init__(self, plotter: pv.BasePlotter, static: StaticScene, layout: Layout, laid: LaidSkin) -> None:
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
         super().__init__(plotter, static)
         self.outlines, self.dots = Segments(plotter, PART, 2.0), Dots(plotter, PART, 3.0, is_lit=False)
         self.outlines.show(*_outline_segments(layout, laid))
@@ -95,7 +95,7 @@ class ModulesLayer(Layer):
         ]
 
 
-def _outline_segments(layout: Layout, laid: LaidSkin) -> tuple[FloatArray, ColourArray]:
+def _outline_segments(layout: Layout, laid: PlacedLayout) -> tuple[FloatArray, ColourArray]:
     ends, hues = [np.empty((0, 2, 3))], [np.empty((0, 3), np.uint8)]
     for index, (module, outline) in enumerate(zip(layout.modules, laid.outlines, strict=True)):
         if len(outline):

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from app import theme
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Target
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
@@ -125,7 +125,7 @@ class View3DState:
     """Draw a line from each estimate to another method's."""
     target: Target | None = None
     """The requested poke."""
-    leeway: float = 0.0
+    max_angle_error: float = 0.0
     """rad, accepted deviation of its push; 0 to draw no cone."""
     comparison: Comparison | None = None
     """`None` while nothing is compared."""
@@ -139,7 +139,7 @@ class StaticScene:
     """The part of a scene that does not change during a session; `channels` are in the order of the snapshot's estimates."""
 
     def __init__(
-        self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int] | IntArray
+        self, scene: Scene, surface: Surface | None, laid: PlacedLayout | None, channels: Sequence[int] | IntArray
     ) -> None:
         self.scene = scene
         self.surface = surface

@@ -15,7 +15,7 @@ from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, S
 from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import skin_point
+from skincal.mesh.surface import point_on_skin
 from skincal.words.units import ChannelNames
 
 RING_RADIUS = 4.6e-3
@@ -61,16 +61,16 @@ class TargetLayer(Layer):
 
     def show(self, state: View3DState) -> bool:
         target = state.target
-        leeway = 0.0 if target is None else state.leeway
+        max_angle_error = 0.0 if target is None else state.max_angle_error
         key: tuple[object, ...] = ()
         if target is not None:
             key = target.channel, target.landmark, *(way.tobytes() for way in (target.place, target.normal, target.push))
-        if (key, leeway) == (self._key, self._leeway):
+        if (key, max_angle_error) == (self._key, self._leeway):
             return False
-        self._key, self._target, self._leeway = key, target, leeway
+        self._key, self._target, self._leeway = key, target, max_angle_error
         if target is not None:
             # An estimate lies above or below the skin, the ring must lie on it. A landmark is where it is.
-            self.at = skin_point(None if target.landmark else self.static.surface, target.place, target.normal)
+            self.at = point_on_skin(None if target.landmark else self.static.surface, target.place, target.normal)
         self.draw()
         return True
 

@@ -21,7 +21,7 @@ from app.scene3d.canvas import Canvas, Loaded, best_canvas, load, mount
 from app.scene3d.scene_state import DARK, LIGHT, Comparison, StaticScene, View3DState
 from app.workers.threads import ThreadService
 from skincal.guide.guidance import Target
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
@@ -153,7 +153,7 @@ class View3D(QWidget):
         self._stack = QStackedLayout(self)
         self._stack.addWidget(self._message)
 
-    def begin(self, scene: Scene, surface: Surface | None, laid: LaidSkin | None, channels: Sequence[int]) -> None:
+    def begin(self, scene: Scene, surface: Surface | None, laid: PlacedLayout | None, channels: Sequence[int]) -> None:
         """Start to build the layers that a scene supports (see `StaticScene`); call once the window is on the screen.
 
         Returns at once; `ready` follows. A second call replaces the scene.
@@ -183,14 +183,14 @@ class View3D(QWidget):
         method: Method,
         selected: int | None,
         target: Target | None = None,
-        leeway: float = 0.0,
+        max_angle_error: float = 0.0,
     ) -> bool:
         """Show a moment of a session; return whether the picture changes.
 
         Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
         moment is kept, and shown later.
         """
-        self._state = View3DState(snapshot, live, method, selected, self._difference, target, leeway, self._comparison)
+        self._state = View3DState(snapshot, live, method, selected, self._difference, target, max_angle_error, self._comparison)
         return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Coaching, Guidance, Smoothed, Target, coach, leeway, smooth
-from skincal.mesh.surface import Surface, skin_point
+from skincal.guide.guidance import Guidance, PokeError, Smoothed, Target, compare_to_target, max_angle_error, smooth_wrench
+from skincal.mesh.surface import Surface, point_on_skin
 
 STRAIGHT = float(np.radians(5.0))
 """rad. A hand does not hold a smaller tilt: it is asked to push straight."""
@@ -49,19 +49,19 @@ class PressCoach:
         self._smoothed: Smoothed | None = None
         self._skin: tuple[Target, FloatArray] | None = None
         """The target and its place on the skin, (3,) float, metres."""
-        self.coaching: Coaching | None = None
+        self.coaching: PokeError | None = None
         """None while nothing presses, or nobody guides."""
 
     def follow(self, progress: Progress, target: Target | None) -> None:
         """Take the newest reading; `target` is None where nobody guides."""
-        self._smoothed = smooth(self._smoothed, progress)
+        self._smoothed = smooth_wrench(self._smoothed, progress)
         # What a rig's errors make of a tip on a landmark is what is to be found: nobody is asked to aim by it.
         if target is None or target.landmark or self._smoothed is None:
             self.coaching = None
             return
         if self._skin is None or self._skin[0] is not target:
-            self._skin = target, skin_point(self._surface, target.place, target.normal)
-        self.coaching = coach(self._smoothed, progress, target, self._skin[1])
+            self._skin = target, point_on_skin(self._surface, target.place, target.normal)
+        self.coaching = compare_to_target(self._smoothed, progress, target, self._skin[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,12 +175,12 @@ def _hint(said: Hint | None, at: ViewState) -> Hint | None:
     if beside(coaching, target) and coaching.away > (AIM_BACK if aimed else AIM_FAR):
         return Hint(Ask.AIM, coaching.away)
     tilted = said is not None and not aimed
-    if coaching.error > leeway(guidance) - (TILT_BACK if tilted else 0.0):
+    if coaching.error > max_angle_error(guidance) - (TILT_BACK if tilted else 0.0):
         return tilt_hint(guidance, target, coaching)
     return None
 
 
-def tilt_hint(guidance: Guidance, target: Target, coaching: Coaching) -> Hint:
+def tilt_hint(guidance: Guidance, target: Target, coaching: PokeError) -> Hint:
     """Return how the tool has to turn: less, where it leans that way already, else more toward a neighbour."""
     upper = (coaching.push @ target.normal) * target.normal - coaching.push
     leans = math.sin(coaching.tilt)
@@ -189,7 +189,7 @@ def tilt_hint(guidance: Guidance, target: Target, coaching: Coaching) -> Hint:
     return Hint(Ask.MORE, coaching.error, lean_along(guidance, target, coaching.lean) if coaching.lean.any() else None)
 
 
-def beside(coaching: Coaching, target: Target) -> bool:
+def beside(coaching: PokeError, target: Target) -> bool:
     """Return whether another taxel answers most than the taxel that is asked for."""
     return target.channel is not None and coaching.landed not in (None, target.channel)
 

@@ -9,7 +9,7 @@ from enum import Enum
 from app.scene3d.camera import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
-from skincal.guide.guidance import Coaching, Guidance, Target
+from skincal.guide.guidance import Guidance, PokeError, Target
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
@@ -92,7 +92,7 @@ class ViewState:
     """What to poke next and what each taxel still needs; None where nobody guides."""
     diversity: AxisDiversity | None = None
     """What the contacts of the taxel that is looked at are like; None where nobody guides, or nothing is known of it."""
-    coaching: Coaching | None = None
+    coaching: PokeError | None = None
     """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
     review: Review | None = None
     """What pokes at landmarks say of the rig, and the places with and without its correction; None while nothing does."""

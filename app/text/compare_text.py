@@ -8,7 +8,7 @@ from pathlib import Path
 
 from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
-from skincal.modules.health import LayoutMend
+from skincal.modules.health import LayoutRepair
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
 from skincal.taxels.result import Method
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
@@ -98,7 +98,7 @@ def spacing_words(ratios: Mapping[Method, float]) -> str:
     return f"Spacing of neighbours, divided by that of the layout: {', '.join(parts)}." if parts else ""
 
 
-def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ...]:
+def misfit_words(mend: LayoutRepair, judged: int, method: Method) -> tuple[str, ...]:
     """Describe the modules that do not match the layout, then what a changed layout does not explain.
 
     `judged` modules are known well enough by `method`.
@@ -113,13 +113,13 @@ def misfit_words(mend: LayoutMend, judged: int, method: Method) -> tuple[str, ..
     return (f"{none} mirrored, turned or swapped ({METHOD_NAMES[method]}).",)
 
 
-def save_hint(mend: LayoutMend) -> str:
+def save_hint(mend: LayoutRepair) -> str:
     """Explain the button that saves the corrected layout."""
     changes = "; ".join(change_words(change) for change in mend.changes)
     return f"Writes the layout to a new file with {changes}. The present file is not changed. (Tab, then Enter)"
 
 
-def saved_words(path: Path, mend: LayoutMend) -> str:
+def saved_words(path: Path, mend: LayoutRepair) -> str:
     """Say where the corrected layout is, and how to use it."""
     changed = count(len(mend.changes), "module")
     return (

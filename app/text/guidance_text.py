@@ -8,7 +8,7 @@ import numpy as np
 
 from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
 from app.state.view_state import ViewState
-from skincal.guide.guidance import Coaching, Guidance, GuidePhase, LandmarkTarget, Target
+from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, PokeError, Target
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
@@ -192,7 +192,7 @@ def hint_words(hint: Hint, target: Target, names: ChannelNames) -> str:
     return f"Lean {degrees(hint.amount)} more{side}"
 
 
-def pressing_words(coaching: Coaching | None, target: Target | None, names: ChannelNames) -> str:
+def pressing_words(coaching: PokeError | None, target: Target | None, names: ChannelNames) -> str:
     """Compare the press with the requested poke: `"1.4 mm off target · lean 26° (wanted 28°)"`; or empty."""
     if coaching is None or target is None:
         return ""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.modules.distances import TriedDistance
-    from skincal.modules.health import LayoutMend
+    from skincal.modules.health import LayoutRepair
     from skincal.rig.correction_fit import RigAnswer
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
@@ -175,7 +175,7 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
     Modules are judged by the estimates of the surface method where there is one, else by those of free.
     """
     from skincal.files.layout_file import write_layout
-    from skincal.modules.health import judged_modules, mend_modules
+    from skincal.modules.health import count_judged_modules, repair_layout
     from skincal.words.layout_words import left_sentences, misfit_sentence
 
     lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
@@ -188,14 +188,14 @@ def _layout_result(session: Session, used: Path | None, out: Path | None) -> tup
         return result, lines
     known = session.snapshot().estimates
     estimates = {estimate.channel: estimate for estimate in known.get(Method.SURFACE) or known.get(Method.FREE, ())}
-    mend = mend_modules(session.module_model, estimates)
+    mend = repair_layout(session.module_model, estimates)
     written = out if mend.changes else None
     if written is not None:
         write_layout(session.module_model.layout, mend, written)
     misfits = [misfit_sentence(misfit) for misfit in mend.misfits]
     changes = [{"module": change.module, **change.keys} for change in mend.changes]
     layout = {"used": used, "changes": changes, "left": left_sentences(mend), "written": written}
-    lines += [*misfits, *_mend_lines(mend, out, judged_modules(session.module_model, estimates))]
+    lines += [*misfits, *_mend_lines(mend, out, count_judged_modules(session.module_model, estimates))]
     return {"misfits": misfits, "layout": layout}, lines
 
 
@@ -210,7 +210,7 @@ def _session_lines(snapshot: Snapshot, scene: Scene) -> list[str]:
     return [*distance_sentences(snapshot.tried_distances), *told]
 
 
-def _mend_lines(mend: LayoutMend, out: Path | None, judged: int) -> list[str]:
+def _mend_lines(mend: LayoutRepair, out: Path | None, judged: int) -> list[str]:
     """Return the lines on the correction, without the misfits themselves."""
     from skincal.words.layout_words import change_words, left_sentences
 

@@ -30,7 +30,7 @@ from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import ExportFormat
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, parse_icub, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
-from skincal.mesh.lay import LaidSkin, lay
+from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.load import Finding, load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -285,7 +285,7 @@ CLOSING_KEYS = {
 }  # fmt: skip
 ESTIMATE_KEYS = {
     "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",
-    "weakest": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
+    "worst_direction": "weakest", "sd": "sd_m", "rms": "rms_m", "triangle": "triangle",
 }  # fmt: skip
 
 GAIN_KEYS = {"pokes": "pokes", "mean": "raw_per_N", "spread": "sd_raw_per_N"}
@@ -415,7 +415,7 @@ def _estimate(calibration: Calibration, estimate: Estimate, gain: TaxelGain) -> 
         "module": calibration.module_id(estimate.channel),
         **_written(estimate, ESTIMATE_KEYS),
         "reason": state_sentence(estimate.reason),
-        "foot_m": _plain(estimate.foot),
+        "foot_m": _plain(estimate.line_point),
         "rival": None if rival is None else {
             "position_m": _plain(rival.position), "triangle": int(rival.triangle), "odds": float(rival.odds),
         },
@@ -430,7 +430,7 @@ class _Part:
 
     surface: Surface | None
     # The layout as planned, where there is no surface.
-    laid: LaidSkin | None
+    laid: PlacedLayout | None
     # Sentences on the mesh itself.
     findings: tuple[str, ...] = ()
     # Why a check could not be done, or says little.
@@ -508,7 +508,7 @@ def _part(calibration: Calibration) -> _Part:
     scene = calibration.scene
     try:
         if scene.surface is None:
-            laid = None if scene.skin.layout is None else lay(scene.skin.layout, scene.skin.anchor, None)
+            laid = None if scene.skin.layout is None else place_layout(scene.skin.layout, scene.skin.anchor, None)
             return _Part(None, laid)
         path = scene.surface.path
         # A file that is missing has no time; `load_surface` says so.

@@ -15,13 +15,13 @@ import numpy as np
 from skincal.files.atomic import write_atomically
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout, load_layout, read_layout
-from skincal.modules.health import LayoutMend, ModuleChange
+from skincal.modules.health import LayoutRepair, ModuleChange
 
 SAME_ANGLE_RAD = 1e-7
 """rad: angles that differ by less are the same; a file has six digits of a degree."""
 
 
-def write_layout(given: Layout, mend: LayoutMend, path: Path) -> None:
+def write_layout(given: Layout, mend: LayoutRepair, path: Path) -> None:
     """Write the corrected layout to another file than was read; an older one there is kept as `.bak`; see `write_atomically`.
 
     Raises InputError: it is the file that was read, the layout is of no file, or the file cannot be written or would say

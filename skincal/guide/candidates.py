@@ -21,10 +21,10 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.poke_history import PokeAxis
-from skincal.mesh.search import nearest_to_rows
-from skincal.mesh.surface import Surface, near_pairs
+from skincal.mesh.search import nearest_in_metric
+from skincal.mesh.surface import Surface, pairs_within
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import across
+from skincal.taxels.contact_table import orthonormal_pair
 from skincal.taxels.noise import offset_square, row_precision
 
 AZIMUTHS = 8
@@ -58,7 +58,7 @@ def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, mos
     rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
     weights[:, 0] = 1.0
     known = np.flatnonzero(np.isfinite(places).all(axis=1))
-    near, far = known[near_pairs(places[known], REACHED * spacing)].T
+    near, far = known[pairs_within(places[known], REACHED * spacing)].T
     apart = np.sqrt(np.sum((places[far] - places[near]) ** 2, axis=1))
     taxel, other, apart = np.concatenate([near, far]), np.concatenate([far, near]), np.concatenate([apart, apart])
     order = np.lexsort((other, apart, taxel))
@@ -71,16 +71,16 @@ def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, mos
     return AnsweringTaxels(rows, weights)
 
 
-def pulls(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
+def answer_offsets(places: FloatArray, neighbours: AnsweringTaxels) -> FloatArray:
     """Return (n, 3) how far beside each taxel the middle of the expected answers lies when it is poked at its place, metres."""
     off = np.nan_to_num(places[neighbours.rows] - places[:, None])
     shares = neighbours.weights[:, :, None]
     return np.asarray(np.sum(shares * off, axis=1) / np.sum(shares, axis=1), dtype=np.float64)
 
 
-def directions(normals: FloatArray, usable: float) -> FloatArray:
+def candidate_pushes(normals: FloatArray, usable: float) -> FloatArray:
     """Return (n, 1 + 16, 3) unit pushes to try at skin with outward `normals` (n, 3): along the normal, then tilted."""
-    east, north = across(normals).transpose(1, 0, 2)
+    east, north = orthonormal_pair(normals).transpose(1, 0, 2)
     tries = [-normals]
     for share in TILTS:
         tilt = share * usable
@@ -119,7 +119,7 @@ class ChoiceState:
 def _covariances(state: ChoiceState, rows: IntArray) -> FloatArray:
     """Return (m, 3, 3), m^2; along the skin alone where that is what counts."""
     if state.in_plane:
-        basis = across(state.normals[rows])
+        basis = orthonormal_pair(state.normals[rows])
         flat = _inverse(basis @ state.information[rows] @ basis.transpose(0, 2, 1))
         found = np.asarray(basis.transpose(0, 2, 1) @ flat @ basis, dtype=np.float64)
     else:
@@ -133,7 +133,7 @@ def _inverse(matrices: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)
 
 
-def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
+def predict_error(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> tuple[float, float]:
     """Return the predicted rms error of a taxel now and after a push at it, metres."""
     alone = np.array([row])
     before = _covariances(state, alone)
@@ -142,7 +142,7 @@ def predicted(state: ChoiceState, row: int, push: int, noise: NoiseSettings) -> 
     return float(np.sqrt(total)), float(np.sqrt(max(total - float(less[0, push, 0]), 0.0)))
 
 
-def gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
+def predict_gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, others: float) -> FloatArray:
     """Return (m, d) by how much each push at the taxels `rows` (m,) lowers the sum of the predicted rms errors, metres.
 
     The neighbours count `others`, 0 to 1, beside the taxel itself.
@@ -164,7 +164,7 @@ def _lowered(
     """Return (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) by how much each push lowers them."""
     (m, k), d = touched.shape, state.pushes.shape[1]
     weights = np.maximum(weights, _HARDLY)
-    pairs = across(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
+    pairs = orthonormal_pair(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
     away: FloatArray = state.places[touched] - state.sensor
     lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
     offsets: FloatArray = np.broadcast_to(offset_square(weights, noise)[:, None], (m, d, k))
@@ -196,7 +196,7 @@ class Cover:
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
-        self.places, triangles = spread(surface, SPACING)
+        self.places, triangles = spread_over(surface, SPACING)
         self.normals: FloatArray = surface.normals[triangles]
         self._poked: FloatArray = np.full(len(self.places), np.inf)
         # (n,) float, metres, from each place to the nearest poke, and to the nearest that was answered.
@@ -208,8 +208,8 @@ class Cover:
 
     def poked(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
         """Note a poke: it touched where its axis passes the surface nearest, on the side that faces it."""
-        root = np.vstack([across(axis.direction[None])[0], np.zeros(3)])
-        found = nearest_to_rows(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
+        root = np.vstack([orthonormal_pair(axis.direction[None])[0], np.zeros(3)])
+        found = nearest_in_metric(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
         if found.triangles[0] >= 0:
             self._pokes[number] = found.points[0], answered
 
@@ -251,7 +251,7 @@ class Cover:
         return int(far[int(self._poked[far].argmax())])
 
 
-def spread(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
+def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
     """Return (n, 3) places over a surface, none nearer than `APART` of `spacing` to another, and their triangles (n,)."""
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)

@@ -87,7 +87,7 @@ def landmark_targets(
     return targets
 
 
-def rig_moves(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
+def rig_error_sd(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     """Return by how much a rig's errors move what it measures, sd in each direction, metres; 0 where there are too few pokes.
 
     The median of how far landmark pokes pass their landmark, which a single poke at another point does not change, less the
@@ -109,7 +109,7 @@ def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
     return min((float(np.linalg.norm(place - other)) for other in others), default=float(np.linalg.norm(place)))
 
 
-def was_there(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatArray]) -> bool:
+def may_be_at_landmark(outcome: Outcome, landmark: Landmark, places: Mapping[int, FloatArray]) -> bool:
     """Return whether a poke that a landmark was asked for may have been there: not where taxels farther away answered.
 
     `places` holds (3,) float, metres, of taxels by their channel, as far as they are known.
@@ -246,7 +246,7 @@ NO_WAY = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coaching:
+class PokeError:
     """A poke in progress beside its target, link frame."""
 
     contact: FloatArray
@@ -280,7 +280,7 @@ class Smoothed:
     """(3,) float, N m, about the link's origin; what lies along the force is left out."""
 
 
-def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
+def smooth_wrench(before: Smoothed | None, progress: Progress) -> Smoothed | None:
     """Add a reading of the poke in progress; None while nothing presses, or where a reading is no number.
 
     Force and moment are smoothed, not the axis: an axis of a weak force counts little.
@@ -293,7 +293,7 @@ def smooth(before: Smoothed | None, progress: Progress) -> Smoothed | None:
     return Smoothed(KEPT * before.force + (1.0 - KEPT) * force, KEPT * before.moment + (1.0 - KEPT) * moment)
 
 
-def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) -> Coaching | None:
+def compare_to_target(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) -> PokeError | None:
     """Compare the poke in progress with its target; None while nothing presses hard enough.
 
     `skin` is the target on the skin, (3,) metres, which a believed place may lie above or below.
@@ -308,7 +308,7 @@ def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) 
     point = axis_point(felt.force, felt.moment)
     # Along the axis to the plane through the target on the skin.
     contact = point + float((point - skin) @ normal) / cosine * push
-    return Coaching(
+    return PokeError(
         contact=contact,
         push=push,
         tilt=float(np.arccos(min(1.0, cosine))),
@@ -319,7 +319,7 @@ def coach(felt: Smoothed, progress: Progress, target: Target, skin: FloatArray) 
     )
 
 
-def leeway(guidance: Guidance) -> float:
+def max_angle_error(guidance: Guidance) -> float:
     """Return how far a push may be off the wanted one, rad: the surface method takes any that does not slide."""
     return GuideSettings().tolerance if guidance.method is Method.FREE else guidance.usable_tilt
 

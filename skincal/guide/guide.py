@@ -16,8 +16,8 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide import candidates
 from skincal.guide.guidance import Guidance, GuidePhase, Target
-from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed
-from skincal.guide.poke_history import AskedFor, PokeHistory, axis_of
+from skincal.guide.knowledge import PlannedPlaces, TaxelStatistics, believed_positions
+from skincal.guide.poke_history import PokeHistory, TargetOfPoke, axis_of
 from skincal.guide.progress import (
     AxisDiversity,
     Facts,
@@ -26,11 +26,11 @@ from skincal.guide.progress import (
     Tried,
     Turns,
     Why,
-    given_up,
-    module_pokes_left,
-    needs,
-    own_error,
-    pace,
+    count_module_pokes_left,
+    find_needs,
+    give_up_reason,
+    improvable_error,
+    poke_interval,
     pokes_left,
 )
 from skincal.model.scene import NoiseSettings
@@ -93,7 +93,7 @@ class Guide:
         self.plan, self.method, self.settings = plan, method, settings or GuideSettings()
         self._noise, self._spacing, self._cover = noise, spacing, cover
         self._in_plane, self._tilted = method is not Method.FREE, method is Method.MODULES and not on_surface
-        self._knowledge = Knowledge(plan.channels, noise, self.settings.unknown, self._in_plane)
+        self._knowledge = TaxelStatistics(plan.channels, noise, self.settings.unknown, self._in_plane)
         self._pokes = PokeHistory(plan.channels, self.settings)
         self._places, self._normals = plan.places.copy(), plan.normals.copy()
         # (n,) channels that the plan puts nowhere: no taxels until they answer.
@@ -127,7 +127,7 @@ class Guide:
         evidence: Callable[[Collection[int]], Evidence],
         rejections: Mapping[int, Rejection] = _NOTHING_REJECTED,
         rig: float = 0.0,
-        asked: AskedFor | None = None,
+        asked: TargetOfPoke | None = None,
     ) -> Guidance:
         """Follow the session to where it stands now, and say what is to be done.
 
@@ -173,7 +173,7 @@ class Guide:
         estimates: Mapping[Method, Sequence[Estimate]],
         rejections: Mapping[int, Rejection],
         rig: float,
-        asked: AskedFor | None,
+        asked: TargetOfPoke | None,
     ) -> set[int]:
         """Add the pokes that are new or changed, drop those that are gone; return the channels of the taxels they touch."""
         rows, fresh, gone = self._pokes.follow(
@@ -188,11 +188,11 @@ class Guide:
             self._stale[:] |= rig != self._rig
             # Places on the mesh have the depth that few free pokes leave open.
             self._rig, best = rig, estimates.get(Method.SURFACE) or estimates[Method.FREE]
-            self._places = believed(self.plan, best, rig)
+            self._places = believed_positions(self.plan, best, rig)
             self._find_loose(rows, best)
         if self._pokes.tilt.usable != self._usable:
             self._usable = self._pokes.tilt.usable
-            self._pushes = candidates.directions(self._normals, self._usable)
+            self._pushes = candidates.candidate_pushes(self._normals, self._usable)
             self._stale[:], self._kept = True, None
         return {int(self.plan.channels[row]) for row in rows}
 
@@ -207,8 +207,8 @@ class Guide:
     def _lay_out(self) -> None:
         """Work out what follows from where the taxels are believed to be."""
         self._neighbours = candidates.find_answering(self._places, self._spacing, self._noise)
-        self._pulls = candidates.pulls(self._places, self._neighbours)
-        self._pushes = candidates.directions(self._normals, self._usable)
+        self._pulls = candidates.answer_offsets(self._places, self._neighbours)
+        self._pushes = candidates.candidate_pushes(self._normals, self._usable)
 
     def _find_loose(self, rows: Collection[int], estimates: Sequence[Estimate]) -> None:
         """Take places and normals of channels that the plan puts nowhere from their estimates."""
@@ -245,9 +245,9 @@ class Guide:
                 now = ()
             elif estimate.state is State.UNSEEN:
                 # The same for all of them: in a large part they are thousands at first.
-                nothing = now = nothing or needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
+                nothing = now = nothing or find_needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
             else:
-                now = needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
+                now = find_needs(estimate, Facts(*each), self.method, self.settings, self._noise.skin)
             if bool(self._needs[row]) != bool(now):
                 turned.append(row)
             self._estimates[row], self._needs[row] = estimate, now
@@ -280,12 +280,12 @@ class Guide:
             self._last = self._target(state, phase)
         beside = np.sqrt(np.sum(know.beside * know.beside, axis=1))
         if self.method is Method.MODULES:
-            errors = np.array([own_error(each, self._noise.skin) for each in estimates])
-            count = module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
+            errors = np.array([improvable_error(each, self._noise.skin) for each in estimates])
+            count = count_module_pokes_left(open_, self.plan.modules, self._own(), errors, self.settings)
         else:
             lopsided = np.maximum(beside, np.abs(know.pulled))
             count = pokes_left(self.method, open_, know.own, rms, lopsided, know.moved, self.settings)
-        step = pace(np.array([contact.start_s for contact in self._pokes.latest()]))
+        step = poke_interval(np.array([contact.start_s for contact in self._pokes.latest()]))
         shown = np.flatnonzero(~self._loose | (know.contacts > 0))
         return Guidance(
             method=self.method,
@@ -322,7 +322,7 @@ class Guide:
                 shut=bool(self._left_out(row).all()),
                 tilt=self._usable,
             )
-            why = given_up(self._needs[row], tried, settings)
+            why = give_up_reason(self._needs[row], tried, settings)
             if why is not None:
                 found[row] = why
         return found
@@ -415,7 +415,7 @@ class Guide:
             self._gains_of, self._stale[:] = phase, True
         anew = rows[self._stale[rows]]
         if anew.size:
-            self._gains[anew] = candidates.gains(state, anew, self._noise, _neighbour_share(phase))
+            self._gains[anew] = candidates.predict_gains(state, anew, self._noise, _neighbour_share(phase))
             for row in self._skips.keys() & set(anew.tolist()):
                 self._gains[row, self._left_out(row)] = -np.inf
             self._stale[anew] = False
@@ -449,7 +449,7 @@ class Guide:
     def _predicted(self, state: candidates.ChoiceState, row: int, push: int) -> tuple[float, float]:
         """Return a taxel's predicted rms error now and after a push at it, metres."""
         if self.method is not Method.MODULES:
-            return candidates.predicted(state, row, push, self._noise)
+            return candidates.predict_error(state, row, push, self._noise)
         # A module is known from all its pokes alike: the variance falls as one over them.
         before, pokes = float(self._solved[row]), int(self._own()[row])
         return before, before * float(np.sqrt(pokes / (pokes + 1.0))) if pokes else self.settings.wanted_by(self.method)
@@ -481,7 +481,7 @@ class Guide:
         pokes, drawn = found.pokes.tolist(), self._drawn()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
-        worth = candidates.gains(state, np.array([row]), self._noise, _neighbour_share(self._gains_of))[0]
+        worth = candidates.predict_gains(state, np.array([row]), self._noise, _neighbour_share(self._gains_of))[0]
         return AxisDiversity(
             channel=channel,
             normal=normal,

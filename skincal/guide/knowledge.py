@@ -16,15 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.model.scene import NoiseSettings
 from skincal.model.skin import Layout
-from skincal.taxels.contact_table import Evidence, across
+from skincal.taxels.contact_table import Evidence, orthonormal_pair
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import Estimate
 
 
-class Knowledge:
+class TaxelStatistics:
     """Numbers of n taxels, renewed for those whose contacts changed.
 
     Parameters
@@ -137,7 +137,7 @@ def _moved(evidence: Evidence, normals: FloatArray, in_plane: bool) -> FloatArra
     sides = np.sum(pairs * evidence.nearest[:, None], axis=2)
     if in_plane:
         # Along the skin only: the depth counts as known.
-        skin = across(normals)[evidence.taxels]
+        skin = orthonormal_pair(normals)[evidence.taxels]
         pairs = pairs @ skin.transpose(0, 2, 1)
     shares = (evidence.weights**2 * evidence.trust)[:, None, None]
     squares = shares * (pairs.transpose(0, 2, 1) @ pairs)
@@ -224,7 +224,7 @@ class PlannedPlaces:
     """(n,) index of the module, from 0."""
 
 
-def plan_from(layout: Layout, laid: LaidSkin) -> PlannedPlaces | None:
+def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None:
     """Return where a laid layout puts the taxels, without those that it puts nowhere; None where it puts none."""
     channels = layout.channels
     channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
@@ -233,7 +233,7 @@ def plan_from(layout: Layout, laid: LaidSkin) -> PlannedPlaces | None:
     return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
 
 
-def unplaced(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
+def plan_without_positions(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
     """Return a plan that puts none of `channels` (n,) anywhere: there is no layout, or it lies nowhere.
 
     `modules` is (n,) the index of each channel's module; None without a layout.
@@ -244,7 +244,7 @@ def unplaced(channels: IntArray, modules: IntArray | None = None) -> PlannedPlac
     )
 
 
-def believed(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
+def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
     """Return (n, 3) the believed places, metres; NaN where neither plan nor estimate says anything.
 
     A rig's errors move all estimates nearly alike, as if the skin lay elsewhere. Where they are known to be large, what the

@@ -18,7 +18,7 @@ from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.guide.guidance import Target
 from skincal.guide.progress import RECENT, GuideSettings, Tilt
 
-AskedFor: TypeAlias = Callable[[int], Target | None]
+TargetOfPoke: TypeAlias = Callable[[int], Target | None]
 """Gives what a poke, by its number, was asked for; None where nothing is known of that."""
 AT = 0.010
 """m. A poke whose axis passes the asked place by less was meant for it: two taxels away is another poke."""
@@ -94,7 +94,7 @@ class PokeHistory:
         self,
         contacts: Mapping[int, Contact],
         rejections: Mapping[int, Rejection],
-        target: AskedFor | Target | None,
+        target: TargetOfPoke | Target | None,
         places: FloatArray,
         normals: FloatArray,
         pulls: FloatArray,
@@ -187,7 +187,7 @@ class PokeHistory:
         tilts = np.where(peaks >= 0, np.arccos(np.clip(cosines, -1.0, 1.0)), np.nan)
         return [Felt(*values) for values in zip(peaks.tolist(), beside, tilts.tolist(), strict=True)]
 
-    def _learn(self, fresh: Sequence[Contact | Rejection], target: AskedFor | Target | None, normals: FloatArray) -> None:
+    def _learn(self, fresh: Sequence[Contact | Rejection], target: TargetOfPoke | Target | None, normals: FloatArray) -> None:
         """Learn from new pokes what the hand does, and which taxels they were meant for."""
         if isinstance(target, Target) and len(fresh) > 1:
             # It is unknown which one it was shown for.

@@ -96,8 +96,8 @@ class Why(Enum):
     OUT_OF_REACH = "out of reach: every side of it was skipped"
     TILT = "the tilt that the hand manages does not spread its axes enough"
     AMBIGUOUS = "two places fit its pokes"
-    STUBBORN = "many pokes were not enough"
-    EARLY = "not poked enough yet"
+    NOT_CONVERGED = "many pokes were not enough"
+    NOT_POKED_ENOUGH = "not poked enough yet"
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class Tried:
     """rad, the most that a push may lean now."""
 
 
-def own_error(estimate: Estimate, skin: float) -> float:
+def improvable_error(estimate: Estimate, skin: float) -> float:
     """Return the predicted rms error that more pokes on the skin make smaller, metres; infinite where nothing is known.
 
     Without what all taxels share, and along the normal without what is the mesh's, or the skin's thickness of sd `skin`.
@@ -147,12 +147,12 @@ def own_error(estimate: Estimate, skin: float) -> float:
     return float(np.sqrt(max(rest, 0.0)))
 
 
-def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings, skin: float) -> tuple[Need, ...]:
-    """Return what a taxel still needs by a method; nothing where it is done or dead. `skin` is as for `own_error`."""
+def find_needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSettings, skin: float) -> tuple[Need, ...]:
+    """Return what a taxel still needs by a method; nothing where it is done or dead. `skin` is as for `improvable_error`."""
     if estimate.state is State.DEAD:
         return ()
     if method is Method.MODULES:
-        few, wide = facts.own < settings.module_pokes, own_error(estimate, skin) > settings.module_wanted
+        few, wide = facts.own < settings.module_pokes, improvable_error(estimate, skin) > settings.module_wanted
         return tuple(need for need, is_missing in ((Need.POKES, few), (Need.ACCURACY, wide)) if is_missing)
     missing = {
         Need.POKES: facts.own < settings.own_pokes,
@@ -166,7 +166,7 @@ def needs(estimate: Estimate, facts: Facts, method: Method, settings: GuideSetti
     return tuple(need for need, is_missing in missing.items() if is_missing)
 
 
-def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -> Why | None:
+def give_up_reason(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -> Why | None:
     """Return why a taxel that still needs something is no longer asked for; None where it is."""
     if not missing:
         return None
@@ -175,7 +175,7 @@ def given_up(missing: tuple[Need, ...], tried: Tried, settings: GuideSettings) -
     if tried.contacts == 0:
         return Why.NEVER_FIRED if tried.unanswered >= settings.unanswered else None
     if tried.often:
-        return Why.AMBIGUOUS if Need.DECISION in missing else Why.STUBBORN
+        return Why.AMBIGUOUS if Need.DECISION in missing else Why.NOT_CONVERGED
     # Axes that all lean by the same angle, evenly to all sides, have just that diversity; no others have more.
     if Need.SIDES in missing and tried.own >= settings.own_pokes and tried.tilt < settings.diversity:
         return Why.TILT
@@ -228,10 +228,12 @@ def pokes_left(
     return int(np.ceil(float(each[open_].sum()) / (EXPECTED_HITS + (1.0 - EXPECTED_HITS) * share)))
 
 
-def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings) -> int:
+def count_module_pokes_left(
+    open_: BoolArray, modules: IntArray, own: IntArray, rms: FloatArray, settings: GuideSettings
+) -> int:
     """Return how many pokes it takes until no module is open, by the modules method.
 
-    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module, `rms` (n,) its `own_error`; else as `pokes_left`.
+    `modules` is (n,) of each taxel, `own` (n,) the pokes of its module, `rms` (n,) its `improvable_error`.
     """
     count = 0
     for module in np.unique(modules[open_]).tolist():
@@ -243,8 +245,8 @@ def module_pokes_left(open_: BoolArray, modules: IntArray, own: IntArray, rms: F
     return count
 
 
-def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings, *, on_mesh: bool) -> int:
-    """Return about how many pokes a method takes from the first to enough, by `pokes_left` and `module_pokes_left`.
+def count_pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings, *, on_mesh: bool) -> int:
+    """Return about how many pokes a method takes from the first to enough, by `pokes_left` and `count_module_pokes_left`.
 
     `modules` is (n,) of each taxel; `on_mesh` says that there is a mesh.
     """
@@ -253,7 +255,7 @@ def pokes_from_start(method: Method, modules: IntArray, settings: GuideSettings,
     if method is Method.MODULES and not on_mesh:
         return settings.bare_pokes * len(np.unique(modules))
     if method is Method.MODULES:
-        return module_pokes_left(every, modules, nothing, unknown, settings)
+        return count_module_pokes_left(every, modules, nothing, unknown, settings)
     return pokes_left(method, every, nothing, unknown, np.zeros(count), unknown, settings)
 
 
@@ -270,7 +272,7 @@ def _settling(moves: float, settings: GuideSettings) -> FloatArray:
     return after
 
 
-def pace(times: FloatArray) -> float | None:
+def poke_interval(times: FloatArray) -> float | None:
     """Return the seconds between two pokes, the median of the last ones without pauses; None before the third poke.
 
     `times` is (n,), seconds, ascending: when each poke began.
@@ -280,7 +282,7 @@ def pace(times: FloatArray) -> float | None:
     return float(np.median(steps)) if len(steps) >= 2 else None
 
 
-def worked(begins: FloatArray, ends: FloatArray) -> float:
+def working_time(begins: FloatArray, ends: FloatArray) -> float:
     """Return how long it took, seconds, from the first poke's begin to the last one's end, without pauses."""
     if not len(begins):
         return 0.0

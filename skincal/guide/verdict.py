@@ -29,11 +29,11 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.contact_scatter import PokeMisses, learn_scatter
 from skincal.guide.guidance import Guidance
-from skincal.guide.progress import GuideSettings, Need, Why, worked
+from skincal.guide.progress import GuideSettings, Need, Why, working_time
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import fit_poked
+from skincal.modules.pose_fit import fit_modules_from_pokes
 from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
@@ -172,13 +172,13 @@ def _check_modules(
     by_channel = {estimate.channel: estimate for estimate in estimates}
     weights = {contact.poke: float(contact.responses.sum() / contact.responses.max()) for contact in contacts}
     totals = np.array([weights[poke] for poke in answers.pokes.tolist()])
-    fit = fit_poked(answers, totals, model, noise, [by_channel])
+    fit = fit_modules_from_pokes(answers, totals, model, noise, [by_channel])
     if fit is None:
         return Check(0, 0)
     touches, fitted = fit
     at = np.flatnonzero(fitted.misses[touches.of] <= MISS_MAX)
     rows = touches.rows[at]
-    levers = touches.middles(fitted.pads)[0][at] - answers.sensors[rows]
+    levers = touches.contact_centres(fitted.pads)[0][at] - answers.sensors[rows]
     found = _poke_misses(answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
     return _counted(found, contacts)
 
@@ -346,7 +346,7 @@ def verdict_of(
         predicted=predicted_error(estimates),
         unchecked=unchecked,
         pokes=len(contacts),
-        seconds=worked(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
+        seconds=working_time(*(np.array([getattr(contact, name) for contact in ordered]) for name in ("start_s", "end_s"))),
     )
 
 
@@ -356,4 +356,4 @@ def _left(guidance: Guidance, state: Mapping[int, State]) -> Iterator[Left]:
         if state.get(channel) is State.DEAD:
             yield Left(channel, Why.DEAD, ())
         elif needs:
-            yield Left(channel, guidance.given_up.get(channel, Why.EARLY), needs)
+            yield Left(channel, guidance.given_up.get(channel, Why.NOT_POKED_ENOUGH), needs)

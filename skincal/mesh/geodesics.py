@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.search import solver_copy
-from skincal.mesh.surface import Surface, neighbours, once_for_each
+from skincal.mesh.search import surface_in_solver
+from skincal.mesh.surface import Surface, cached_per_surface, neighbours
 from skincal.solver.machine import INTEGER, WORD, Machine
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Footing:
+class MeshPoints:
     """n places on a surface, each with a direction along it."""
 
     triangles: IntArray
@@ -27,9 +27,9 @@ class Footing:
     x: FloatArray
     """(n, 3) float, unit, in the planes of the triangles."""
 
-    def take(self, rows: IntArray | slice) -> Footing:
+    def take(self, rows: IntArray | slice) -> MeshPoints:
         """Return some of them."""
-        return Footing(self.triangles[rows], self.points[rows], self.x[rows])
+        return MeshPoints(self.triangles[rows], self.points[rows], self.x[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Geodesics:
     ground: int
     """The place of its `Ground` there."""
 
-    def walk(self, start: Footing, ways: FloatArray) -> Footing:
+    def walk(self, start: MeshPoints, ways: FloatArray) -> MeshPoints:
         """Return where straight walks from each of n places end; x there is the start's x, carried along.
 
         `ways` are (n, 2) float, metres: how far along the start's x, and along normal x x.
@@ -49,12 +49,12 @@ class Geodesics:
             points, x = call.changed(start.points), call.changed(start.x)
             triangles = call.changed(start.triangles, INTEGER)
             call.run("walk", [self.ground, len(ways), call.give(ways), points, x, triangles])
-            return Footing(call.taken(triangles).astype(np.int64), call.taken(points), call.taken(x))
+            return MeshPoints(call.taken(triangles).astype(np.int64), call.taken(points), call.taken(x))
 
 
-@once_for_each
+@cached_per_surface
 def geodesics_of(surface: Surface) -> Geodesics:
     """Return the surface ready to be walked on."""
-    machine, place = solver_copy(surface)
+    machine, place = surface_in_solver(surface)
     over = neighbours(surface.triangles) // 3
     return Geodesics(machine, machine.keep(np.array([place, machine.keep(over.astype(np.int32))], dtype=WORD)))

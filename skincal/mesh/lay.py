@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.mesh.geodesics import Footing, geodesics_of
-from skincal.mesh.search import nearest_to_rows
+from skincal.mesh.geodesics import MeshPoints, geodesics_of
+from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout
@@ -30,7 +30,7 @@ AGAINST = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LaidSkin:
+class PlacedLayout:
     """The layout in the link frame, metres."""
 
     places: FloatArray
@@ -41,7 +41,7 @@ class LaidSkin:
     """For each module (v, 3) float, closed: the last point joins the first; no rows where it has no anchor."""
 
 
-def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidSkin | None:
+def place_layout(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> PlacedLayout | None:
     """Lay each module from its own anchor, or else from the layout's; None where there is no anchor at all.
 
     Raises InputError: an anchor is farther than `ANCHOR_GAP_MAX` from the surface, or its normal points into the part.
@@ -55,14 +55,14 @@ def lay(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> LaidS
         if own is None:
             outlines.append(np.empty((0, 3)))
             continue
-        outline = subdivided(module.outline)
+        outline = subdivide_outline(module.outline)
         flat = np.concatenate([module.pads, outline]) - own.at
         name = f"the anchor of module {module.id}"
         points, sides = _on_plane(flat, own) if surface is None else _on_surface(flat, own, surface, name)
         count = len(module.channels)
         places[module.channels], normals[module.channels] = points[:count], sides[:count]
         outlines.append(points[count:])
-    return LaidSkin(places, normals, tuple(outlines))
+    return PlacedLayout(places, normals, tuple(outlines))
 
 
 def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> tuple[str, ...]:
@@ -72,7 +72,7 @@ def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | Non
         return ()
     points, normals = (np.stack(rows) for rows in zip(*((own.point, own.normal) for own in owns.values()), strict=True))
     turns = np.broadcast_to(np.eye(3), (len(points), 3, 3))
-    near, facing = (nearest_to_rows(surface, turns, points, pushes) for pushes in (None, -normals))
+    near, facing = (nearest_in_metric(surface, turns, points, pushes) for pushes in (None, -normals))
     gaps = np.sqrt(facing.values) - np.sqrt(near.values)
     against = np.einsum("ij,ij->i", surface.normals[near.triangles], normals) < -AGAINST * np.linalg.norm(normals, axis=1)
     wrong = against & (facing.triangles >= 0) & (gaps > BEHIND)
@@ -88,7 +88,7 @@ def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | Non
     )
 
 
-def subdivided(outline: FloatArray) -> FloatArray:
+def subdivide_outline(outline: FloatArray) -> FloatArray:
     """Cut the sides of a closed polygon (v, 2) into pieces no longer than `OUTLINE_STEP`; returns (n, 2)."""
     pieces: list[FloatArray] = []
     for start, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -113,18 +113,18 @@ def _tangents(x: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _on_surface(flat: FloatArray, anchor: Anchor, surface: Surface, name: str) -> tuple[FloatArray, FloatArray]:
-    start = stand(surface, anchor, name).take(np.zeros(len(flat), dtype=np.int64))
+    start = place_anchor(surface, anchor, name).take(np.zeros(len(flat), dtype=np.int64))
     walked = geodesics_of(surface).walk(start, flat)
     return walked.points, surface.normals[walked.triangles]
 
 
-def stand(surface: Surface, anchor: Anchor, name: str) -> Footing:
+def place_anchor(surface: Surface, anchor: Anchor, name: str) -> MeshPoints:
     """Return where an anchor stands on a surface, one place.
 
     Raises InputError: as for `lay`.
     """
     # Only triangles that face the way the anchor does: the inner wall of a cover may lie as near.
-    found = nearest_to_rows(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
+    found = nearest_in_metric(surface, np.eye(3)[None], anchor.point[None], -anchor.normal[None])
     if found.triangles[0] < 0:
         raise InputError(f"{name}: no triangle of the surface faces its normal {anchor.normal.tolist()}; correct the normal.")
     gap = float(np.sqrt(found.values[0]))
@@ -134,4 +134,4 @@ def stand(surface: Surface, anchor: Anchor, name: str) -> Footing:
             "check point_mm, the mesh's unit and its pose."
         )
     x, _ = _tangents(anchor.x, surface.normals[found.triangles[0]])
-    return Footing(found.triangles, found.points, x[None])
+    return MeshPoints(found.triangles, found.points, x[None])

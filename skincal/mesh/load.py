@@ -36,8 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.search import solver_copy
-from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface, near_pairs
+from skincal.mesh.search import surface_in_solver
+from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, heights, make_surface, pairs_within
 from skincal.model.errors import InputError
 from skincal.model.given import MESH_MOST, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec
@@ -87,7 +87,7 @@ def _reader_of(path: Path) -> Callable[[bytes], Mesh]:
     return reader
 
 
-def fan(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
+def triangulate(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
     """Cut polygons into fans of triangles, (nt, 3) int, in their order.
 
     `corners` holds the vertices of all polygons, one after the other, `sizes` how many each of them has.
@@ -163,7 +163,7 @@ def _read_obj(data: bytes) -> Mesh:
             sizes.append(len(indices))
     if data and not points and not sizes:
         raise ValueError("no line starts with v or f")
-    return _vertices(points), fan(corners, sizes)
+    return _vertices(points), triangulate(corners, sizes)
 
 
 def _read_off(data: bytes) -> Mesh:
@@ -189,7 +189,7 @@ def _read_off(data: bytes) -> Mesh:
             raise ValueError(f"a face of {size} corners with {len(words) - 1} indices")
         corners.extend([int(word) for word in words[1 : 1 + size]])
         sizes.append(size)
-    return _vertices(points), fan(corners, sizes)
+    return _vertices(points), triangulate(corners, sizes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,7 +310,7 @@ def _ply_faces(element: _Element, body: _Body) -> IntArray:
     if records is not None:
         return records[named].astype(np.int64)
     polygons = [[int(index) for index in body.row(element)[names.index(named)]] for _ in range(element.count)]
-    return fan([corner for polygon in polygons for corner in polygon], [len(polygon) for polygon in polygons])
+    return triangulate([corner for polygon in polygons for corner in polygon], [len(polygon) for polygon in polygons])
 
 
 _READERS: dict[str, Callable[[bytes], Mesh]] = {
@@ -381,10 +381,10 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[Finding, ...]]:
     vertices = vertices * spec.scale @ spec.link_from_mesh[:3, :3].T + spec.link_from_mesh[:3, 3]
     vertices, triangles, merged = merge_vertices(vertices, triangles)
     triangles, dropped = _drop(spec.path, vertices, triangles)
-    triangles, wound = wind_outward(vertices, triangles)
+    triangles, wound = orient_outward(vertices, triangles)
     surface = make_surface(vertices, triangles, hashlib.sha256(data).hexdigest())
     # Now, so that the first poke does not wait for it.
-    solver_copy(surface)
+    surface_in_solver(surface)
     edges = find_edges(triangles)
     counts = {
         FindingKind.MERGED: merged,
@@ -450,7 +450,7 @@ def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     vertices = vertices[used]
     same = _identical(vertices)
     keep = np.flatnonzero(same == np.arange(len(vertices)))
-    near = connected(len(keep), near_pairs(vertices[keep], MERGE_DISTANCE, NEAR_MOST))
+    near = connected_components(len(keep), pairs_within(vertices[keep], MERGE_DISTANCE, NEAR_MOST))
     index = np.empty(len(vertices), dtype=np.int64)
     index[keep] = keep[near]
     index = index[same]
@@ -481,7 +481,7 @@ def duplicate_triangles(triangles: IntArray) -> NDArray[np.bool_]:
     return again
 
 
-def connected(count: int, pairs: IntArray) -> IntArray:
+def connected_components(count: int, pairs: IntArray) -> IntArray:
     """Label `count` nodes, of which `pairs` (m, 2) hang together: each has the lowest number of its component."""
     labels = np.arange(count)
     a, b = pairs[:, 0], pairs[:, 1]
@@ -500,7 +500,7 @@ def connected(count: int, pairs: IntArray) -> IntArray:
             labels = shorter
 
 
-def wind_outward(vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, dict[FindingKind, int]]:
+def orient_outward(vertices: FloatArray, triangles: IntArray) -> tuple[IntArray, dict[FindingKind, int]]:
     """Make the winding of each component consistent and outward; return what had to be turned for it, and what is odd."""
     component, flip, one_sided = _consistent(triangles)
     triangles = np.where(flip[:, None], triangles[:, [0, 2, 1]], triangles)
@@ -526,7 +526,7 @@ def _consistent(triangles: IntArray) -> tuple[IntArray, NDArray[np.bool_], NDArr
     one, two = edges.pairs[:, 0] // 3, edges.pairs[:, 1] // 3
     # Node 2 t is triangle t as wound, node 2 t + 1 the same turned.
     joins = [np.stack([2 * one + copy, 2 * two + (copy ^ edges.against)], axis=1) for copy in (0, 1)]
-    label = connected(2 * count, np.concatenate(joins)).reshape(count, 2)
+    label = connected_components(2 * count, np.concatenate(joins)).reshape(count, 2)
     _, component = np.unique(label.min(axis=1), return_inverse=True)
     one_sided = np.bincount(component, label[:, 0] == label[:, 1]) > 0
     flip = label[:, 0] > label[:, 1]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.surface import Surface, once_for_each
+from skincal.mesh.surface import Surface, cached_per_surface
 from skincal.solver.machine import INTEGER, Machine
 
 GRAZING = 1e-12
@@ -44,7 +44,7 @@ A node's triangles face a push surely where push . middle < -sine, and surely no
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NearestMany:
+class NearestPoints:
     """The best point of a surface for each of t metrics."""
 
     points: FloatArray
@@ -57,9 +57,9 @@ class NearestMany:
     """(t,) int: how many triangles were solved."""
 
 
-def nearest_to_rows(
+def nearest_in_metric(
     surface: Surface, roots: FloatArray, offsets: FloatArray, pushes: FloatArray | None, *, every: bool = False
-) -> NearestMany:
+) -> NearestPoints:
     """Minimise |root p - offset|^2 over the surface's points p, exactly, for each of t metrics.
 
     Parameters
@@ -75,7 +75,7 @@ def nearest_to_rows(
     index.
     """
     count = len(roots)
-    machine, place = solver_copy(surface)
+    machine, place = surface_in_solver(surface)
     with machine.call() as call:
         given = 0 if pushes is None else call.give(pushes)
         nowhere = np.full(count, -1)
@@ -85,7 +85,7 @@ def nearest_to_rows(
         # The words of `Search` in `skincal/solver/source/solver.c`; no start is likely, and no second minimum is asked for.
         call.run("nearest", [*asked, call.give(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
         numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
-        return NearestMany(call.taken(points), numbers[0], call.taken(values), numbers[1])
+        return NearestPoints(call.taken(points), numbers[0], call.taken(values), numbers[1])
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -94,7 +94,7 @@ def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, In
     Of equally near triangles it is the lowest.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
-    found = nearest_to_rows(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)
+    found = nearest_in_metric(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)
     return found.points, found.triangles
 
 
@@ -124,8 +124,8 @@ class SurfaceTable(ctypes.Structure):
     )
 
 
-@once_for_each
-def solver_copy(surface: Surface) -> tuple[Machine, int]:
+@cached_per_surface
+def surface_in_solver(surface: Surface) -> tuple[Machine, int]:
     """Return the machine that holds a copy of `surface` with its search tree, and the place of its table there."""
     machine, tree, (starts, fans) = Machine(), build_tree(surface), find_fans(surface)
     table = SurfaceTable(

@@ -73,7 +73,7 @@ def make_surface(vertices: FloatArray, triangles: IntArray, sha256: str = "") ->
     return Surface(vertices, triangles, triangle_normals(vertices[triangles]), sha256)
 
 
-def once_for_each(make: Callable[[Surface], Made]) -> Callable[[Surface], Made]:
+def cached_per_surface(make: Callable[[Surface], Made]) -> Callable[[Surface], Made]:
     """Return `make` such that it works once for each surface; what it made is gone with the surface, and must not hold it."""
     kept: WeakKeyDictionary[Surface, Made] = WeakKeyDictionary()
     lock = threading.Lock()
@@ -151,7 +151,7 @@ def _across(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.asarray(normals, dtype=np.float64), lengths[row, longest]
 
 
-def near_pairs(points: FloatArray, reach: float, most: float = inf) -> IntArray:
+def pairs_within(points: FloatArray, reach: float, most: float = inf) -> IntArray:
     """Return (m, 2): the pairs of `points` (n, 3) within `reach`, metres, each once, by a sweep along one direction; exact.
 
     All pairs of 4,200 taxels would take 400 MB, and scipy's tree half a second to import.
@@ -223,12 +223,12 @@ def contact_point(surface: Surface | None, point: FloatArray, direction: FloatAr
     return point + direction * float(direction @ (near - point))
 
 
-def skin_point(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
+def point_on_skin(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
     """Return the skin's point over or under a believed place, (3,) float, metres; the place itself without a surface."""
     return contact_point(surface, place, -normal, place)
 
 
-def seen_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
+def first_visible_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
     """Return (3,) where a line of sight meets a part's outer side, metres; None where it misses, or sees an inner side first.
 
     The eye is at `place` (3,) and looks along `direction` (3,), unit.

@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.modules.estimate import FittedModule
-from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, joined
+from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, join_poses
 from skincal.modules.pose_fit import FULL, NO_RANK
 from skincal.taxels.result import Estimate
-from skincal.taxels.shared_errors import with_shared
+from skincal.taxels.shared_errors import add_covariances
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 STEPS = 3
@@ -154,7 +154,7 @@ class _Joined:
         self.ends: IntArray = np.array([[self.modules.index(module) for module, _ in pair] for pair in ends])
         """(k, 2) which of the modules each distance ends at."""
         self._flat = np.array([point for pair in ends for _, point in pair])
-        self._poses = joined([own.pose for own in self.fitted])
+        self._poses = join_poses([own.pose for own in self.fitted])
         self.heights: FloatArray = np.array([own.height for own in self.fitted])
         """(b,) float, m^2, of `FittedModule`."""
         self._off = self.heights[self.ends]
@@ -172,12 +172,12 @@ class _Joined:
 
     def moved(self, x: FloatArray) -> ModulePoses:
         """Return the poses (b,) of the modules at `x` (b, d), metres."""
-        return self._model.ground.moved(self._poses, x)
+        return self._model.ground.move(self._poses, x)
 
     def _rows(self, x: FloatArray) -> _Rows:
         """Return the rows of all distances near `x` (b, d), metres."""
         count = len(self.ends)
-        pads = self._model.ground.laid(self.moved(x).take(self.ends.ravel()), self._flat)
+        pads = self._model.ground.place_pads(self.moved(x).take(self.ends.ravel()), self._flat)
         points, normals = pads.points.reshape(count, 2, 3), pads.normals.reshape(count, 2, 3)
         way = points[:, 0] - points[:, 1]
         length = np.linalg.norm(way, axis=1)
@@ -302,7 +302,7 @@ def _log_densities(misses: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * (squares + np.log(np.linalg.det(covariances))), dtype=np.float64)
 
 
-def refined(
+def apply_distances(
     model: ModuleModel, modules: Mapping[int, FittedModule], estimates: Mapping[int, Estimate], noise: NoiseSettings
 ) -> tuple[dict[int, Estimate], tuple[TriedDistance, ...]]:
     """Refine modules by the known distances of `model`.
@@ -374,7 +374,7 @@ def _moved(all_: _Joined, solved: _Solved, model: ModuleModel, estimates: Mappin
     pads = [model.pads[all_.modules[b]] for b in ends]
     of = np.repeat(ends, [len(each) for each in pads])
     channels = [int(channel) for b in ends for channel in model.layout.modules[all_.modules[b]].channels]
-    laid = model.ground.laid(all_.moved(solved.x).take(of), np.concatenate(pads))
+    laid = model.ground.place_pads(all_.moved(solved.x).take(of), np.concatenate(pads))
     outward = all_.heights[of][:, None, None] * laid.normals[:, :, None] * laid.normals[:, None]
     covariances = laid.gradients @ own[of] @ laid.gradients.transpose(0, 2, 1) + outward
     at = [pad for pad, channel in enumerate(channels) if estimates[channel].position is not None]
@@ -388,4 +388,4 @@ def _moved(all_: _Joined, solved: _Solved, model: ModuleModel, estimates: Mappin
         for pad in at
     ]
     shared = (laid.gradients @ moves[of])[at] if moves.shape[2] else None
-    return {estimate.channel: estimate for estimate in with_shared(there, np.zeros(len(at)), covariances[at], shared)}
+    return {estimate.channel: estimate for estimate in add_covariances(there, np.zeros(len(at)), covariances[at], shared)}

@@ -29,10 +29,10 @@ from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
-from skincal.modules.pose_fit import NO_RANK, Fitted, ModuleRows, Touches, fit_poked, whitened
+from skincal.modules.pose_fit import NO_RANK, Fitted, ModuleRows, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
-from skincal.taxels.shared_errors import Pulls, SharedRows, variance_factors, with_shared
+from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
 
 MOVING_MAX = 2e-4
 """m: a pose whose search still takes longer steps after its last is not known. Over an edge of a mesh it goes to and fro by
@@ -97,7 +97,7 @@ def estimate_modules(
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     counts = dict(zip(evidence.channels.tolist(), evidence.counts.tolist(), strict=True))
     found = {channel: _without(channel, counts.get(channel, 0), dead) for channel in channels}
-    fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
+    fit = fit_modules_from_pokes(evidence, table.totals(evidence.pokes), model, noise, others, doubting)
     if kept is not None:
         for module in modules:
             kept.pop(module, None)
@@ -136,15 +136,15 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
         if reason is not None:
             yield Estimate(
                 channel, Method.MODULES, State.BLIND, contacts, normal=fitted.pads.normals[pad],
-                weakest=_worst(dark) if unknown else axes[pad, :, 2], sd=None if unknown else float(sds[pad]),
+                worst_direction=_worst(dark) if unknown else axes[pad, :, 2], sd=None if unknown else float(sds[pad]),
                 reason=reason, doubted=doubted[module].get(channel, none),
             )  # fmt: skip
         else:
             triangle = int(fitted.pads.triangles[pad])
             yield Estimate(
                 channel, Method.MODULES, State.ESTIMATED, contacts, position=fitted.pads.points[pad],
-                normal=fitted.pads.normals[pad], covariance=covariances[pad], weakest=axes[pad, :, 2], sd=float(sds[pad]),
-                rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
+                normal=fitted.pads.normals[pad], covariance=covariances[pad], worst_direction=axes[pad, :, 2],
+                sd=float(sds[pad]), rms=float(rms[pad]), triangle=None if triangle < 0 else triangle,
                 reason=None if contacts else StateReason(Cause.BY_MODULE), doubted=doubted[module].get(channel, none),
             )  # fmt: skip
 
@@ -197,7 +197,7 @@ def _carried(
     `kept` is as for `estimate_modules`.
     """
     order = np.lexsort((touches.evidence.pokes[touches.rows], touches.of))
-    rows, trust = whitened(touches, fitted.pads, noise), fitted.trust[order]
+    rows, trust = whitened_rows(touches, fitted.pads, noise), fitted.trust[order]
     ordered, places = _pulls(touches, fitted, rows, order, shared is not None)
     squares, gradients = np.sum(rows.misses[order] ** 2, axis=1), fitted.pads.gradients
     factors = variance_factors(squares, trust, ordered.starts, gradients.shape[2])
@@ -221,20 +221,22 @@ def _carried(
         of_shared = None if errors is None else rows.whiten[order] @ errors[0]
         own = factors[:, None, None] * fitted.covariances + added, moves, heights, factors
         kept.update(_fitted_modules(touches, fitted, rows, order, own, of_shared))
-    found = with_shared(known, factors[of], more, None if moves is None else gradient @ moves[of]) if known else []
+    found = add_covariances(known, factors[of], more, None if moves is None else gradient @ moves[of]) if known else []
     return [*found, *(estimate for estimate in estimates if estimate.position is None)]
 
 
-def _pulls(touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray, corrected: bool) -> tuple[Pulls, FloatArray]:
+def _pulls(
+    touches: Touches, fitted: Fitted, rows: ModuleRows, order: IntArray, corrected: bool
+) -> tuple[NormalEquations, FloatArray]:
     """Return how the pokes, in this order, hold their modules, and the places (m, 3), metres, that they touched."""
     evidence, at, trust = touches.evidence, touches.rows[order], fitted.trust[order]
-    pairs, places, slopes = evidence.pairs[at], touches.middles(fitted.pads)[0][order], rows.slopes[order]
+    pairs, places, slopes = evidence.pairs[at], touches.contact_centres(fitted.pads)[0][order], rows.slopes[order]
     weighted = trust[:, None, None] * slopes.transpose(0, 2, 1)
     begins, pulls = np.searchsorted(touches.of, np.arange(len(touches.modules))), weighted @ rows.whiten[order]
     held = np.add.reduceat(weighted @ slopes, begins)
     misses = trust[:, None] * dots(pairs, (evidence.nearest[at] - places)[:, None])
     of_pokes = evidence.pokes[at], evidence.poses[at], pairs, misses, pulls
-    return Pulls(begins, *of_pokes, held, rows.normals[order], corrected), places
+    return NormalEquations(begins, *of_pokes, held, rows.normals[order], corrected), places
 
 
 def _fitted_modules(
@@ -292,7 +294,7 @@ def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at:
     """
     if not len(at):
         return np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2, 2))
-    rows, gradients = whitened(touches, fitted.pads, noise), touches.middles(fitted.pads)[1][at]
+    rows, gradients = whitened_rows(touches, fitted.pads, noise), touches.contact_centres(fitted.pads)[1][at]
     slopes, misses, trust = rows.slopes[at], rows.misses[at], fitted.trust[at, None, None]
     every = fitted.trust[:, None, None] * (rows.slopes.transpose(0, 2, 1) @ rows.slopes)
     whole = np.add.reduceat(every, np.searchsorted(touches.of, np.arange(len(touches.modules))), axis=0)

@@ -26,7 +26,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.skin import Layout, Module
 from skincal.modules.pose import ModuleModel, module_pads
-from skincal.taxels.contact_table import across
+from skincal.taxels.contact_table import orthonormal_pair
 from skincal.taxels.differences import places_of
 from skincal.taxels.result import Estimate
 
@@ -62,7 +62,7 @@ MEND_ROUNDS = 3
 """Corrections one after another: that a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
 
 
-class MisfitKind(Enum):
+class MisplacementKind(Enum):
     """What is wrong with a module; the value says it in a word."""
 
     MIRRORED = "mirrored"
@@ -71,12 +71,12 @@ class MisfitKind(Enum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Misfit:
+class MisplacedModule:
     """One module that does not lie as planned, and what would put it right."""
 
     module: int
     """Its id."""
-    kind: MisfitKind
+    kind: MisplacementKind
     before: float
     """m, rms: how far its taxels lie from the plan, less what all modules are moved by alike."""
     after: float
@@ -105,12 +105,12 @@ class _Seen:
     """(2, 3) float, unit: of the plan, and of the estimates."""
 
 
-def judged_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> int:
-    """Return of how many modules enough is known for `find_misfits` to judge them; parameters as there."""
+def count_judged_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> int:
+    """Return of how many modules enough is known for `find_misplaced_modules` to judge them; parameters as there."""
     return sum(_known(model, index, estimates) is not None for index in range(len(model.pads)))
 
 
-def find_misfits(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[Misfit, ...]:
+def find_misplaced_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[MisplacedModule, ...]:
     """Return the modules that are mirrored, turned or swapped, in the layout's order.
 
     Parameters
@@ -186,7 +186,7 @@ def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) ->
     pads = model.pads[module][rows]
     x = plan.x[0] - (plan.x[0] @ normal) * normal
     length = float(np.sqrt(x @ x))
-    x = x / length if length > 0.1 else across(normal[None])[0, 0]
+    x = x / length if length > 0.1 else orthonormal_pair(normal[None])[0, 0]
     y = np.asarray(np.cross(normal, x), dtype=np.float64)
     flat = np.stack([points @ x, points @ y], axis=1)
     straight, turn = _fit(pads, flat)
@@ -208,7 +208,9 @@ def _rms(off: FloatArray) -> float:
     return float(np.sqrt(np.sum(off * off) / len(off)))
 
 
-def _misfit(model: ModuleModel, index: int, seen: _Seen, elsewhere: tuple[int, float] | None, usual: float) -> Misfit | None:
+def _misfit(
+    model: ModuleModel, index: int, seen: _Seen, elsewhere: tuple[int, float] | None, usual: float
+) -> MisplacedModule | None:
     """Return what is wrong with a module; the largest mistake first.
 
     Parameters
@@ -221,17 +223,17 @@ def _misfit(model: ModuleModel, index: int, seen: _Seen, elsewhere: tuple[int, f
     if elsewhere is not None:
         other, way = elsewhere
         after = float(np.hypot(way, seen.straight))
-        return Misfit(module.id, MisfitKind.SWAPPED, before, after, other=model.layout.modules[other].id)
+        return MisplacedModule(module.id, MisplacementKind.SWAPPED, before, after, other=model.layout.modules[other].id)
     beside = _apart(seen.places.mean(axis=0), seen.planned.mean(axis=0))
     turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
     if seen.mirrored < MIRRORED * seen.straight:
         turn = _meant(turn, module, mirrored=True)
-        return Misfit(module.id, MisfitKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
+        return MisplacedModule(module.id, MisplacementKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
     # Moved to the estimates, and not turned.
     unturned = _rms((seen.places - seen.places.mean(axis=0)) - (seen.planned - seen.planned.mean(axis=0)))
     if abs(turn) > TURN_MIN and seen.straight < TURNED * unturned:
         turn = _meant(turn, module, mirrored=False)
-        return Misfit(module.id, MisfitKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
+        return MisplacedModule(module.id, MisplacementKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
     return None
 
 
@@ -289,7 +291,7 @@ def _meant(turn: float, module: Module, *, mirrored: bool) -> float:
     return step if abs(turn - step) < TURN_NEAR else float(np.radians(round(np.degrees(turn))))
 
 
-class UnmendedKind(Enum):
+class UnrepairedKind(Enum):
     """Why a change of the layout does not put modules right."""
 
     STILL_OFF = "off its place all the same"
@@ -299,10 +301,10 @@ class UnmendedKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Unmended:
+class Unrepaired:
     """Modules that cannot be put right, and why."""
 
-    kind: UnmendedKind
+    kind: UnrepairedKind
     modules: tuple[int, ...]
     """Their ids; for `NO_RING` the module and the one in whose place it lies."""
     off: float = 0.0
@@ -330,42 +332,42 @@ class ModuleChange:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LayoutMend:
+class LayoutRepair:
     """How a layout is put right."""
 
-    misfits: tuple[Misfit, ...]
-    """What is wrong with it, by `find_misfits`."""
+    misfits: tuple[MisplacedModule, ...]
+    """What is wrong with it, by `find_misplaced_modules`."""
     layout: Layout
     """The corrected one; as it was where nothing can be put right."""
     changes: tuple[ModuleChange, ...]
     """Where it differs, in its order."""
-    left: tuple[Unmended, ...]
+    left: tuple[Unrepaired, ...]
     """What cannot be put right so."""
 
 
-def mend_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutMend:
-    """Return how the layout of a model is put right so that `find_misfits` finds nothing more.
+def repair_layout(model: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutRepair:
+    """Return how the layout of a model is put right so that `find_misplaced_modules` finds nothing more.
 
     Parameters
     ----------
-    model, estimates : as for `find_misfits`
+    model, estimates : as for `find_misplaced_modules`
     """
     given, first, left = model.layout, None, ()
     for more in reversed(range(MEND_ROUNDS + 1)):
-        misfits = find_misfits(model, estimates)
+        misfits = find_misplaced_modules(model, estimates)
         first = misfits if first is None else first
-        layout, left = mend_layout(model.layout, misfits)
+        layout, left = correct_layout(model.layout, misfits)
         if not changes_of(model.layout, layout):
             break
-        mended = model.replanned(layout)
+        mended = model.with_layout(layout)
         if not more or miss_of(mended, estimates) >= miss_of(model, estimates):
-            left = (*left, Unmended(UnmendedKind.NO_NEARER, tuple(misfit.module for misfit in misfits)))
+            left = (*left, Unrepaired(UnrepairedKind.NO_NEARER, tuple(misfit.module for misfit in misfits)))
             break
         model = mended
-    return LayoutMend(first or (), model.layout, changes_of(given, model.layout), left)
+    return LayoutRepair(first or (), model.layout, changes_of(given, model.layout), left)
 
 
-def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tuple[Unmended, ...]]:
+def correct_layout(layout: Layout, misfits: Sequence[MisplacedModule]) -> tuple[Layout, tuple[Unrepaired, ...]]:
     """Return a layout with its misfits put right, and those that cannot be; the same layout where none can.
 
     Parameters
@@ -373,15 +375,15 @@ def mend_layout(layout: Layout, misfits: Sequence[Misfit]) -> tuple[Layout, tupl
     misfits : of this layout
     """
     modules = {module.id: module for module in layout.modules}
-    swapped = [misfit for misfit in misfits if misfit.kind is MisfitKind.SWAPPED]
+    swapped = [misfit for misfit in misfits if misfit.kind is MisplacementKind.SWAPPED]
     channels, left = _exchanged(layout, swapped)
     # What lies in a place that another was found in is not understood, be it turned or mirrored there.
     unclear = {misfit.other for misfit in swapped} - channels.keys()
     for misfit in misfits:
-        if misfit.kind is MisfitKind.SWAPPED or misfit.module in unclear:
+        if misfit.kind is MisplacementKind.SWAPPED or misfit.module in unclear:
             continue
         if misfit.after > _radius(modules[misfit.module]):
-            left.append(Unmended(UnmendedKind.STILL_OFF, (misfit.module,), misfit.after))
+            left.append(Unrepaired(UnrepairedKind.STILL_OFF, (misfit.module,), misfit.after))
         else:
             modules[misfit.module] = _turned(modules[misfit.module], misfit)
     changed = (replace(module, first_channel=channels.get(module.id, module.first_channel)) for module in modules.values())
@@ -404,11 +406,11 @@ def _change(module: Module, other: Module) -> ModuleChange:
     )
 
 
-def _turned(module: Module, misfit: Misfit) -> Module:
+def _turned(module: Module, misfit: MisplacedModule) -> Module:
     angle = module.angle
     if misfit.turn:
         angle = np.pi - (np.pi - angle - misfit.turn) % (2.0 * np.pi)
-    return replace(module, angle=float(angle), mirror=module.mirror != (misfit.kind is MisfitKind.MIRRORED))
+    return replace(module, angle=float(angle), mirror=module.mirror != (misfit.kind is MisplacementKind.MIRRORED))
 
 
 def _radius(module: Module) -> float:
@@ -417,20 +419,20 @@ def _radius(module: Module) -> float:
     return float(np.sqrt(np.sum(outline * outline, axis=1)).max())
 
 
-def _exchanged(layout: Layout, swapped: Sequence[Misfit]) -> tuple[dict[int, int], list[Unmended]]:
+def _exchanged(layout: Layout, swapped: Sequence[MisplacedModule]) -> tuple[dict[int, int], list[Unrepaired]]:
     """Return which module gets which first channel, by ids, and what is left."""
     goes = {misfit.module: misfit.other for misfit in swapped if misfit.other is not None}
     modules = {module.id: module for module in layout.modules}
     channels: dict[int, int] = {}
-    left: list[Unmended] = []
+    left: list[Unrepaired] = []
     for start in goes:
         ring = _ring(start, goes)
         if not ring:
-            left.append(Unmended(UnmendedKind.NO_RING, (start, goes[start])))
+            left.append(Unrepaired(UnrepairedKind.NO_RING, (start, goes[start])))
         elif _alike([modules[number] for number in ring]):
             channels[goes[start]] = modules[start].first_channel
         elif start == min(ring):
-            left.append(Unmended(UnmendedKind.UNLIKE, ring))
+            left.append(Unrepaired(UnrepairedKind.UNLIKE, ring))
     return channels, left
 
 

@@ -4,7 +4,7 @@ An estimate on a surface is wrong along its normal by what the mesh is, and its 
 that lean from several sides meet at a height z over the mesh. With the whitened rows r = A x + h z of a module's pokes, A
 their slopes with its unknowns x, h those with the height, T their trust and Q = T - T A (A'T A)^-1 A'T,
 
-    z = h'Q r / h'Q h,   with the variance V = 1/(h'Q h) and what slow and shared errors add (`Pulls`).
+    z = h'Q r / h'Q h,   with the variance V = 1/(h'Q h) and what slow and shared errors add (`NormalEquations`).
 
 A z of more than two of its standard deviations is the mesh's, with the variance z^2 - V. A thick skin is touched above its
 taxels and looks like a mesh that lies too low: what it explains is taken off a positive z first. Where pushes hardly lean V is
@@ -19,7 +19,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, dots
 from skincal.modules.pose_fit import ModuleRows
-from skincal.taxels.shared_errors import Pulls
+from skincal.taxels.shared_errors import NormalEquations
 
 THICKEST = 1.0
 """Standard deviations that a skin may be thick: it is touched above its taxels, as if the mesh lay too low."""
@@ -33,7 +33,7 @@ NO_HEIGHT = 1e-6
 
 
 def off_surface_variances(
-    held: Pulls,
+    held: NormalEquations,
     rows: ModuleRows,
     order: IntArray,
     trust: FloatArray,

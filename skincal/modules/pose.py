@@ -24,7 +24,7 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 
 if TYPE_CHECKING:
-    from skincal.mesh.geodesics import Footing
+    from skincal.mesh.geodesics import MeshPoints
     from skincal.mesh.surface import Surface
     from skincal.model.scene import KnownDistance
 
@@ -73,7 +73,7 @@ class ModulesOnSurface:
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
-    def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
+    def place_pads(self, poses: ModulePoses, flat: FloatArray) -> Pads:
         """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie: at the ends of geodesics."""
         end = _walked(self.surface, poses, flat)
         normals = self.surface.normals[end.triangles]
@@ -81,7 +81,7 @@ class ModulesOnSurface:
         turn = (flat[:, :1] * y - flat[:, 1:] * x) / LEVER
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
-    def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
+    def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
         """Return the poses (n,) moved by `moves` (n, 3): at the ends of geodesics, turned there."""
         end = _walked(self.surface, poses, moves[:, :2])
         normals = self.surface.normals[end.triangles]
@@ -99,13 +99,13 @@ class ModulesInSpace:
 
     unknowns = 6
 
-    def laid(self, poses: ModulePoses, flat: FloatArray) -> Pads:
+    def place_pads(self, poses: ModulePoses, flat: FloatArray) -> Pads:
         """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie, in the planes of the modules."""
         arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
         gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER], axis=2)
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
-    def moved(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
+    def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
         """Return the poses (n,) moved by `moves` (n, 6): shifted and turned."""
         turn = rotations(moves[:, 3:] / LEVER)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
@@ -120,12 +120,12 @@ ModuleGround: TypeAlias = ModulesOnSurface | ModulesInSpace
 """What modules lie on."""
 
 
-def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> Footing:
+def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> MeshPoints:
     """Return where straight ways (n, 2) from poses end, metres."""
     # Imported only now: a scene without a mesh loads nothing of it.
-    from skincal.mesh.geodesics import Footing, geodesics_of
+    from skincal.mesh.geodesics import MeshPoints, geodesics_of
 
-    return geodesics_of(surface).walk(Footing(poses.triangles, poses.points, poses.x), ways)
+    return geodesics_of(surface).walk(MeshPoints(poses.triangles, poses.points, poses.x), ways)
 
 
 def rotations(vectors: FloatArray) -> FloatArray:
@@ -169,7 +169,7 @@ class ModuleModel:
         self._plans: dict[int, ModulePoses | None] = {}
         self._planned: dict[int, FloatArray] = {}
 
-    def replanned(self, layout: Layout) -> ModuleModel:
+    def with_layout(self, layout: Layout) -> ModuleModel:
         """Return the model of another layout of these modules on the same part, without known distances."""
         model = ModuleModel(layout, self._anchor, self._surface)
         pairs = zip(self.layout.modules, layout.modules, strict=True)
@@ -195,7 +195,7 @@ class ModuleModel:
         plan = self.plan(module)
         if plan is not None and module not in self._planned:
             pads = self.pads[module]
-            self._planned[module] = self.ground.laid(plan.take(np.zeros(len(pads), dtype=np.int64)), pads).points
+            self._planned[module] = self.ground.place_pads(plan.take(np.zeros(len(pads), dtype=np.int64)), pads).points
         return self._planned.get(module)
 
     def modules_of(self, channels: Iterable[int]) -> list[int]:
@@ -219,11 +219,11 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
         return None
     way = module.place - anchor.at
     if isinstance(ground, ModulesOnSurface):
-        from skincal.mesh.lay import stand
+        from skincal.mesh.lay import place_anchor
 
-        start = stand(ground.surface, anchor, f"the anchor of module {module.id}")
+        start = place_anchor(ground.surface, anchor, f"the anchor of module {module.id}")
         at = ModulePoses(start.points, start.x, ground.surface.normals[start.triangles], start.triangles)
-        return ground.moved(at, np.array([[*way, module.angle * LEVER]]))
+        return ground.move(at, np.array([[*way, module.angle * LEVER]]))
     normal = anchor.normal / np.linalg.norm(anchor.normal)
     x = anchor.x - (anchor.x @ normal) * normal
     x = x / np.linalg.norm(x)
@@ -232,7 +232,7 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
     return ModulePoses((anchor.point + way[0] * x + way[1] * y)[None], own[None], normal[None], np.full(1, -1, dtype=np.int64))
 
 
-def joined(poses: Sequence[ModulePoses]) -> ModulePoses:
+def join_poses(poses: Sequence[ModulePoses]) -> ModulePoses:
     """Return all poses of several as one."""
     return ModulePoses(
         np.concatenate([pose.points for pose in poses]),

@@ -48,9 +48,9 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, joined
+from skincal.modules.pose import LEVER, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, join_poses
 from skincal.solver.machine import INTEGER, Call, Machine, shared
-from skincal.taxels.contact_table import Evidence, across
+from skincal.taxels.contact_table import Evidence, orthonormal_pair
 from skincal.taxels.result import Estimate
 
 MIDDLE = 1.6
@@ -89,7 +89,7 @@ class Touches:
         end = self.starts[touch + 1] if touch + 1 < len(self.starts) else len(self.answers)
         return self.channels[self.answers[self.starts[touch] : end]]
 
-    def middles(self, pads: Pads) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def contact_centres(self, pads: Pads) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the places (m, 3), metres, gradients (m, 3, d) and normals (m, 3), unit, of the pokes' middles."""
         shares = self.shares[:, None]
         points = np.add.reduceat(shares * pads.points[self.answers], self.starts, axis=0)
@@ -109,7 +109,7 @@ def offset_squares(answering: IntArray, across: FloatArray, noise: NoiseSettings
     return np.asarray((MIDDLE * noise.contact / answering) ** 2 + np.where(across > 1e-9, ACROSS**2, 0.0))
 
 
-def find_touches(
+def assign_pokes(
     evidence: Evidence, totals: FloatArray, model: ModuleModel, noise: NoiseSettings, wanted: Collection[int]
 ) -> Touches:
     """Return the pokes on the modules `wanted`; one that touches several modules counts where most answered.
@@ -165,7 +165,7 @@ class ModuleRows:
     """(m, d, d) float: how A'b of each poke changes with the unknowns but for -A'A, A its slopes and b its misses."""
 
 
-def whitened(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
+def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleRows:
     """Return the rows of pokes whose modules have their pads at `pads`."""
     count, unknowns = len(touches.of), pads.gradients.shape[2]
     with shared().call() as call:
@@ -208,7 +208,7 @@ ROUNDS = 3
 """Of weighing the estimates anew."""
 
 
-def start_of(model: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
+def find_start(model: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
     """Return where the search for a module's pose begins, one pose; None where neither estimates nor plan say.
 
     Parameters
@@ -266,9 +266,9 @@ def _fitting(
 
 def _axes(normal: FloatArray, plan: ModulePoses | None) -> tuple[FloatArray, FloatArray]:
     """Return two directions across `normal`, the plan's x as far as it is across."""
-    x = across(normal[None])[0, 0] if plan is None else plan.x[0] - (plan.x[0] @ normal) * normal
+    x = orthonormal_pair(normal[None])[0, 0] if plan is None else plan.x[0] - (plan.x[0] @ normal) * normal
     length = float(np.sqrt(x @ x))
-    x = x / length if length > 0.1 else across(normal[None])[0, 0]
+    x = x / length if length > 0.1 else orthonormal_pair(normal[None])[0, 0]
     return x, np.asarray(np.cross(normal, x), dtype=np.float64)
 
 
@@ -321,7 +321,7 @@ NO_RANK = 1e-9
 """Singular values below this share of the largest: what they belong to, the pokes do not determine."""
 
 
-def trust_of(squares: FloatArray) -> FloatArray:
+def trust_from_squares(squares: FloatArray) -> FloatArray:
     """Return how far pokes count, 0 to 1, by their squared distances in standard deviations: as in `trust.h`, smoothly."""
     rest = np.clip((NONE - np.sqrt(squares)) / (NONE - FULL), 0.0, 1.0)
     return np.where(squares > FULL**2, rest * rest * (3.0 - 2.0 * rest), 1.0)
@@ -348,7 +348,7 @@ class Fitted:
     """(b,) float, metres: the last step of a pose that has not settled; 0 of one that has."""
 
 
-def fit_poked(
+def fit_modules_from_pokes(
     evidence: Evidence,
     totals: FloatArray,
     model: ModuleModel,
@@ -356,20 +356,20 @@ def fit_poked(
     others: Sequence[Mapping[int, Estimate]],
     doubting: bool = True,
 ) -> tuple[Touches, Fitted] | None:
-    """Find the poses of all modules that pokes touched, from where `start_of` puts them; None where there is none.
+    """Find the poses of all modules that pokes touched, from where `find_start` puts them; None where there is none.
 
     Parameters
     ----------
-    evidence, totals : as for `find_touches`
+    evidence, totals : as for `assign_pokes`
     others : estimates by channel, the best method first
     doubting : whether pokes far off the others count less
     """
-    begun = {module: start_of(model, module, others) for module in model.modules_of(evidence.channels.tolist())}
+    begun = {module: find_start(model, module, others) for module in model.modules_of(evidence.channels.tolist())}
     starts = {module: pose for module, pose in begun.items() if pose is not None}
-    touches = find_touches(evidence, totals, model, noise, starts)
+    touches = assign_pokes(evidence, totals, model, noise, starts)
     if not len(touches.modules):
         return None
-    start = joined([starts[module] for module in touches.modules.tolist()])
+    start = join_poses([starts[module] for module in touches.modules.tolist()])
     return touches, fit_modules(touches, model, start, noise, doubting)
 
 

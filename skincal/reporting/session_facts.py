@@ -24,7 +24,7 @@ from skincal.guide.verdict import Verdict
 from skincal.journal.documents import Totals
 from skincal.methods import estimate_taxels, leading_method
 from skincal.model.errors import InputError
-from skincal.modules.health import LayoutMend, judged_modules, mend_modules, spacing_ratio
+from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout, spacing_ratio
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
 from skincal.session.checked import landmark_findings, use_offered, verdicts_of
@@ -92,7 +92,7 @@ class SessionFacts:
     """What they say of the rig; None without any."""
     misses: Mapping[str, tuple[float, ...]]
     """m, by landmark: how far its pokes pass it as the rig reports them."""
-    mend: LayoutMend | None
+    mend: LayoutRepair | None
     """Modules that do not lie as planned; None without a layout."""
     judged: int
     """Modules of which enough is known for that."""
@@ -210,13 +210,13 @@ def _misses(session: Session) -> dict[str, tuple[float, ...]]:
     return {mark.name: tuple(poke.miss for poke in pokes if poke.name == mark.name) for mark in session.decisions.landmarks}
 
 
-def _modules(session: Session, snapshot: Snapshot) -> tuple[LayoutMend | None, int]:
+def _modules(session: Session, snapshot: Snapshot) -> tuple[LayoutRepair | None, int]:
     """Return which modules do not lie as planned, by the surface method where there is one, and how many were judged."""
     if session.module_model is None:
         return None, 0
     of = snapshot.estimates.get(Method.SURFACE) or snapshot.estimates[Method.FREE]
     estimates = {estimate.channel: estimate for estimate in of}
-    return mend_modules(session.module_model, estimates), judged_modules(session.module_model, estimates)
+    return repair_layout(session.module_model, estimates), count_judged_modules(session.module_model, estimates)
 
 
 def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:

@@ -24,7 +24,7 @@ from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
-from skincal.taxels.contact_table import across
+from skincal.taxels.contact_table import orthonormal_pair
 
 FRAME, RIG = "frame", "rig"
 """What a correction is of: the sensor's frame, or the rig's small errors."""
@@ -221,7 +221,7 @@ def rig_rows(
     corrected = wrenches + features @ state.matrix.T
     force, moment = corrected[:, :3], corrected[:, 3:]
     size = np.linalg.norm(wrenches[:, :3], axis=1)
-    pairs = across(wrenches[:, :3] / size[:, None]) / size[:, None, None]
+    pairs = orthonormal_pair(wrenches[:, :3] / size[:, None]) / size[:, None, None]
     sensor_from_link = rotations(state.turns)[readings.poses].transpose(0, 2, 1) @ reported[:, :3, :3].transpose(0, 2, 1)
     off = reported[:, :3, 3] + (reported[:, :3, :3] @ state.shifts[readings.poses][:, :, None])[:, :, 0]
     here = (sensor_from_link @ (places - off)[:, :, None])[:, :, 0]

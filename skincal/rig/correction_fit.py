@@ -27,7 +27,7 @@ from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses
-from skincal.modules.pose_fit import Touches, fit_poked, trust_of
+from skincal.modules.pose_fit import Touches, fit_modules_from_pokes, trust_from_squares
 from skincal.rig.correction import (
     POSES_KEPT,
     Correction,
@@ -125,14 +125,14 @@ class ModuleGroups(_Groups):
         modules: list[int] = self.touches.modules.tolist()
         own = [self.model.pads[module] for module in modules]
         of = np.repeat(np.arange(len(own)), [len(pads) for pads in own])
-        pads = self.model.ground.laid(self.poses.take(of), np.concatenate(own))
-        places, gradients, normals = self.touches.middles(pads)
+        pads = self.model.ground.place_pads(self.poses.take(of), np.concatenate(own))
+        places, gradients, normals = self.touches.contact_centres(pads)
         across = np.eye(3) - normals[:, :, None] * normals[:, None]
         return PlacedPokes(places, gradients, self.touches.offsets[:, None, None] * across)
 
     def moved(self, moves: FloatArray) -> ModuleGroups:
         """Return them moved by `moves` (count, d)."""
-        return replace(self, poses=self.model.ground.moved(self.poses, moves))
+        return replace(self, poses=self.model.ground.move(self.poses, moves))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +168,7 @@ def module_groups(
     channels : those that are used
     """
     evidence = table.evidence(channels)
-    fit = fit_poked(evidence, table.totals(evidence.pokes), model, noise, [estimates])
+    fit = fit_modules_from_pokes(evidence, table.totals(evidence.pokes), model, noise, [estimates])
     if fit is None:
         return None
     touches, fitted = fit
@@ -620,7 +620,7 @@ def _trusted(rows: RigRows, shared: FloatArray, step: FloatArray, root: FloatArr
     counts = (trust > 0.5)[:, None, None]
     total = _own_blocks(shared) + np.where(counts, -trust[:, None, None] * leverage, leverage)
     # Rounding may leave a square below zero.
-    found = trust_of(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
+    found = trust_from_squares(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
     return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
 
 

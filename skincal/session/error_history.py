@@ -25,7 +25,7 @@ from skincal.files.reference import Reference
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Exclude, Restore
 from skincal.model.scene import Scene
-from skincal.modules.health import LayoutMend, judged_modules, mend_modules
+from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout
 from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, Correction
 from skincal.session.part import Part
@@ -323,7 +323,7 @@ class ModulesFound:
 
     method: Method
     """Whose estimates were judged."""
-    mend: LayoutMend
+    mend: LayoutRepair
     """What is wrong with the modules, and how the layout is put right."""
     judged: int
     """Modules of which enough is known."""
@@ -356,7 +356,7 @@ class ModulesCheck:
 
         def work() -> ModulesFound:
             try:
-                return ModulesFound(method, mend_modules(model, estimates), judged_modules(model, estimates))
+                return ModulesFound(method, repair_layout(model, estimates), count_judged_modules(model, estimates))
             except BaseException:
                 # `run` reports why, and does not call `_take` then.
                 self._busy = False

@@ -13,10 +13,10 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_moves
+from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from, unplaced
-from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, needs, pokes_from_start
+from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from_layout, plan_without_positions
+from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, count_pokes_from_start, find_needs
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
@@ -120,7 +120,7 @@ class SessionGuide:
             {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
             evidence,
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
-            self.landmarks.rig_moves(snapshot),
+            self.landmarks.rig_error_sd(snapshot),
             lambda poke: _asked_target(asked.get(poke)),
         )
 
@@ -275,9 +275,9 @@ class LandmarkGuide:
         """Return the landmark pokes that count."""
         return at_landmarks(snapshot)
 
-    def rig_moves(self, snapshot: Snapshot) -> float:
+    def rig_error_sd(self, snapshot: Snapshot) -> float:
         """Return by how much the rig moves estimates, by its landmark pokes: sd in each direction, metres."""
-        return rig_moves(self.made(snapshot), self._scene.noise)
+        return rig_error_sd(self.made(snapshot), self._scene.noise)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Predict what the landmarks of this arm pose are worth for the taxels that are poked in it and in those before."""
@@ -461,22 +461,24 @@ class ModulesEnough:
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
         """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
         nothing = float("nan")
-        return needs(estimate, Facts(pokes, nothing, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin)
+        return find_needs(
+            estimate, Facts(pokes, nothing, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin
+        )
 
 
 def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -> Mapping[Method, int]:
     """Return about how many pokes each method takes from the first to enough, the cheapest first; see `SessionGuide.costs`."""
     if not len(plan.channels) or not np.isfinite(plan.places).all():
         return {}
-    pokes = {method: pokes_from_start(method, plan.modules, GuideSettings(), on_mesh=on_mesh) for method in methods}
+    pokes = {method: count_pokes_from_start(method, plan.modules, GuideSettings(), on_mesh=on_mesh) for method in methods}
     return dict(sorted(pokes.items(), key=lambda item: item[1]))
 
 
 def plan_of(part: Part) -> PlannedPlaces:
     """Return where the part's layout puts the taxels; nowhere where there is no layout or it is not laid."""
     layout, laid = part.scene.skin.layout, part.laid
-    plan = None if layout is None or laid is None else plan_from(layout, laid)
-    return plan or unplaced(part.channels, None if layout is None else layout.module_of[part.channels])
+    plan = None if layout is None or laid is None else plan_from_layout(layout, laid)
+    return plan or plan_without_positions(part.channels, None if layout is None else layout.module_of[part.channels])
 
 
 def _contacts(snapshot: Snapshot) -> dict[int, Contact]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.guidance import was_there
+from skincal.guide.guidance import may_be_at_landmark
 from skincal.model.actions import FoundAtLandmark, MissedLandmark
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.rig.correction_fit import LandmarkPoke
@@ -122,7 +122,7 @@ class LandmarkFinder:
     def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
         """Return whether a poke began late enough, and no taxel far from the landmark answered."""
         late = outcome.start_s >= self._asked_s + REACTION_S
-        return late and (isinstance(outcome, Rejection) or was_there(outcome, landmark, self._places()))
+        return late and (isinstance(outcome, Rejection) or may_be_at_landmark(outcome, landmark, self._places()))
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:

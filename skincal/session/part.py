@@ -20,7 +20,7 @@ from skincal.model.scene import UNITS, Scene, SurfaceSpec, load_scene
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
     from skincal.guide.candidates import Cover
-    from skincal.mesh.lay import LaidSkin
+    from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
 
@@ -47,7 +47,7 @@ class Part:
 
     scene: Scene
     surface: Surface | None
-    laid: LaidSkin | None
+    laid: PlacedLayout | None
     channels: IntArray
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
@@ -133,11 +133,11 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
     if layout is None:
         return Part(scene, surface, None, np.arange(scene.skin.channels), findings, cover=_cover(surface))
     from skincal.files.reference import plan_reference
-    from skincal.mesh.lay import lay
+    from skincal.mesh.lay import place_layout
 
     # The layout works these out when they are first asked for: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing
-    laid = lay(layout, scene.skin.anchor, surface)
+    laid = place_layout(layout, scene.skin.anchor, surface)
     findings = (*findings, *anchor_findings(scene, surface))
     plan = None if laid is None else plan_reference(scene.name, laid.places)
     return Part(scene, surface, laid, layout.channels, findings, plan, cover=_cover(surface) if laid is None else None)

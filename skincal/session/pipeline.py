@@ -35,7 +35,7 @@ from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
 
 if TYPE_CHECKING:
-    from skincal.mesh.lay import LaidSkin
+    from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
 T = TypeVar("T")
@@ -64,7 +64,7 @@ class Pipeline:
         links: Sequence[LinkSpec],
         surface: Surface | None,
         journal: JournalWriter | None = None,
-        laid: LaidSkin | None = None,
+        laid: PlacedLayout | None = None,
     ) -> None:
         self.scene = scene
         self.session = Session(scene, surface)
@@ -315,9 +315,9 @@ class Pipeline:
         """Return where the layout puts each taxel, (3,) float, metres, by its channel; none where it does not."""
         layout = self.scene.skin.layout
         if self.laid is None and layout is not None:
-            from skincal.mesh.lay import lay  # it costs a second on a large mesh, and few sessions need it
+            from skincal.mesh.lay import place_layout  # it costs a second on a large mesh, and few sessions need it
 
-            self.laid = lay(layout, self.scene.skin.anchor, self.session.surface)
+            self.laid = place_layout(layout, self.scene.skin.anchor, self.session.surface)
         if self.laid is None or layout is None:
             return {}
         places = self.laid.places

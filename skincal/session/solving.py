@@ -17,7 +17,7 @@ from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
-from skincal.taxels.shared_errors import SharedRows, carried
+from skincal.taxels.shared_errors import SharedRows, add_shared_errors
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
@@ -119,11 +119,11 @@ class Solving:
     def _refine(self) -> None:
         """Let known distances count; each module's own fit stays as it is."""
         # Imported only where a scene knows distances.
-        from skincal.modules.distances import refined
+        from skincal.modules.distances import apply_distances
 
         assert self.module_model is not None
         assert self._fitted is not None
-        moved, self.tried_distances = refined(self.module_model, self._fitted, self._apart, self._noise)
+        moved, self.tried_distances = apply_distances(self.module_model, self._fitted, self._apart, self._noise)
         self._estimates[Method.MODULES].update({**self._apart, **moved})
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
@@ -156,7 +156,7 @@ class Solving:
         solved = estimate_from(evidence, channels, self._alone, self._noise, self._surface, dead, last)
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
-            moved = carried(evidence, list(estimates.values()), self._noise, self.shared)
+            moved = add_shared_errors(evidence, list(estimates.values()), self._noise, self.shared)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)

@@ -21,8 +21,8 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.knowledge import PlannedPlaces, plan_from
-from skincal.mesh.lay import lay
+from skincal.guide.knowledge import PlannedPlaces, plan_from_layout
+from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
@@ -152,8 +152,8 @@ class Bench:
     @cached_property
     def plan(self) -> PlannedPlaces:
         """Where the layout, laid on the surface, puts the taxels."""
-        laid = lay(self.layout, self.scene.skin.anchor, self.surface)
-        plan = None if laid is None else plan_from(self.layout, laid)
+        laid = place_layout(self.layout, self.scene.skin.anchor, self.surface)
+        plan = None if laid is None else plan_from_layout(self.layout, laid)
         assert plan is not None, "what ships can be laid"
         return plan
 

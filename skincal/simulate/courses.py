@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.candidates import directions
+from skincal.guide.candidates import candidate_pushes
 from skincal.guide.guidance import Guidance, GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
@@ -321,7 +321,7 @@ def _least_spread(part: Bench, session: Session, guidance: Guidance, conditions:
     """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
     row = int(np.lexsort((guidance.own, guidance.diversity))[0])
     place = part.plan.places[row]
-    tries = directions(part.plan.normals[row : row + 1], min(conditions.usable, GuideSettings().usable_tilt))[0]
+    tries = candidate_pushes(part.plan.normals[row : row + 1], min(conditions.usable, GuideSettings().usable_tilt))[0]
     known = session.evidence([int(part.plan.channels[row])])
     if not len(known.channels):
         return MeantPokes(place[None], tries[:1])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, cross_matrix, inverse_pose
-from skincal.mesh.lay import lay
+from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -283,7 +283,7 @@ def _mounted(
     if layout is None or (anchor is None and all(m.anchor is None for m in layout.modules)):
         raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
     modules = tuple(m if m.anchor is None else replace(m, anchor=_displaced(m.anchor, errors, rng)) for m in layout.modules)
-    laid = lay(Layout(modules, layout.width), None if anchor is None else _displaced(anchor, errors, rng), surface)
+    laid = place_layout(Layout(modules, layout.width), None if anchor is None else _displaced(anchor, errors, rng), surface)
     if laid is None:
         raise InputError(f"{scene.path}: the layout could not be laid; check its anchor.")
     channels = layout.channels

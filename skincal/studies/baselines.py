@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
-from skincal.mesh.search import GRAZING, nearest_to_rows
+from skincal.mesh.search import GRAZING, nearest_in_metric
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, ModulePoses, Pads
-from skincal.modules.pose_fit import Touches, find_touches
+from skincal.modules.pose_fit import Touches, assign_pokes
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 
@@ -76,7 +76,7 @@ def by_every_triangle(surface: Surface, problem: TaxelProblem) -> FloatArray:
 def by_compiled_triangles(surface: Surface, problem: TaxelProblem) -> FloatArray:
     """Find the same point by the program's compiled solver, every facing triangle tried."""
     root, offset, push = (part[None] for part in problem)
-    return nearest_to_rows(surface, root, offset, push, every=True).points[0]
+    return nearest_in_metric(surface, root, offset, push, every=True).points[0]
 
 
 def by_quadratic_programmes(solver: Callable[[Programmes], FloatArray], surface: Surface, problem: TaxelProblem) -> FloatArray:
@@ -256,19 +256,19 @@ class ModuleProblem:
     def touches(self) -> Touches:
         """Its pokes."""
         evidence = self.table.evidence(self.model.channels_of([self.module]))
-        return find_touches(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
+        return assign_pokes(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
 
     def laid(self, pose: ModulePoses) -> Pads:
         """Lay its pads at one pose."""
         flat = self.model.pads[self.module]
-        return self.model.ground.laid(pose.take(np.zeros(len(flat), dtype=np.int64)), flat)
+        return self.model.ground.place_pads(pose.take(np.zeros(len(flat), dtype=np.int64)), flat)
 
     def by_least_squares(self, misses: Callable[[Pads], FloatArray], **tolerances: float) -> FloatArray:
         """Find the pads (k, 3), metres, of least `misses` by scipy's Levenberg-Marquardt with a differenced Jacobian."""
         optimize: Any = import_module("scipy.optimize")
 
         def moved(step: FloatArray) -> Pads:
-            return self.laid(self.model.ground.moved(self.start, step[None]))
+            return self.laid(self.model.ground.move(self.start, step[None]))
 
         def residuals(step: FloatArray) -> FloatArray:
             return misses(moved(step)).ravel()

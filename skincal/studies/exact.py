@@ -489,7 +489,7 @@ class ExactPokes(NamedTuple):
     force: Exact
     offset: Exact
 
-    def middles(self, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
+    def contact_centres(self, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
         """Return the middles of the pads that answered, their change with each unknown (n, 3, d), and the normals there."""
         places = (self.shares[:, :, None] * pads.points[self.answered]).sum(axis=1)
         normals = (self.shares[:, :, None] * pads.normals[self.answered]).sum(axis=1)
@@ -523,7 +523,7 @@ def two_across(u: Exact) -> Exact:
 
 def weighed(pokes: ExactPokes, pads: ExactPads) -> tuple[Exact, Exact, Exact]:
     """Return of each poke the misses E (a - c) (n, 2), their slopes E dc/dp (n, 2, d), and D^-1 (n, 2, 2)."""
-    places, changes, normals = pokes.middles(pads)
+    places, changes, normals = pokes.contact_centres(pads)
     levers = places - pokes.sensor
     swing, out = dot(cross(pokes.u[:, None], pokes.pairs), levers[:, None]), dot(pokes.pairs, normals[:, None])
     even = pokes.moment + pokes.force * dot(levers, levers) + pokes.offset
@@ -603,7 +603,7 @@ def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Tru
     inverse = solved(matrix + _TRACE * abs(_np.diag(matrix)).max() * one, one, MP.zero)
     covariances = floats(pads.changes @ inverse @ pads.changes.swapaxes(1, 2))
     sds = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1]).tolist()
-    away = pokes.a - pokes.middles(pads)[0]
+    away = pokes.a - pokes.contact_centres(pads)[0]
     off = away - dot(away, pokes.u)[:, None] * pokes.u
     missed = bool(MP.sqrt(dot(off, off).mean()) > MISS_MAX)
     return Truth(

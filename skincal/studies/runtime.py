@@ -29,7 +29,7 @@ from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
 from skincal.methods import average_over_poses, estimate_from, estimate_taxels
 from skincal.modules.pose import ModuleModel
-from skincal.modules.pose_fit import start_of, whitened
+from skincal.modules.pose_fit import find_start, whitened_rows
 from skincal.palette import BLACK, METHODS, ORANGE, PINK, SKY
 from skincal.plotting import Axes, Figure, add_common_legend, label_twos_and_fives, set_log_scales
 from skincal.session.session import Session
@@ -423,7 +423,7 @@ def _module_rows(size: ProblemSize) -> Iterator[Row]:
 
     def solve(seed: int, module: int) -> Positions:
         problem = starts[seed][module]
-        places = problem.by_least_squares(lambda pads: whitened(problem.touches, pads, noise).misses, **LM_TOLERANCES)
+        places = problem.by_least_squares(lambda pads: whitened_rows(problem.touches, pads, noise).misses, **LM_TOLERANCES)
         return dict(zip(model.channels_of([module]), places, strict=True))
 
     def solved(doubting: bool) -> list[Positions]:
@@ -445,7 +445,7 @@ def _module_problems(size: ProblemSize, contacts: Sequence[Contact], model: Modu
     """Solve by the surface method, and set up each module that can be solved."""
     table, noise = ContactTable(contacts), size.bench.scene.noise
     others = [estimate_from(table, size.channels, [Method.SURFACE], noise, size.surface)[Method.SURFACE]]
-    starts = {module: start_of(model, module, others) for module in model.modules_of(size.channels)}
+    starts = {module: find_start(model, module, others) for module in model.modules_of(size.channels)}
     problems = [ModuleProblem(model, module, table, start, noise) for module, start in starts.items() if start is not None]
     return {problem.module: problem for problem in problems if len(problem.touches.of) > 1}
 

@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
-from skincal.mesh.search import nearest_to_rows
+from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface, heights, make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import Pads
-from skincal.modules.pose_fit import fit_modules, whitened
+from skincal.modules.pose_fit import fit_modules, whitened_rows
 from skincal.palette import BLACK, BLUE, ORANGE, SKY, VERMILION
 from skincal.plotting import Axes, Figure, add_common_legend
 from skincal.studies import exact
@@ -52,7 +52,7 @@ from skincal.studies.stability_cases import (
     model_of,
 )
 from skincal.studies.stability_terms import TermCase, term_cases
-from skincal.taxels.contact_table import ContactTable, across
+from skincal.taxels.contact_table import ContactTable, orthonormal_pair
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
 
@@ -241,7 +241,7 @@ def _by_rows(rows: RowsOf, way: RowSolver, case: Case, order: IntArray, surface:
     point, root, offset = way(*rows(case.readings.ordered(order)))
     if surface is None:
         return point[None]
-    return nearest_to_rows(surface, root[None], offset[None], exact.floats(exact.mean_push(case.readings))[None]).points
+    return nearest_in_metric(surface, root[None], offset[None], exact.floats(exact.mean_push(case.readings))[None]).points
 
 
 def _link_frame(readings: Readings) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -260,7 +260,7 @@ def three_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
 def two_rows(readings: Readings) -> tuple[FloatArray, FloatArray]:
     """Return two rows a contact: A (2n, 3) and b (2n,)."""
     u, m, k = _link_frame(readings)
-    rows = k[:, None, None] * across(u)
+    rows = k[:, None, None] * orthonormal_pair(u)
     return rows.reshape(-1, 3), np.einsum("nij,nj->ni", rows, np.cross(u, m)).ravel()
 
 
@@ -335,7 +335,7 @@ def modules_by_normal_equations(case: Case, order: IntArray, surface: Surface | 
     problem = problem_of(case, order, surface)
     pose = problem.start
     for _ in range(STEPS):
-        rows = whitened(problem.touches, problem.laid(pose), problem.noise)
+        rows = whitened_rows(problem.touches, problem.laid(pose), problem.noise)
         a = rows.slopes.reshape(-1, rows.slopes.shape[2])
         right, plain = a.T @ rows.misses.ravel(), a.T @ a
         matrix = plain - np.sum(rows.bends, axis=0)
@@ -344,7 +344,7 @@ def modules_by_normal_equations(case: Case, order: IntArray, surface: Surface | 
         if not np.isfinite(step).all():
             return np.full((PADS, 3), np.nan)
         step = step / max(1.0, float(np.abs(step).max()) / 0.015)
-        pose = problem.model.ground.moved(pose, step[None])
+        pose = problem.model.ground.move(pose, step[None])
         if float(np.abs(step).max()) < 1e-16:
             break
     return problem.laid(pose).points
@@ -356,11 +356,11 @@ def modules_by_differences(case: Case, order: IntArray, surface: Surface | None)
     The noise is held as it is at the answer, so that the minimum is where the program looks for it.
     """
     problem = problem_of(case, order, surface)
-    rows = whitened(problem.touches, _fitted(problem), problem.noise)
+    rows = whitened_rows(problem.touches, _fitted(problem), problem.noise)
     at, pairs = problem.touches.rows, problem.touches.evidence.pairs[problem.touches.rows]
 
     def misses(pads: Pads) -> FloatArray:
-        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - problem.touches.middles(pads)[0])[:, None], axis=2)
+        off = np.sum(pairs * (problem.touches.evidence.nearest[at] - problem.touches.contact_centres(pads)[0])[:, None], axis=2)
         return np.sum(rows.whiten * off[:, None], axis=2)
 
     return problem.by_least_squares(misses, xtol=1e-15, ftol=1e-15, gtol=1e-15)

@@ -553,7 +553,7 @@ def press_module(
     scatter : m, how far off the middle the contacts are
     """
     flat = module.flat
-    pads = module.ground.laid(module.at.take(np.zeros(len(flat), dtype=np.int64)), flat)
+    pads = module.ground.place_pads(module.at.take(np.zeros(len(flat), dtype=np.int64)), flat)
     directions = cone(rng, count, tilt, -module.at.normals[0] if lean is None else lean)
     if answers is None:
         answers = np.zeros((count, len(flat)))
@@ -592,7 +592,7 @@ def on_sheet(
     x = unit(corners[1] - corners[0])
     begin = ModulePoses(np.array([[0.2, 0.5, 0.3]]) @ corners, x[None], surface.normals[middle][None], np.array([middle]))
     way = np.array([[0.0013 + aside, 0.0021, 0.01 * rng.uniform(-1.0, 1.0)]])
-    return PlacedModule(ModulesOnSurface(surface).moved(begin, way), mesh, mirror)
+    return PlacedModule(ModulesOnSurface(surface).move(begin, way), mesh, mirror)
 
 
 def beside(rng: np.random.Generator, module: PlacedModule, shift: float = 0.002, turn: float = 0.1) -> ModulePoses:
@@ -600,7 +600,7 @@ def beside(rng: np.random.Generator, module: PlacedModule, shift: float = 0.002,
     ground = module.ground
     if ground.unknowns == 3:
         way = shift * unit(np.append(rng.normal(size=2), 0.0))
-        return ground.moved(module.at, np.array([[*way[:2], 0.010 * turn]]))
+        return ground.move(module.at, np.array([[*way[:2], 0.010 * turn]]))
     # Tilted by a third of what it is turned in its plane.
     axis = module.at.normals[0] + 0.33 * unit(rng.normal(size=3))
     turned = rotations(turn * unit(axis)[None])[0]

@@ -30,11 +30,11 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resource
 from skincal.modules.distances import STEPS as DISTANCE_STEPS
-from skincal.modules.distances import refined
+from skincal.modules.distances import apply_distances
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.off_surface import SEEN, THICKEST, TOLD
 from skincal.modules.pose import LEVER, ModulePoses, ModulesOnSurface
-from skincal.modules.pose_fit import trust_of
+from skincal.modules.pose_fit import trust_from_squares
 from skincal.rig.correction import LOAD, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
     HELD_OUT,
@@ -84,7 +84,7 @@ from skincal.studies.stability_cases import (
     unit,
 )
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.contact_table import across as pairs_across
+from skincal.taxels.contact_table import orthonormal_pair as pairs_across
 from skincal.taxels.result import Estimate, Method, State
 
 Said: TypeAlias = dict[str, Any]
@@ -332,7 +332,7 @@ class _Fit:
     def _trusted(self, rounded: _Equations) -> FloatArray:
         left, leverage = rounded.left(rounded.solved(self.trust, self._chosen))
         counts = np.where(self.trust > 0.5, -self.trust, 1.0)[:, None, None]
-        found = trust_of(np.maximum(_squares(left, rounded.own(self._chosen) + counts * leverage), 0.0))
+        found = trust_from_squares(np.maximum(_squares(left, rounded.own(self._chosen) + counts * leverage), 0.0))
         return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
 
     def _moved(self, found: _Posterior) -> _State:
@@ -516,7 +516,7 @@ def exact_module(shared: Shared, begin: ExactPose | None = None) -> Said:
     pads = pose.pads()
     misses, slopes, inverse = weighed(pokes, pads)
     unknowns = slopes.shape[2]
-    places, _, normals = pokes.middles(pads)
+    places, _, normals = pokes.contact_centres(pads)
     weights = slopes.swapaxes(1, 2) @ inverse
     back = inverted((weights @ slopes).sum(axis=0))
     alike, of_pose = _axes_of(shared, pokes, places)
@@ -647,7 +647,7 @@ def shipped_joined(joined: Joined) -> Said:
         channel: Estimate(channel, Method.MODULES, State.ESTIMATED, 1, position=np.zeros(3), covariance=np.eye(3))
         for channel in range(len(joined.cases) * PADS)
     }
-    found, tried = refined(model, dict(enumerate(joined.fitted)), before, joined.noise)
+    found, tried = apply_distances(model, dict(enumerate(joined.fitted)), before, joined.noise)
     if not all(each.used for each in tried):
         raise ValueError("a case whose distances do not all count")
     every = [found[channel] for channel in before]
@@ -866,7 +866,7 @@ def _distances(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[TermCase]
 def laid(case: ModuleCase) -> FloatArray:
     """Return (k, 3) where a module's pads lie."""
     module = case.module
-    return module.ground.laid(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
+    return module.ground.place_pads(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
 
 
 def _where(cases: Sequence[ModuleCase], pads: Sequence[FloatArray], end: int, of_taxels: bool) -> FloatArray:

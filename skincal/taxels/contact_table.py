@@ -135,7 +135,7 @@ class Evidence:
         )
 
 
-def across(u: FloatArray) -> FloatArray:
+def orthonormal_pair(u: FloatArray) -> FloatArray:
     """Return (n, 2, 3): two directions e_1, e_2 with e_1 x e_2 = u, orthonormal, for each of `u` (n, 3), unit."""
     # Duff et al., "Building an orthonormal basis, revisited", 2017: no branch on nearly parallel helpers.
     x, y, z = u.T

@@ -96,7 +96,7 @@ def repeatability(here: FloatArray, there: FloatArray, owners: IntArray | None =
     owners : (n,) int, the number of each taxel's module from 0, negative for none; None where there are no modules
     """
     _, lengths = differences(here, there)
-    modules = () if owners is None else compare_groups(owners, here, there)
+    modules = () if owners is None else compare_modules_of(owners, here, there)
     return Repeatability(lengths, summarise(lengths), common_motion(here, there), modules)
 
 
@@ -169,10 +169,10 @@ def compare_modules(layout: Layout, channels: IntArray, here: FloatArray, there:
     channels : (n,) int, of the taxels
     here, there : (n, 3) float, metres, of the same taxels; NaN where unknown
     """
-    return compare_groups(layout.module_of[channels], here, there)
+    return compare_modules_of(layout.module_of[channels], here, there)
 
 
-def compare_groups(owners: IntArray, here: FloatArray, there: FloatArray) -> tuple[ModuleDifference, ...]:
+def compare_modules_of(owners: IntArray, here: FloatArray, there: FloatArray) -> tuple[ModuleDifference, ...]:
     """Return how far each module lies apart, as `compare_modules` does; `owners` as for `repeatability`."""
     ways, lengths = differences(here, there)
     rows = np.flatnonzero(np.isfinite(lengths) & (owners >= 0))

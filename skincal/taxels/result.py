@@ -117,19 +117,19 @@ class Estimate:
     """(3,) float, unit, outward: of the surface, or against the mean push for the free method; None where unknown."""
     covariance: FloatArray | None = None
     """(3, 3) float, m^2; None unless `ESTIMATED`."""
-    weakest: FloatArray | None = None
+    worst_direction: FloatArray | None = None
     """(3,) float, unit: the direction that is known worst; also for `BLIND` with at least one axis."""
     sd: float | None = None
-    """m, standard deviation along `weakest`; None where it is not determined."""
+    """m, standard deviation along `worst_direction`; None where it is not determined."""
     rms: float | None = None
     """m, square root of the covariance's trace: the predicted error."""
     triangle: int | None = None
     """Index of the surface's triangle that carries the position; None without one, and for the free method."""
     reason: StateReason | None = None
     """Why the state is what it is; None where there is nothing to say."""
-    foot: FloatArray | None = None
+    line_point: FloatArray | None = None
     """(3,) float, metres: for a taxel that the free method knows as a line only, the line's point nearest to the link's
-    origin, that is the solution of smallest norm; the line runs along `weakest`. None otherwise."""
+    origin, that is the solution of smallest norm; the line runs along `worst_direction`. None otherwise."""
     rival: Rival | None = None
     """Surface method: the taxel may lie there as well. None where no other place is within the noise."""
     moved: FloatArray | None = None

@@ -25,7 +25,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, crossed, dots
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import ContactTable, Evidence, across
+from skincal.taxels.contact_table import ContactTable, Evidence, orthonormal_pair
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import SD_MAX, Cause, Estimate, Method, State, StateReason
 
@@ -67,7 +67,7 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pulls:
+class NormalEquations:
     """How m pokes hold g groups, taxels or modules, with d unknowns each; ordered by group, then by poke."""
 
     starts: IntArray
@@ -153,7 +153,7 @@ class Pulls:
         return TAKEN_UP * seen if self.corrected else seen
 
 
-def carried(
+def add_shared_errors(
     table: ContactTable | Evidence, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
 ) -> list[Estimate]:
     """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
@@ -174,11 +174,11 @@ def carried(
     places = np.array([estimate.position for estimate in known])[of]
     normals = np.array([np.zeros(3) if estimate.normal is None else estimate.normal for estimate in known])
     # The directions in which a taxel is free: all, or those of its triangle's plane.
-    free = across(normals) if known[0].method is Method.SURFACE else np.tile(np.eye(3), (len(known), 1, 1))
+    free = orthonormal_pair(normals) if known[0].method is Method.SURFACE else np.tile(np.eye(3), (len(known), 1, 1))
     pulls = (trust * evidence.weights**2)[order][:, None, None] * (free[of] @ pairs.transpose(0, 2, 1))
     held = np.add.reduceat(pulls @ pairs, starts) @ free.transpose(0, 2, 1)
     misses = trust[order, None] * dots(pairs, (evidence.nearest[order] - places)[:, None])
-    ordered = Pulls(
+    ordered = NormalEquations(
         starts, evidence.pokes[order], evidence.poses[order], pairs, misses, pulls, held, normals[of], shared is not None
     )
     outward = free.transpose(0, 2, 1)
@@ -192,7 +192,7 @@ def carried(
     if shared is not None:
         alike, of_poses = ordered.moves(*shared(ordered.pokes, places, ordered.pairs))
         moves, inside = outward @ alike, inside + of_poses
-    found = {estimate.channel: estimate for estimate in with_shared(known, factors, outward @ inside @ free, moves)}
+    found = {estimate.channel: estimate for estimate in add_covariances(known, factors, outward @ inside @ free, moves)}
     return [found.get(estimate.channel, estimate) for estimate in estimates]
 
 
@@ -247,7 +247,7 @@ def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
     return trust
 
 
-def with_shared(
+def add_covariances(
     estimates: Sequence[Estimate], factors: FloatArray, added: FloatArray, moves: FloatArray | None
 ) -> list[Estimate]:
     """Return n estimates that have a position with more covariance; under a correction blind where it is beyond `SD_MAX`.
@@ -273,15 +273,16 @@ def with_shared(
         replace(
             estimate,
             covariance=covariances[row],
-            weakest=weakest[row],
+            worst_direction=weakest[row],
             sd=sds[row],
             rms=rms[row],
             moved=None if moves is None else moves[row],
         )
         if moves is None or sds[row] <= SD_MAX
         else Estimate(
-            estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal, weakest=weakest[row],
-            sd=sds[row], reason=StateReason(Cause.SHARED_ERRORS, size=sds[row]), doubted=estimate.doubted,
+            estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal,
+            worst_direction=weakest[row], sd=sds[row], reason=StateReason(Cause.SHARED_ERRORS, size=sds[row]),
+            doubted=estimate.doubted,
         )
         for row, estimate in enumerate(estimates)
     ]  # fmt: skip

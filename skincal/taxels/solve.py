@@ -160,9 +160,9 @@ def solve(
     machine, place = shared(), 0
     if surface is not None and Method.SURFACE in methods:
         # Imported only now: a scene without a mesh loads nothing of it.
-        from skincal.mesh.search import solver_copy
+        from skincal.mesh.search import surface_in_solver
 
-        machine, place = solver_copy(surface)
+        machine, place = surface_in_solver(surface)
     machine = machine.twin() if second else machine
     with machine.call() as call:
         asked = _asked(call, evidence, noise)
@@ -238,9 +238,9 @@ def estimate_free(solution: Solution) -> list[Estimate]:
         normal = None if opposed else normals[i]
         if not sd <= SD_MAX:
             estimate = Estimate(
-                channel, Method.FREE, State.BLIND, contacts, normal=normal, weakest=uncertain.weakest[i],
+                channel, Method.FREE, State.BLIND, contacts, normal=normal, worst_direction=uncertain.weakest[i],
                 sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), uncertain.weakest[i], sd),
-                foot=points[i] if rank == 2 else None, doubted=doubted[i],
+                line_point=points[i] if rank == 2 else None, doubted=doubted[i],
             )  # fmt: skip
         elif miss > MISS_MAX:
             reason = StateReason(Cause.AXES_APART, size=miss)
@@ -248,7 +248,7 @@ def estimate_free(solution: Solution) -> list[Estimate]:
         else:
             estimate = Estimate(
                 channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
-                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
+                covariance=uncertain.covariances[i], worst_direction=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
             )  # fmt: skip
         estimates.append(estimate)
     return estimates
@@ -287,13 +287,13 @@ def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estima
         if reason is not None:
             grazing = reason.cause is Cause.GRAZING
             estimate = Estimate(
-                channel, Method.SURFACE, State.BLIND, contacts, weakest=uncertain.weakest[i] if grazing else None,
+                channel, Method.SURFACE, State.BLIND, contacts, worst_direction=uncertain.weakest[i] if grazing else None,
                 sd=sd if grazing and np.isfinite(sd) else None, reason=reason, doubted=doubted[i],
             )  # fmt: skip
         else:
             estimate = Estimate(
                 channel, Method.SURFACE, State.ESTIMATED, contacts, position=found.points[i], normal=normals[i],
-                covariance=uncertain.covariances[i], weakest=uncertain.weakest[i], sd=sd, rms=rms,
+                covariance=uncertain.covariances[i], worst_direction=uncertain.weakest[i], sd=sd, rms=rms,
                 triangle=triangle, rival=rivals.get(i), doubted=doubted[i],
             )  # fmt: skip
         estimates.append(estimate)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.model.errors import plural
-from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
@@ -18,14 +18,14 @@ MAX_NAMED_MODULES = 4
 """One sentence names at most the first four modules."""
 
 
-def misfit_sentence(misfit: Misfit) -> str:
+def misfit_sentence(misfit: MisplacedModule) -> str:
     """Say how a module differs from the layout, what to change, and the mean offset of its taxels before and after."""
     turn = f"{np.degrees(misfit.turn):.0f}"
     too = f", and its angle_deg by {turn} degrees" if misfit.turn else ""
     what = {
-        MisfitKind.MIRRORED: f"is mirrored: change its mirror in the layout{too}",
-        MisfitKind.TURNED: f"is turned: change its angle_deg in the layout by {turn} degrees",
-        MisfitKind.SWAPPED: f"is at the position of module {misfit.other}: give that module its first_channel",
+        MisplacementKind.MIRRORED: f"is mirrored: change its mirror in the layout{too}",
+        MisplacementKind.TURNED: f"is turned: change its angle_deg in the layout by {turn} degrees",
+        MisplacementKind.SWAPPED: f"is at the position of module {misfit.other}: give that module its first_channel",
     }[misfit.kind]
     off = f"{misfit.after * 1e3:.0f} mm from the layout instead of {misfit.before * 1e3:.0f} mm"
     return f"Module {misfit.module} {what}. Its taxels are then {off}."
@@ -37,22 +37,22 @@ def change_words(change: ModuleChange) -> str:
     return f"module {change.module}: {values}"
 
 
-def left_sentences(mend: LayoutMend) -> list[str]:
+def left_sentences(mend: LayoutRepair) -> list[str]:
     """Say which modules a changed layout does not explain, one sentence each."""
     return [_unmended_sentence(left) for left in mend.left]
 
 
-def _unmended_sentence(left: Unmended) -> str:
+def _unmended_sentence(left: Unrepaired) -> str:
     numbers = left.modules
-    if left.kind is UnmendedKind.STILL_OFF:
+    if left.kind is UnrepairedKind.STILL_OFF:
         return f"Module {numbers[0]} is still {left.off * 1e3:.0f} mm from its planned position. Press the modules around it."
-    if left.kind is UnmendedKind.NO_RING:
+    if left.kind is UnrepairedKind.NO_RING:
         start, other = numbers
         return (
             f"Module {start} is at the position of module {other}, but no exchange of modules explains that. "
             f"Press modules {start} and {other} and their neighbours more."
         )
-    if left.kind is UnmendedKind.UNLIKE:
+    if left.kind is UnrepairedKind.UNLIKE:
         return (
             f"Modules {_named(numbers)} are exchanged, but their types differ. Exchange their positions in the layout by hand."
         )

@@ -29,8 +29,8 @@ WHY_WORDS: Mapping[Why, str] = {
     Why.OUT_OF_REACH: "out of reach: every side of it was skipped",
     Why.TILT: "the tool did not lean far enough to determine its depth",
     Why.AMBIGUOUS: "two positions fit its pokes",
-    Why.STUBBORN: "many pokes were not enough",
-    Why.EARLY: "not pressed enough yet",
+    Why.NOT_CONVERGED: "many pokes were not enough",
+    Why.NOT_POKED_ENOUGH: "not pressed enough yet",
 }
 
 

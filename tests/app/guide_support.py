@@ -9,7 +9,7 @@ import numpy as np
 
 from app.scene3d.camera import CameraPose
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.guide.guidance import Coaching, Guidance, GuidePhase, Target, coach, smooth
+from skincal.guide.guidance import Guidance, GuidePhase, PokeError, Target, compare_to_target, smooth_wrench
 from skincal.guide.progress import Need
 from skincal.session.part import Part
 from skincal.session.snapshot import LiveView
@@ -85,7 +85,7 @@ def held(
     return replace(reading(), progress=progress)
 
 
-def coaching_of(progress: Progress, asked: Target) -> Coaching | None:
+def coaching_of(progress: Progress, asked: Target) -> PokeError | None:
     """What the coach says of one reading."""
-    felt = smooth(None, progress)
-    return None if felt is None else coach(felt, progress, asked, asked.place)
+    felt = smooth_wrench(None, progress)
+    return None if felt is None else compare_to_target(felt, progress, asked, asked.place)

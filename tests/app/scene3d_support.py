@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Outcome, PressPhase, Progress
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import ContactSettings, NoiseSettings, Scene, SkinSpec
 from skincal.model.skin import KINDS, Layout, Module
@@ -35,14 +35,14 @@ def layout(modules: int = 2) -> Layout:
     return Layout(tuple(Module(10 + i, kind, 12 * i, place, 0.0, False) for i, place in enumerate(places)), 12 * modules)
 
 
-def laid(plan: Layout) -> LaidSkin:
+def laid(plan: Layout) -> PlacedLayout:
     """The layout on the plane z = 0."""
 
     def lift(flat: np.ndarray) -> np.ndarray:
         return np.concatenate([flat, np.zeros((len(flat), 1))], axis=1)
 
     up = np.tile([0.0, 0.0, 1.0], (plan.width, 1))
-    return LaidSkin(lift(plan.places), up, tuple(lift(m.outline) for m in plan.modules))
+    return PlacedLayout(lift(plan.places), up, tuple(lift(m.outline) for m in plan.modules))
 
 
 def scene(plan: Layout | None) -> Scene:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.mesh.search import build_tree, nearest_to_rows
+from skincal.mesh.search import build_tree, nearest_in_metric
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
@@ -89,7 +89,7 @@ def test_the_whole_body_from_a_sessions_ledger(benchmark, torso, torso_contacts,
 def test_the_whole_bodys_search(benchmark, torso, torso_contacts):
     problems = baselines.taxel_problems(torso_contacts, torso.channels, torso.scene.noise).values()
     arguments = (torso.surface, *(np.array(part) for part in zip(*problems, strict=True)))
-    found = benchmark.pedantic(nearest_to_rows, arguments, rounds=3, warmup_rounds=1)
+    found = benchmark.pedantic(nearest_in_metric, arguments, rounds=3, warmup_rounds=1)
     assert (found.triangles >= 0).all()
 
 

@@ -12,7 +12,7 @@ import pytest
 from skincal.cli import main
 from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
-from skincal.mesh.lay import lay
+from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.model.actions import AddLandmark, AskLandmark, to_json
 from skincal.model.readings import Loss
@@ -156,7 +156,7 @@ def test_devices_of_another_process_are_recorded_and_solved(tmp_path, capsys):
 def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_path, monkeypatch, capsys):
     """A taxel's place is named as a landmark and asked for on stdin: the pokes at the taxel are found to be there."""
     scene = load_scene(PATCH)
-    x, y, z = lay(scene.skin.layout, scene.skin.anchor, None).places[3].tolist()
+    x, y, z = place_layout(scene.skin.layout, scene.skin.anchor, None).places[3].tolist()
     orders = [AddLandmark("pad", x, y, z), AskLandmark("pad"), AskLandmark("nose")]
     reading, writing = os.pipe()
     os.write(writing, b"".join(json.dumps(to_json(order)).encode() + b"\n" for order in orders))

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Stream
-from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
@@ -117,7 +117,7 @@ def test_every_cause_has_a_sentence():
 
 
 def test_a_mirrored_module_says_its_turn_only_where_it_has_one():
-    plain = Misfit(17, MisfitKind.MIRRORED, 0.0104, 0.0021)
+    plain = MisplacedModule(17, MisplacementKind.MIRRORED, 0.0104, 0.0021)
     said = approved("modules_check.mirrored", module=17, then_mm=2, now_mm=10)
     assert misfit_sentence(plain) == said
     too = replace(plain, turn=float(np.radians(180.0)))
@@ -125,9 +125,9 @@ def test_a_mirrored_module_says_its_turn_only_where_it_has_one():
 
 
 def test_turned_and_swapped_modules_say_what_to_change():
-    turned = Misfit(29, MisfitKind.TURNED, 0.01, 0.002, turn=float(np.radians(-120.0)))
+    turned = MisplacedModule(29, MisplacementKind.TURNED, 0.01, 0.002, turn=float(np.radians(-120.0)))
     assert approved("modules_check.turned", module=29, degrees=-120) in misfit_sentence(turned)
-    swapped = Misfit(3, MisfitKind.SWAPPED, 0.04, 0.001, other=5)
+    swapped = MisplacedModule(3, MisplacementKind.SWAPPED, 0.04, 0.001, other=5)
     assert approved("modules_check.swapped", module=3, other=5) in misfit_sentence(swapped)
 
 
@@ -140,29 +140,29 @@ def test_a_change_says_what_the_file_is_to_say():
     ("left", "sentence"),
     [
         (
-            Unmended(UnmendedKind.STILL_OFF, (11,), 0.018),
+            Unrepaired(UnrepairedKind.STILL_OFF, (11,), 0.018),
             approved("modules_check.still_off", module=11, miss_mm=18),
         ),
         (
-            Unmended(UnmendedKind.NO_RING, (3, 7)),
+            Unrepaired(UnrepairedKind.NO_RING, (3, 7)),
             approved("modules_check.no_ring", module=3, other=7),
         ),
         (
-            Unmended(UnmendedKind.UNLIKE, (10, 11)),
+            Unrepaired(UnrepairedKind.UNLIKE, (10, 11)),
             approved("modules_check.unlike", module=10, other=11),
         ),
         (
-            Unmended(UnmendedKind.NO_NEARER, (28,)),
+            Unrepaired(UnrepairedKind.NO_NEARER, (28,)),
             approved("modules_check.no_nearer", module=28),
         ),
         (
-            Unmended(UnmendedKind.NO_NEARER, (1, 2, 3, 4, 5, 6)),
+            Unrepaired(UnrepairedKind.NO_NEARER, (1, 2, 3, 4, 5, 6)),
             approved("modules_check.no_nearer_many", modules="1, 2, 3, 4", more=2),
         ),
     ],
 )
 def test_what_no_layout_puts_right_is_explained(left, sentence):
-    assert left_sentences(LayoutMend((), None, (), (left,))) == [sentence]
+    assert left_sentences(LayoutRepair((), None, (), (left,))) == [sentence]
 
 
 def test_a_correction_in_use_says_its_misses():

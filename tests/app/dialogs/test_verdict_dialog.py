@@ -41,7 +41,7 @@ from tests.approved import approved
 Key = Qt.Key
 UNUSED = Left(4, Why.DEAD, ())
 GIVEN_UP = Left(7, Why.NEVER_FIRED, (Need.POKES, Need.ACCURACY))
-EARLY = Left(9, Why.EARLY, (Need.BALANCE,))
+NOT_POKED_ENOUGH = Left(9, Why.NOT_POKED_ENOUGH, (Need.BALANCE,))
 
 
 AGREES = Check(14, 13)
@@ -61,7 +61,7 @@ def verdict(
     closings: tuple[Closing, ...] = (),
 ) -> Verdict:
     done = used - sum(taxel.why is not Why.DEAD for taxel in left)
-    enough = all(taxel.why is not Why.EARLY for taxel in left)
+    enough = all(taxel.why is not Why.NOT_POKED_ENOUGH for taxel in left)
     return Verdict(
         Method.SURFACE, enough, 0.003, done, used, left, checked, landmarks, predicted, unchecked, 252, 552.0, closings
     )
@@ -73,7 +73,7 @@ def verdict(
         (verdict(), approved("verdict.all_done_agree", count=24, target_mm=3)),
         (verdict(UNUSED), approved("verdict.all_used_done_agree", count=24, target_mm=3)),
         (verdict(UNUSED, GIVEN_UP), approved("verdict.given_up_agree", done=23, count=24, left=1)),
-        (verdict(EARLY), approved("verdict.not_enough_agree", done=23, count=24)),
+        (verdict(NOT_POKED_ENOUGH), approved("verdict.not_enough_agree", done=23, count=24)),
         (verdict(checked=Check(14, 7)), approved("verdict.all_done_against", count=24, target_mm=3)),
         (verdict(checked=Check(11, 8)), approved("verdict.all_done_hardly", count=24, target_mm=3)),
         (verdict(checked=Check(11, 9)), approved("verdict.all_done_agree", count=24, target_mm=3)),
@@ -110,7 +110,7 @@ def verdict(
             approved("verdict.all_done_against_no_landmarks", count=24, target_mm=3),
         ),
         (
-            replace(verdict(EARLY, checked=Check(0, 0), landmarks=None), done=0),
+            replace(verdict(NOT_POKED_ENOUGH, checked=Check(0, 0), landmarks=None), done=0),
             approved("verdict.none_done_no_landmarks", count=24),
         ),
         (
@@ -251,7 +251,7 @@ def test_where_nothing_can_be_written_the_space_bar_goes_on(qtbot):
 
 @pytest.mark.parametrize("key", [Key.Key_Space, Key.Key_Return])
 def test_where_it_is_not_enough_the_space_bar_and_enter_go_on_with_the_session(qtbot, key):
-    dialog = shown(qtbot, EARLY)
+    dialog = shown(qtbot, NOT_POKED_ENOUGH)
     assert dialog.export.isEnabled()
     assert dialog.go_on.isDefault()
     assert dialog.focusWidget() is dialog.go_on
@@ -309,7 +309,7 @@ def test_what_is_known_of_the_rig_is_said():
 
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
-    dialog = shown(qtbot, UNUSED, GIVEN_UP, EARLY)
+    dialog = shown(qtbot, UNUSED, GIVEN_UP, NOT_POKED_ENOUGH)
     assert "3 taxels not done" in dialog.heading.text()
     wanted: list[int] = []
     dialog.taxel_wanted.connect(wanted.append)

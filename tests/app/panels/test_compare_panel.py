@@ -31,7 +31,7 @@ from app.text.compare_text import (
 from app.theme import DARK
 from skincal.model.skin import Anchor
 from skincal.modules import health
-from skincal.modules.health import LayoutMend, Misfit, MisfitKind, ModuleChange, Unmended, UnmendedKind
+from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.rig.correction_fit import RigAnswer
 from skincal.session.error_history import ErrorFollower, ModulesCheck
 from skincal.session.part import Part
@@ -171,8 +171,8 @@ def test_spacing_is_said_of_every_method_that_knows():
 
 
 def test_a_misfit_is_an_offer_with_a_sign():
-    misfit = Misfit(17, MisfitKind.MIRRORED, 0.01, 0.002)
-    mend = LayoutMend((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unmended(UnmendedKind.NO_NEARER, (17,)),))
+    misfit = MisplacedModule(17, MisplacementKind.MIRRORED, 0.01, 0.002)
+    mend = LayoutRepair((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unrepaired(UnrepairedKind.NO_NEARER, (17,)),))
     head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
     assert head.startswith(approved("modules_check.misfits_of_method", count=1, method="surface"))
     assert approved("modules_check.nothing_by_itself") in head
@@ -181,7 +181,7 @@ def test_a_misfit_is_an_offer_with_a_sign():
     saved = saved_words(Path("folder") / "new.toml", mend)
     assert saved.startswith(approved("modules_check.saved", path=Path("folder") / "new.toml"))
     assert approved("modules_check.saved_command") in saved
-    right = LayoutMend((), PLAN, (), ())
+    right = LayoutRepair((), PLAN, (), ())
     assert misfit_words(right, 7, Method.FREE) == (approved("modules_check.all_as_planned", count=7, method="free"),)
     assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
 
@@ -388,11 +388,11 @@ def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
     def broken(*_):
         raise RuntimeError("of the modules")
 
-    monkeypatch.setattr("skincal.session.error_history.mend_modules", broken)
+    monkeypatch.setattr("skincal.session.error_history.repair_layout", broken)
     judge(watch, at(known(), generation=4))
     with pytest.raises(RuntimeError, match="of the modules"):
         queue.finish()
-    monkeypatch.setattr("skincal.session.error_history.mend_modules", health.mend_modules)
+    monkeypatch.setattr("skincal.session.error_history.repair_layout", health.repair_layout)
     judge(watch, at(known(), generation=4))
     assert not queue.waiting, "not at every picture"
     judge(watch, at(known(), generation=5))

@@ -196,7 +196,7 @@ def test_a_line_joins_the_selected_taxel_to_its_rival(layer):
 def test_the_line_of_a_taxel_that_is_blind_is_drawn_where_it_is_selected(layer):
     weakest = np.array([0.0, 0.6, 0.8])
     foot = np.array([0.01, 0.0, 0.0])
-    blind = Estimate(3, Method.FREE, State.BLIND, 2, weakest=weakest, foot=foot)
+    blind = Estimate(3, Method.FREE, State.BLIND, 2, worst_direction=weakest, foot=foot)
     layer.show(moment(blind, 1))
     assert np.allclose(ends(layer)[0], [foot - BLIND_HALF_LENGTH * weakest, foot + BLIND_HALF_LENGTH * weakest])
     layer.show(moment(blind, 1, selected=None))

@@ -124,8 +124,8 @@ def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     assert panel.headline.width() > wide
 
 
-def of(view=None, asked=ASKED, eye=PLAIN_POSE, leeway=LEEWAY):
-    return top_view(guidance(asked), asked, None if view is None else coaching_of(view.progress, asked), leeway, eye)
+def of(view=None, asked=ASKED, eye=PLAIN_POSE, max_angle_error=LEEWAY):
+    return top_view(guidance(asked), asked, None if view is None else coaching_of(view.progress, asked), max_angle_error, eye)
 
 
 def test_the_picture_from_above_is_what_one_sees_from_above():

@@ -20,7 +20,7 @@ from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import DARK, HUES, LIGHT, Cloud, Comparison, StaticScene, Tint, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
-from skincal.mesh.lay import LaidSkin
+from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
@@ -137,7 +137,7 @@ def around_the_ball() -> np.ndarray:
 
 def view_of_ball(qtbot, canvas: Canvas) -> View3D:
     ball = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    skin = LaidSkin(RADIUS * around_the_ball(), around_the_ball(), (np.empty((0, 3)),) * 2)
+    skin = PlacedLayout(RADIUS * around_the_ball(), around_the_ball(), (np.empty((0, 3)),) * 2)
     view = view_of(qtbot, canvas, scene(PLAN), make_surface(ball.vertices, ball.faces), skin)
     view.set_turning(False)
     return view

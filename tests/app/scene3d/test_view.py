@@ -248,7 +248,7 @@ def test_only_the_worst_and_the_selected_have_an_ellipsoid(view):
 def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(view):
     view.show_moment(snapshot(1, {}), None, Method.FREE, None)
     nothing = pixels(view)
-    blind = Estimate(4, Method.FREE, State.BLIND, 1, weakest=np.array([0.0, 0.0, 1.0]))
+    blind = Estimate(4, Method.FREE, State.BLIND, 1, worst_direction=np.array([0.0, 0.0, 1.0]))
     dead = Estimate(16, Method.FREE, State.DEAD, 0)
     assert view.show_moment(snapshot(2, {4: blind, 16: dead}), None, Method.FREE, None)
     marked = pixels(view)

@@ -13,7 +13,7 @@ from window_support import PLAN, SCENE, frame, reading, session
 from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, PressCoach, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
-from skincal.guide.guidance import leeway
+from skincal.guide.guidance import max_angle_error
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part
 from skincal.session.session import Session
@@ -150,8 +150,8 @@ def test_the_surface_method_asks_for_no_tilt():
 
 def test_the_surface_method_takes_any_tilt_that_does_not_slide_as_learnt():
     says = guidance(ASKED, method=Method.SURFACE)
-    assert leeway(replace(says, usable_tilt=0.3)) == 0.3
-    assert np.degrees(leeway(replace(says, method=Method.FREE))) == pytest.approx(10.0)
+    assert max_angle_error(replace(says, usable_tilt=0.3)) == 0.3
+    assert np.degrees(max_angle_error(replace(says, method=Method.FREE))) == pytest.approx(10.0)
 
 
 def test_a_place_without_a_taxel_is_met_by_whatever_answers():

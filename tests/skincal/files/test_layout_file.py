@@ -10,7 +10,7 @@ from skincal.files.layout_file import corrected_text, write_layout
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 from skincal.model.skin import Layout, Module, load_layout
-from skincal.modules.health import LayoutMend, ModuleChange, changes_of
+from skincal.modules.health import LayoutRepair, ModuleChange, changes_of
 from tests.approved import approved_pattern
 
 TEXT = """\
@@ -107,11 +107,11 @@ def layout(tmp_path):
     return load_layout(path, 6)
 
 
-def mended(layout: Layout, **of_first) -> LayoutMend:
+def mended(layout: Layout, **of_first) -> LayoutRepair:
     one, *others = layout.modules
     values = {name: getattr(one, name) for name in ("id", "kind", "first_channel", "place", "angle", "mirror", "anchor")}
     after = Layout((Module(**(values | of_first)), *others), layout.width, layout.path, layout.text)
-    return LayoutMend((), after, changes_of(layout, after), ())
+    return LayoutRepair((), after, changes_of(layout, after), ())
 
 
 def test_the_file_that_is_written_is_the_layout_that_was_meant(layout, tmp_path):
@@ -141,10 +141,10 @@ def test_the_file_that_was_read_is_never_written(layout, tmp_path):
 
 def test_what_would_be_read_otherwise_is_not_written(layout, tmp_path):
     meant = mended(layout, mirror=True)
-    silent = LayoutMend((), meant.layout, (ModuleChange(3, angle=1.0),), ())
+    silent = LayoutRepair((), meant.layout, (ModuleChange(3, angle=1.0),), ())
     with pytest.raises(InputError, match=approved_pattern("layout_file.not_as_meant", module=3)):
         write_layout(layout, silent, tmp_path / "new.toml")
-    short = LayoutMend((), Layout(layout.modules[:2], layout.width), (), ())
+    short = LayoutRepair((), Layout(layout.modules[:2], layout.width), (), ())
     with pytest.raises(InputError, match=approved_pattern("layout_file.module_count", read=3, expected=2)):
         write_layout(layout, short, tmp_path / "new.toml")
     assert not (tmp_path / "new.toml").exists()

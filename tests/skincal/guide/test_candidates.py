@@ -7,11 +7,11 @@ import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide import candidates
-from skincal.guide.candidates import ASTRAY, SPACING, Cover, spread
+from skincal.guide.candidates import ASTRAY, SPACING, Cover, spread_over
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.knowledge import SPACING as TAXELS_APART
-from skincal.guide.knowledge import PlannedPlaces, unplaced
+from skincal.guide.knowledge import PlannedPlaces, plan_without_positions
 from skincal.guide.poke_history import PokeAxis, PokeHistory, axis_of
 from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.mesh.search import nearest_points
@@ -76,7 +76,7 @@ class PokedBench:
 def edge_taxel():
     """The taxel whose neighbours lie most on one side, and how far beside it their middle is."""
     neighbours = candidates.find_answering(PART.plan.places, PART.spacing, PART.scene.noise)
-    pulls = np.linalg.norm(candidates.pulls(PART.plan.places, neighbours), axis=1)
+    pulls = np.linalg.norm(candidates.answer_offsets(PART.plan.places, neighbours), axis=1)
     return int(pulls.argmax()), pulls.max()
 
 
@@ -237,7 +237,7 @@ def test_without_enough_tilt_the_free_method_says_so():
 
 
 def test_a_spread_is_even_and_leaves_no_hole():
-    places, triangles = spread(PART.surface, SPACING)
+    places, triangles = spread_over(PART.surface, SPACING)
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(apart, np.inf)
     assert apart.min() >= 0.8 * SPACING
@@ -319,7 +319,7 @@ def test_a_target_that_was_not_shown_is_not_missed():
 def test_the_hand_is_at_the_newest_poke_whatever_was_restored():
     bench, plan = PokedBench(), PART.plan
     history = PokeHistory(plan.channels, SETTINGS)
-    pulls = candidates.pulls(plan.places, candidates.find_answering(plan.places, PART.spacing, PART.scene.noise))
+    pulls = candidates.answer_offsets(plan.places, candidates.find_answering(plan.places, PART.spacing, PART.scene.noise))
 
     def hand(contacts):
         history.follow(contacts, {}, None, plan.places, plan.normals, pulls)
@@ -366,7 +366,7 @@ def bare(method):
     """A session and a guide that know the surface and nothing of the skin."""
     scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
     channels = np.arange(scene.skin.channels)
-    guide = Guide(unplaced(channels), scene.noise, method, TAXELS_APART, cover=Cover(PART.surface))
+    guide = Guide(plan_without_positions(channels), scene.noise, method, TAXELS_APART, cover=Cover(PART.surface))
     return Session(scene, PART.surface, SOLVED), guide
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import axis_point, move_wrench
-from skincal.guide.guidance import FELT, KEPT, Coaching, Target, coach, smooth
+from skincal.guide.guidance import FELT, KEPT, PokeError, Target, compare_to_target, smooth_wrench
 
 SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation."""
@@ -38,10 +38,10 @@ def pressing(tip, push, newtons=8.0, turn=None, channels=(7,), responses=(60.0,)
     return Progress(phase, force, axis_point(force, moment), k, t, 0.0)
 
 
-def seen_of(progress: Progress, target: Target, skin) -> Coaching | None:
+def seen_of(progress: Progress, target: Target, skin) -> PokeError | None:
     """What the coach says of the first reading."""
-    felt = smooth(None, progress)
-    return None if felt is None else coach(felt, progress, target, skin)
+    felt = smooth_wrench(None, progress)
+    return None if felt is None else compare_to_target(felt, progress, target, skin)
 
 
 @pytest.mark.parametrize("turn", [np.eye(3), SOME_WAY])
@@ -145,9 +145,9 @@ def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
         force = one.force + rng.normal(0.0, 0.1, 3)
         moment = np.cross(one.axis_point, one.force) + rng.normal(0.0, 0.01, 3)
         noisy = Progress(one.phase, force, axis_point(force, moment), one.channels, one.responses, 0.0)
-        felt = smooth(felt, noisy)
+        felt = smooth_wrench(felt, noisy)
         assert felt is not None
-        seen = coach(felt, noisy, target, skin)
+        seen = compare_to_target(felt, noisy, target, skin)
         assert seen is not None
         errors.append(seen.error)
         aways.append(seen.away)
@@ -156,14 +156,14 @@ def test_noise_of_the_sensor_moves_the_coach_by_no_more_than_the_hand_errs():
 
 
 def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_little():
-    felt = smooth(None, pressing((0.004, 0, 0), tool(0, 0), newtons=1.0))
+    felt = smooth_wrench(None, pressing((0.004, 0, 0), tool(0, 0), newtons=1.0))
     strong = pressing((0, 0, 0), tool(0, 0), newtons=9.0)
     target = asked(tool(0, 0))
     for reading in range(1, 6):
-        felt = smooth(felt, strong)
+        felt = smooth_wrench(felt, strong)
         assert felt is not None
-        seen = coach(felt, strong, target, np.zeros(3))
+        seen = compare_to_target(felt, strong, target, np.zeros(3))
         assert seen is not None
         weak = KEPT**reading
         assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
-    assert smooth(felt, pressing((0, 0, 0), tool(0, 0), phase=PressPhase.TARING)) is None, "the next poke begins anew"
+    assert smooth_wrench(felt, pressing((0, 0, 0), tool(0, 0), phase=PressPhase.TARING)) is None, "the next poke begins anew"

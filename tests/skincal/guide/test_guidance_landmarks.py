@@ -13,11 +13,11 @@ from skincal.guide.guidance import (
     GuidePhase,
     LandmarkTarget,
     landmark_targets,
-    rig_moves,
-    was_there,
+    may_be_at_landmark,
+    rig_error_sd,
 )
-from skincal.guide.knowledge import believed, plan_from
-from skincal.mesh.lay import lay
+from skincal.guide.knowledge import believed_positions, plan_from_layout
+from skincal.mesh.lay import place_layout
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
@@ -133,13 +133,13 @@ def touched(*channels):
 def test_a_poke_was_there_unless_all_that_answered_lies_far_away(channels, there):
     aside = {1: 0.9 * LANDMARK_POKE_MAX_OFFSET_M, 2: 1.1 * LANDMARK_POKE_MAX_OFFSET_M, 3: 0.2}
     places = {channel: NEAR.place + np.array([0.0, y, 0.0]) for channel, y in aside.items()}
-    assert was_there(touched(*channels), NEAR, places) is there
-    assert was_there(touched(*channels), NEAR, {}), "where it is unknown where a taxel is, it may have been there"
+    assert may_be_at_landmark(touched(*channels), NEAR, places) is there
+    assert may_be_at_landmark(touched(*channels), NEAR, {}), "where it is unknown where a taxel is, it may have been there"
 
 
 def test_a_poke_that_no_taxel_answered_may_have_been_there():
     none = np.empty(0, dtype=np.int64)
-    assert was_there(Rejection(1, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", none, True), NEAR, {1: np.ones(3)})
+    assert may_be_at_landmark(Rejection(1, 0.0, 0.3, Reason.NO_TAXEL, 0.0, 1.0, "", none, True), NEAR, {1: np.ones(3)})
 
 
 def of_skin(**changes):
@@ -191,10 +191,10 @@ def test_a_rig_that_passes_its_landmarks_moves_the_estimates_and_the_tool_is_sen
         for contact in contacts[:12]:
             session.add(contact)
         found = {estimate.channel: estimate for estimate in session.snapshot().estimates[Method.SURFACE]}
-        plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
+        plan = plan_from_layout(scene.skin.layout, place_layout(scene.skin.layout, scene.skin.anchor, rig.surface))
         truth = np.array([rig.places[rig.row_of(int(channel))] for channel in plan.channels])
-        for known, way in ((False, 0.0), (True, rig_moves(pokes, scene.noise))):
-            places = believed(plan, [found[int(channel)] for channel in plan.channels], way)
+        for known, way in ((False, 0.0), (True, rig_error_sd(pokes, scene.noise))):
+            places = believed_positions(plan, [found[int(channel)] for channel in plan.channels], way)
             beside[known].append(float(np.linalg.norm(places - truth, axis=1).mean()))
     assert np.mean(beside[False]) > 0.006
     assert np.mean(beside[True]) < 0.5 * np.mean(beside[False])
@@ -204,9 +204,9 @@ def test_a_rig_that_passes_its_landmarks_moves_the_estimates_and_the_tool_is_sen
 def test_on_a_good_rig_next_to_nothing_is_the_rigs_and_one_wrong_poke_or_two_pokes_say_nothing():
     for seed in range(1, 7):
         rig, _, pokes = bad_rig(RigErrors.noise(), seed)
-        assert rig_moves(pokes, rig.scene.noise) < 0.003
+        assert rig_error_sd(pokes, rig.scene.noise) < 0.003
         wrong = [replace(pokes[0], place=pokes[3].place), *pokes[1:]]
-        assert rig_moves(wrong, rig.scene.noise) < 0.004
+        assert rig_error_sd(wrong, rig.scene.noise) < 0.004
     bad = bad_rig(RigErrors.paper(), 1)[2]
-    assert rig_moves(bad, rig.scene.noise) > 0.004
-    assert rig_moves(bad[:2], rig.scene.noise) == 0.0
+    assert rig_error_sd(bad, rig.scene.noise) > 0.004
+    assert rig_error_sd(bad[:2], rig.scene.noise) == 0.0

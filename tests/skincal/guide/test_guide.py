@@ -168,7 +168,7 @@ def test_a_poke_that_is_reported_twice_is_asked_for_once():
     followed.contacts[number] = again
     assert followed.look().target.channel == target
     history, plan = PokeHistory(part().plan.channels, GuideSettings()), part().plan
-    pulls = candidates.pulls(plan.places, candidates.find_answering(plan.places, part().spacing, part().scene.noise))
+    pulls = candidates.answer_offsets(plan.places, candidates.find_answering(plan.places, part().spacing, part().scene.noise))
     for reported in (contact, again):
         history.follow({number: reported}, {}, first, plan.places, plan.normals, pulls)
         assert history.asked[plan.channels == first.channel] == history.asked.sum() == 1

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skincal.guide import candidates
-from skincal.guide.knowledge import Knowledge, PlannedPlaces, believed, diversity
-from skincal.guide.progress import Facts, GuideSettings, Need, needs
-from skincal.mesh.surface import near_pairs
+from skincal.guide.knowledge import PlannedPlaces, TaxelStatistics, believed_positions, diversity
+from skincal.guide.progress import Facts, GuideSettings, Need, find_needs
+from skincal.mesh.surface import pairs_within
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.noise import offset_square
@@ -29,7 +29,7 @@ def contacts_and_evidence(count=8, weights=(1.0, 0.8, 0.4), tilt=0.5, seed=1):
 
 
 def knowledge(evidence, in_plane=False, unknown=1e9):
-    know = Knowledge(np.array([0]), NOISE, unknown, in_plane)
+    know = TaxelStatistics(np.array([0]), NOISE, unknown, in_plane)
     know.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], dict.fromkeys(evidence.pokes.tolist(), TAXEL))
     return know
 
@@ -87,7 +87,7 @@ def test_how_far_places_beside_a_taxel_pull_its_depth_is_what_solving_says():
     _, evidence = contacts_and_evidence(9)
     off = 0.002 * np.random.default_rng(3).standard_normal((9, 3))
     centres = dict(zip(evidence.pokes.tolist(), TAXEL + off, strict=True))
-    know = Knowledge(np.array([0]), NOISE, 1e9, False)
+    know = TaxelStatistics(np.array([0]), NOISE, 1e9, False)
     know.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
     rows = evidence.weights[:, None, None] * evidence.pairs
     sides = [np.sum(rows * places[:, None], axis=2).ravel() for places in (evidence.nearest, evidence.nearest + off)]
@@ -95,7 +95,7 @@ def test_how_far_places_beside_a_taxel_pull_its_depth_is_what_solving_says():
     assert know.pulled[0] == pytest.approx((shifted - still) @ NORMAL, rel=1e-6)
     assert abs(know.pulled[0]) > 1e-4
     assert knowledge(evidence).pulled[0] == pytest.approx(0.0, abs=1e-12), "all of them at its place"
-    on_surface = Knowledge(np.array([0]), NOISE, 1e9, True)
+    on_surface = TaxelStatistics(np.array([0]), NOISE, 1e9, True)
     on_surface.renew([0], evidence, TAXEL[None], TAXEL[None], NORMAL[None], centres)
     assert on_surface.pulled[0] == 0.0, "a mesh holds the depth"
 
@@ -123,7 +123,7 @@ def test_what_is_taken_away_leaves_no_trace():
     _, evidence = contacts_and_evidence()
     know, empty = knowledge(evidence), ContactTable().evidence([0])
     know.renew([0], empty, TAXEL[None], TAXEL[None], NORMAL[None], {})
-    fresh = Knowledge(np.array([0]), NOISE, 1e9, False)
+    fresh = TaxelStatistics(np.array([0]), NOISE, 1e9, False)
     for name in ("information", "diversity", "own", "contacts", "beside", "pulled", "moved"):
         np.testing.assert_array_equal(getattr(know, name), getattr(fresh, name))
 
@@ -146,10 +146,10 @@ def unseen(channel):
 def test_a_skin_beside_its_plan_is_found_from_a_few_taxels():
     plan, shift = grid(), np.array([0.003, -0.002, 0.0])
     estimates = [unseen(i) for i in range(25)]
-    np.testing.assert_allclose(believed(plan, estimates), plan.places, atol=1e-15)
+    np.testing.assert_allclose(believed_positions(plan, estimates), plan.places, atol=1e-15)
     for i in (0, 6, 18):
         estimates[i] = known(i, plan.places[i] + shift, 0.001)
-    off = np.linalg.norm(believed(plan, estimates) - plan.places - shift, axis=1)
+    off = np.linalg.norm(believed_positions(plan, estimates) - plan.places - shift, axis=1)
     assert off.max() < 0.0005
     assert off[[0, 6, 18]].max() < off[24]
 
@@ -158,12 +158,12 @@ def test_a_single_rough_estimate_does_not_carry_the_skin_away():
     plan = grid()
     estimates = [unseen(i) for i in range(25)]
     estimates[3] = known(3, plan.places[3] + [0.02, 0, 0], 0.02)
-    moved = believed(plan, estimates) - plan.places
+    moved = believed_positions(plan, estimates) - plan.places
     assert 0.0 < moved[20, 0] < 0.002
     # A taxel that the plan does not know is where it was measured.
     bare = replace(plan, places=np.where(np.arange(25)[:, None] == 7, np.nan, plan.places))
     estimates[7] = known(7, [0.1, 0.2, 0.3], 0.001)
-    np.testing.assert_allclose(believed(bare, estimates)[7], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(believed_positions(bare, estimates)[7], [0.1, 0.2, 0.3])
 
 
 def test_neighbours_are_the_nearest_within_reach():
@@ -189,7 +189,7 @@ def test_pairs_are_those_of_looking_at_all(rng, reach, flat):
     far_off = np.concatenate([scattered[:50], [[-1e12, 1e12, 1e12]]])
     for places in (scattered, steps, line, far_off, scattered[:1], scattered[:0], np.ones((3, 3))):
         known = np.flatnonzero(np.isfinite(places).all(axis=1))
-        pairs = np.sort(known[near_pairs(places[known], reach)], axis=1)
+        pairs = np.sort(known[pairs_within(places[known], reach)], axis=1)
         far = np.sqrt(np.sum((places[:, None] - places) ** 2, axis=2))
         np.testing.assert_array_equal(pairs[np.lexsort(pairs.T[::-1])], np.argwhere(np.triu(far <= reach, 1)))
 
@@ -198,7 +198,7 @@ def state(information, in_plane=False, wanted=0.0):
     plan = grid()
     return candidates.ChoiceState(
         plan.places,
-        candidates.directions(plan.normals, SETTINGS.usable_tilt),
+        candidates.candidate_pushes(plan.normals, SETTINGS.usable_tilt),
         candidates.find_answering(plan.places, 0.005, NOISE),
         information, plan.normals, np.array([0.0, 0.0, -0.18]), wanted, in_plane, np.ones(25), np.zeros(25),
     )  # fmt: skip
@@ -210,7 +210,7 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
     information = np.array([a @ a.T + 1e3 * np.eye(3) for a in 400 * rng.normal(size=(25, 3, 3))])
     here = state(information)
     rows = np.array([6, 12])
-    found = candidates.gains(here, rows, NOISE, 0.3)
+    found = candidates.predict_gains(here, rows, NOISE, 0.3)
     for row, gain in zip(rows, found, strict=True):
         for push in range(candidates.TRIES):
             e = np.linalg.svd(here.pushes[row, push][None])[2][1:]
@@ -226,7 +226,7 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
                 lower = np.sqrt(np.trace(np.linalg.inv(information[other]))) - np.sqrt(np.trace(np.linalg.inv(after)))
                 expected += lower * (1.0 if place == 0 else 0.3)
             assert gain[push] == pytest.approx(expected, rel=1e-9)
-    before, after = candidates.predicted(here, 6, 4, NOISE)
+    before, after = candidates.predict_error(here, 6, 4, NOISE)
     assert before == pytest.approx(np.sqrt(np.trace(np.linalg.inv(information[6]))))
     assert after < before
 
@@ -234,10 +234,10 @@ def test_a_gain_is_by_how_much_the_predicted_errors_fall():
 def test_what_is_known_but_for_its_depth_wants_tilt_and_on_a_surface_it_does_not():
     flat = np.diag([1e6, 1e6, 1e4])
     information = np.tile(flat, (25, 1, 1))
-    free = candidates.gains(state(information), np.array([12]), NOISE, 0.0)[0]
+    free = candidates.predict_gains(state(information), np.array([12]), NOISE, 0.0)[0]
     assert free[0] < 0.2 * free.max(), "along the normal"
     assert free.argmax() > candidates.AZIMUTHS, "the largest tilt"
-    held = candidates.gains(state(information, in_plane=True), np.array([12]), NOISE, 0.0)[0]
+    held = candidates.predict_gains(state(information, in_plane=True), np.array([12]), NOISE, 0.0)[0]
     assert held[0] > 0.95 * held.max()
 
 
@@ -260,13 +260,13 @@ FINE = Facts(own=3, diversity=np.radians(20), beside=0.0, pulled=0.0, moved=0.0)
 )
 def test_a_taxel_is_done_when_nothing_is_missing(facts, rms, need):
     one = replace(known(0, TAXEL, 0.001), rms=rms)
-    assert needs(one, facts, Method.FREE, SETTINGS, SKIN) == (() if need is None else (need,))
-    on_surface = needs(one, facts, Method.SURFACE, SETTINGS, SKIN)
+    assert find_needs(one, facts, Method.FREE, SETTINGS, SKIN) == (() if need is None else (need,))
+    on_surface = find_needs(one, facts, Method.SURFACE, SETTINGS, SKIN)
     assert on_surface == (() if need in (None, Need.SIDES, Need.DEPTH) else (need,))
 
 
 def test_a_dead_taxel_needs_nothing_and_an_unseen_one_does():
     dead = Estimate(0, Method.FREE, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text="stuck"))
     nothing = Facts(0, 0.0, 0.0, 0.0, np.inf)
-    assert needs(dead, nothing, Method.FREE, SETTINGS, SKIN) == ()
-    assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(needs(unseen(0), nothing, Method.FREE, SETTINGS, SKIN))
+    assert find_needs(dead, nothing, Method.FREE, SETTINGS, SKIN) == ()
+    assert {Need.POKES, Need.ACCURACY, Need.SIDES} <= set(find_needs(unseen(0), nothing, Method.FREE, SETTINGS, SKIN))

@@ -9,18 +9,18 @@ import pytest
 from scipy import stats
 
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import unplaced
+from skincal.guide.knowledge import plan_without_positions
 from skincal.guide.progress import (
     PAUSE_S,
     GuideSettings,
     Need,
     Tried,
     Why,
-    given_up,
-    pace,
-    pokes_from_start,
+    count_pokes_from_start,
+    give_up_reason,
+    poke_interval,
     pokes_left,
-    worked,
+    working_time,
 )
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
@@ -48,7 +48,7 @@ TRIED = Tried(own=5, often=False, contacts=9, unanswered=0, shut=False, tilt=SET
     [
         ((Need.SETTLED,), {}, None),
         ((), {"own": 99}, None),
-        ((Need.SETTLED,), {"often": True}, Why.STUBBORN),
+        ((Need.SETTLED,), {"often": True}, Why.NOT_CONVERGED),
         ((Need.DECISION,), {"often": True}, Why.AMBIGUOUS),
         ((Need.POKES,), {"own": 0, "contacts": 0, "unanswered": SETTINGS.unanswered}, Why.NEVER_FIRED),
         ((Need.POKES,), {"own": 0, "contacts": 1, "unanswered": SETTINGS.unanswered}, None),
@@ -61,7 +61,7 @@ TRIED = Tried(own=5, often=False, contacts=9, unanswered=0, shut=False, tilt=SET
     ],
 )
 def test_a_taxel_is_given_up_only_where_more_pokes_would_not_help(missing, changes, why):
-    assert given_up(missing, replace(TRIED, **changes), SETTINGS) is why
+    assert give_up_reason(missing, replace(TRIED, **changes), SETTINGS) is why
 
 
 # ---- held-out pokes ----
@@ -222,18 +222,18 @@ def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known()
 @pytest.mark.parametrize(("method", "took"), [(Method.FREE, 820), (Method.SURFACE, 650)])
 def test_what_a_method_costs_is_told_to_a_third(method, took):
     """Of the standard study, seven modules of twelve taxels."""
-    told = pokes_from_start(method, np.repeat(np.arange(7), 12), SETTINGS, on_mesh=True)
+    told = count_pokes_from_start(method, np.repeat(np.arange(7), 12), SETTINGS, on_mesh=True)
     assert told == pytest.approx(took, rel=1 / 3)
 
 
 def test_the_pace_is_that_of_the_last_pokes_without_pauses():
     times = np.array(list(accumulate([0.0, 3.0, 3.0, 500.0, 4.0, 3.0])))
-    assert pace(times) == pytest.approx(3.0)
-    assert pace(times[:2]) is None
+    assert poke_interval(times) == pytest.approx(3.0)
+    assert poke_interval(times[:2]) is None
     begins, ends = times, times + 0.5
-    assert worked(begins, ends) == pytest.approx(6 * 0.5 + 2.5 + 2.5 + 3.5 + 2.5)
+    assert working_time(begins, ends) == pytest.approx(6 * 0.5 + 2.5 + 2.5 + 3.5 + 2.5)
     assert PAUSE_S < 500.0
-    assert worked(np.empty(0), np.empty(0)) == 0.0
+    assert working_time(np.empty(0), np.empty(0)) == 0.0
 
 
 # ---- the verdict ----
@@ -278,14 +278,14 @@ def test_a_session_without_pokes_has_a_verdict_too():
     estimates = snapshot.estimates[Method.SURFACE]
     verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
     assert (verdict.done, verdict.used, verdict.pokes, verdict.seconds) == (0, 84, 0, 0.0)
-    assert {taxel.why for taxel in verdict.left} == {Why.EARLY}
+    assert {taxel.why for taxel in verdict.left} == {Why.NOT_POKED_ENOUGH}
     assert verdict.check == Check(0, 0)
     assert verdict.check.believed
 
 
 def test_it_is_not_enough_where_there_is_nothing():
     session = Session(part().scene, part().surface)
-    guide = Guide(unplaced(np.arange(12)), NoiseSettings(), Method.FREE, 0.005)
+    guide = Guide(plan_without_positions(np.arange(12)), NoiseSettings(), Method.FREE, 0.005)
     estimates = {Method.FREE: [Estimate(channel, Method.FREE, State.UNSEEN, 0) for channel in range(12)]}
     guidance = guide.update({}, estimates, session.evidence)
     verdict = verdict_of(guidance, estimates[Method.FREE], {}, session.evidence, NoiseSettings(), None, SETTINGS)

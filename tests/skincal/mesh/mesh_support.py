@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skincal.mesh.search import NearestMany, nearest_to_rows, solver_copy
+from skincal.mesh.search import NearestPoints, nearest_in_metric, surface_in_solver
 from skincal.mesh.surface import Surface, make_surface
 from skincal.solver.machine import INTEGER
 from skincal.studies.baselines import closest_in_triangles
@@ -104,7 +104,7 @@ def same(one, two) -> bool:
 
 def part_of(found, which):
     """Some of the answers."""
-    return NearestMany(found.points[which], found.triangles[which], found.values[which], found.tried[which])
+    return NearestPoints(found.points[which], found.triangles[which], found.values[which], found.tried[which])
 
 
 def facing_minima(surface, root, offset, push):
@@ -123,37 +123,37 @@ class Nearest:
     value: float
 
 
-def nearest_in_metric(surface, metric, target, push=None) -> Nearest | None:
+def nearest_to(surface, metric, target, push=None) -> Nearest | None:
     """Minimise (p - t)' M (p - t) over the surface's points p; None where no triangle faces the push."""
     values, axes = np.linalg.eigh(metric)
     # Eigenvalues below the rounding of the sums that made the metric are zero.
     values = np.where(values > 1e-15 * values[-1], values, 0.0)
     root = np.sqrt(values)[:, None] * axes.T
-    found = nearest_to_rows(surface, root[None], (root @ target)[None], None if push is None else push[None])
+    found = nearest_in_metric(surface, root[None], (root @ target)[None], None if push is None else push[None])
     return None if found.triangles[0] < 0 else Nearest(found.points[0], int(found.triangles[0]), float(found.values[0]))
 
 
-def nearest_from(surface, roots, offsets, pushes, start) -> NearestMany:
-    """`nearest_to_rows`, whose search begins at triangles where each optimum is likely."""
+def nearest_from(surface, roots, offsets, pushes, start) -> NearestPoints:
+    """`nearest_in_metric`, whose search begins at triangles where each optimum is likely."""
     count = len(roots)
-    with solver_copy(surface)[0].call() as call:
+    with surface_in_solver(surface)[0].call() as call:
         starts = call.give(np.full(count, -1) if start is None else start, INTEGER)
         return _searched(call, surface, "nearest", (roots, offsets, pushes), [starts, 0, 0, 0], np.full(count, -1))
 
 
-def second_to_rows(surface, roots, offsets, pushes, best, radius, limit, every=False) -> NearestMany:
+def second_to_rows(surface, roots, offsets, pushes, best, radius, limit, every=False) -> NearestPoints:
     """The least separate minimum beside the best, where there is one: `skincal/solver/source/rival.h`."""
-    with solver_copy(surface)[0].call() as call:
+    with surface_in_solver(surface)[0].call() as call:
         beside = [0, call.give(best.points), call.give(radius), call.give(limit)]
         return _searched(call, surface, "second", (roots, offsets, pushes), beside, best.triangles, every=every)
 
 
-def _searched(call, surface, name, asked, beside, triangles, *, every=False) -> NearestMany:
+def _searched(call, surface, name, asked, beside, triangles, *, every=False) -> NearestPoints:
     """Run an entry of the solver with the words of its `Search` (`solver.c`)."""
-    count, place = len(triangles), solver_copy(surface)[1]
+    count, place = len(triangles), surface_in_solver(surface)[1]
     roots, offsets, pushes = (0 if each is None else call.give(each) for each in asked)
     points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
     found = call.changed(triangles, INTEGER)
     call.run(name, [place, count, int(every), roots, offsets, pushes, *beside, points, values, found, tried])
     numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
-    return NearestMany(call.taken(points), numbers[0], call.taken(values), numbers[1])
+    return NearestPoints(call.taken(points), numbers[0], call.taken(values), numbers[1])

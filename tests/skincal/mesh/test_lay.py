@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skincal.mesh.lay import anchor_remarks, lay, subdivided
+from skincal.mesh.lay import anchor_remarks, place_layout, subdivide_outline
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.errors import InputError
@@ -49,7 +49,7 @@ def spread_layout(count=40, reach=0.05, seed=0) -> Layout:
 def test_on_a_cylinder_a_board_rolls_up(turn):
     """A cylinder unrolls without stretch: distance along it, angle times radius and height are the board's own."""
     layout, anchor = spread_layout(), anchor_at(turn=turn, at=(0.004, -0.003))
-    laid = lay(layout, anchor, cylinder())
+    laid = place_layout(layout, anchor, cylinder())
     flat = layout.places[layout.channels] - anchor.at
     side = np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1]
     up = np.sin(turn) * flat[:, 0] + np.cos(turn) * flat[:, 1]
@@ -73,7 +73,7 @@ def test_a_geodesic_over_one_fold_is_straight_when_unfolded():
     surface = make_surface(vertices, np.array([[0, 1, 2], [0, 2, 3], [1, 5, 4], [1, 4, 2]]))
     anchor = Anchor(np.zeros(2), np.array([-0.02, 0.0, 0.0]), np.array([1.0, 0, 0]), np.array([0.0, 0, 1]))
     layout = spread_layout(reach=0.06)
-    laid = lay(layout, anchor, surface)
+    laid = place_layout(layout, anchor, surface)
     x, y = (layout.places[layout.channels] + [-0.02, 0.0]).T
     folded = np.where((x > 0)[:, None], np.stack([x * np.cos(bend), y, -x * np.sin(bend)], 1), np.stack([x, y, 0 * x], 1))
     np.testing.assert_allclose(laid.places[layout.channels], folded, atol=1e-9)
@@ -90,7 +90,7 @@ def test_on_a_sphere_walks_are_great_circles():
     )  # fmt: skip
     anchor = Anchor(np.zeros(2), np.array([radius, 0, 0]), np.array([0.0, 1, 0]), np.array([1.0, 0, 0]))
     layout = spread_layout(reach=0.04)
-    laid = lay(layout, anchor, ball)
+    laid = place_layout(layout, anchor, ball)
     flat = layout.places[layout.channels]
     away = np.linalg.norm(flat, axis=1)
     ahead = np.stack([0 * away, flat[:, 0] / away, flat[:, 1] / away], axis=1)
@@ -100,7 +100,7 @@ def test_on_a_sphere_walks_are_great_circles():
 
 def test_without_a_surface_the_layout_stays_flat():
     layout, anchor = spread_layout(), anchor_at(turn=0.4, at=(0.01, 0.02))
-    laid = lay(layout, anchor, None)
+    laid = place_layout(layout, anchor, None)
     flat = layout.places[layout.channels] - anchor.at
     y = np.cross(anchor.normal, anchor.x)
     np.testing.assert_allclose(
@@ -117,31 +117,31 @@ def test_a_modules_own_anchor_beats_the_layouts():
         Module(8, kind, 12, np.array([0.03, 0.0]), 0.0, True, Anchor(np.array([0.03, 0.0]), own.point, own.x, own.normal)),
     )
     surface = cylinder()
-    laid = lay(Layout(modules, 24), anchor_at(), surface)
+    laid = place_layout(Layout(modules, 24), anchor_at(), surface)
     centre = laid.places[12 + kind.centre_pad]
     assert np.linalg.norm(centre - own.point) == pytest.approx(0.002887, abs=2e-5)
-    alone = lay(Layout(modules, 24), None, surface)
+    alone = place_layout(Layout(modules, 24), None, surface)
     assert np.isnan(alone.places[:12]).all()
     np.testing.assert_array_equal(alone.places[12:], laid.places[12:])
     assert alone.outlines[0].shape == (0, 3)
-    assert lay(Layout(modules[:1], 24), None, surface) is None
+    assert place_layout(Layout(modules[:1], 24), None, surface) is None
 
 
 def test_outlines_bend_with_the_surface():
     layout = Layout((Module(1, KINDS["triangle_12"], 0, np.zeros(2), 0.0, False),), 12)
-    laid = lay(layout, anchor_at(), cylinder())
+    laid = place_layout(layout, anchor_at(), cylinder())
     outline = laid.outlines[0]
     # A chord of one long straight side would lie 2.8 mm inside the surface.
     assert np.abs(np.linalg.norm(outline[:, :2], axis=1) - RADIUS).max() < 1e-4
     closed = np.concatenate([outline, outline[:1]])
     assert np.linalg.norm(np.diff(closed, axis=0), axis=1).max() <= 0.002 + 1e-9
     corners = KINDS["triangle_12"].outline
-    assert all(np.isclose(subdivided(corners), corner).all(axis=1).any() for corner in corners)
+    assert all(np.isclose(subdivide_outline(corners), corner).all(axis=1).any() for corner in corners)
 
 
 def test_past_the_rim_the_board_goes_on_straight_and_is_named():
     surface, layout = cylinder(), spread_layout()
-    laid = lay(layout, anchor_at(height=0.08), surface)
+    laid = place_layout(layout, anchor_at(height=0.08), surface)
     past = layout.places[layout.channels][:, 1] > 0.0201
     places = laid.places[layout.channels]
     np.testing.assert_array_equal(np.linalg.norm(nearest_points(surface, places)[0] - places, axis=1) > 1e-6, past)
@@ -159,7 +159,7 @@ def test_walks_through_vertices_and_along_edges_end():
     pads = np.array([[0.03, 0], [-0.03, 0], [0, 0.03], [0.03, 0.03], [0.03, -0.03], [0, 0], [0.02, 0.01]])
     module = Module(1, ModuleKind("cross", pads, pads[:3], 0), 0, np.zeros(2), 0.0, False)
     anchor = Anchor(np.zeros(2), np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 0, 1]))
-    laid = lay(Layout((module,), 7), anchor, flat)
+    laid = place_layout(Layout((module,), 7), anchor, flat)
     np.testing.assert_allclose(laid.places[:, :2], pads, atol=1e-9)
     np.testing.assert_allclose(laid.places[:, 2], 0, atol=1e-12)
 
@@ -172,7 +172,7 @@ def test_turns_with_a_rigid_motion_of_everything():
     surface, anchor, layout = cylinder(), anchor_at(turn=0.3), spread_layout()
     moved = make_surface(surface.vertices @ rotation.T + shift, surface.triangles)
     turned = Anchor(anchor.at, rotation @ anchor.point + shift, rotation @ anchor.x, rotation @ anchor.normal)
-    one, two = lay(layout, anchor, surface), lay(layout, turned, moved)
+    one, two = place_layout(layout, anchor, surface), place_layout(layout, turned, moved)
     np.testing.assert_allclose(one.places[layout.channels] @ rotation.T + shift, two.places[layout.channels], atol=1e-8)
 
 
@@ -212,7 +212,7 @@ def test_anchors_of_another_frame_are_refused():
     anchor = anchor_at()
     far = Anchor(anchor.at, anchor.point * 1000, anchor.x, anchor.normal)
     with pytest.raises(InputError, match=approved_pattern("mesh.anchor_off")):
-        lay(spread_layout(), far, cylinder())
+        place_layout(spread_layout(), far, cylinder())
     flat = make_surface(np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]), np.array([[0, 1, 2]]))
     with pytest.raises(InputError, match=approved_pattern("mesh.none_faces")):
-        lay(spread_layout(), Anchor(anchor.at, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 0, -1])), flat)
+        place_layout(spread_layout(), Anchor(anchor.at, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.0, 0, -1])), flat)

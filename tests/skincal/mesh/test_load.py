@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from skincal.mesh.geodesics import geodesics_of
 from skincal.mesh.load import FindingKind, load_surface, read_mesh
-from skincal.mesh.search import solver_copy
+from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError
 from skincal.model.scene import SurfaceSpec
@@ -384,9 +384,9 @@ def test_a_mesh_is_read_without_scipy_or_a_mesh_library():
 def test_what_is_worked_out_on_a_surface_is_kept_with_it_and_gone_with_it():
     vertices, triangles = tube_mesh()
     surface = make_surface(vertices * 1e-3, triangles)
-    made = geodesics_of(surface), solver_copy(surface)
+    made = geodesics_of(surface), surface_in_solver(surface)
     assert made[0] is geodesics_of(surface)
-    assert made[1] is solver_copy(surface)
+    assert made[1] is surface_in_solver(surface)
     gone = [weakref.ref(surface), weakref.ref(made[0]), weakref.ref(made[1][0])]
     del surface, made
     gc.collect()

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mesh_support import Nearest, nearest_in_metric, tube
+from mesh_support import Nearest, nearest_to, tube
 
-from skincal.mesh.search import nearest_points, nearest_to_rows
+from skincal.mesh.search import nearest_in_metric, nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.studies.baselines import closest_in_triangles
 
 
 def to_rows(surface, root, offset, push):
-    many = nearest_to_rows(surface, root[None], offset[None], push[None])
+    many = nearest_in_metric(surface, root[None], offset[None], push[None])
     return Nearest(many.points[0], int(many.triangles[0]), float(many.values[0]))
 
 
@@ -59,7 +59,7 @@ def test_equals_every_triangle_tried_one_by_one(spread):
     for _ in range(25):
         metric, target = random_metric(rng, spread), rng.normal([0.02, 0, 0.07], 0.04)
         push = rng.normal(size=3)
-        found = nearest_in_metric(surface, metric, target, push)
+        found = nearest_to(surface, metric, target, push)
         value, point = by_every_triangle(surface, metric, target, push)
         assert found.value == pytest.approx(value, rel=1e-9, abs=1e-18)
         off = found.point - target
@@ -73,7 +73,7 @@ def test_the_point_lies_in_the_triangle_that_is_named():
     rng = np.random.default_rng(8)
     surface = tube()
     for _ in range(30):
-        found = nearest_in_metric(surface, random_metric(rng, 1e-3), rng.normal(0, 0.05, 3))
+        found = nearest_to(surface, random_metric(rng, 1e-3), rng.normal(0, 0.05, 3))
         distance, _ = in_one_triangle(surface.corners[found.triangle], np.eye(3), found.point)
         assert distance < 1e-28
 
@@ -98,7 +98,7 @@ def test_equals_a_constrained_least_squares_per_triangle_as_the_paper_solves_it(
                 constraints={"type": "eq", "fun": lambda share: share.sum() - 1},
             )  # fmt: skip
             best = min(best, solved.fun / 1e4)
-        assert nearest_in_metric(surface, metric, target, push).value == pytest.approx(best, rel=1e-5, abs=1e-10)
+        assert nearest_to(surface, metric, target, push).value == pytest.approx(best, rel=1e-5, abs=1e-10)
 
 
 @pytest.mark.parametrize("shares", [[0.2, 0.5, 0.3], [0.4, 0.6, 0.0], [0.0, 1.0, 0.0]], ids=["inside", "edge", "vertex"])
@@ -108,7 +108,7 @@ def test_a_target_on_the_surface_is_found_to_the_last_digits(shares):
     for triangle in rng.integers(len(surface.triangles), size=20):
         target = np.array(shares) @ surface.corners[triangle]
         for metric in (np.eye(3), random_metric(rng, 1e-4)):
-            np.testing.assert_allclose(nearest_in_metric(surface, metric, target).point, target, atol=1e-13)
+            np.testing.assert_allclose(nearest_to(surface, metric, target).point, target, atol=1e-13)
 
 
 def test_beyond_the_rim_the_rim_is_nearest():
@@ -117,7 +117,7 @@ def test_beyond_the_rim_the_rim_is_nearest():
     for shares in (0.0, 0.3):
         other = surface.vertices[surface.vertices[:, 2] == 0.0][6]
         on_rim = vertex + shares * (other - vertex)
-        found = nearest_in_metric(surface, np.eye(3), on_rim - [0, 0, 0.02])
+        found = nearest_to(surface, np.eye(3), on_rim - [0, 0, 0.02])
         np.testing.assert_allclose(found.point, on_rim, atol=1e-14)
         assert found.value == pytest.approx(0.02**2)
 
@@ -132,7 +132,7 @@ def test_a_single_axis_ends_where_the_push_enters_the_part():
         metric = np.eye(3) - np.outer(push, push)
         # Any point of the axis is the same target; both where it enters and where it leaves have value zero.
         for along in (-3.0, 0.0, 0.2):
-            found = nearest_in_metric(ball, metric, through + along * push, push)
+            found = nearest_to(ball, metric, through + along * push, push)
             assert found.value < 1e-24
             assert found.point @ push < 0
             assert ball.normals[found.triangle] @ push < 0
@@ -145,7 +145,7 @@ def test_among_two_walls_that_face_the_push_the_first_met_is_taken():
     both = make_surface(vertices, np.concatenate([far.triangles, near.triangles + len(far.vertices)]))
     push = np.array([0.0, 0.0, -1.0])
     metric = np.diag([1.0, 1.0, 0.0])
-    found = nearest_in_metric(both, metric, np.array([0.003, 0.004, 0.0]), push)
+    found = nearest_to(both, metric, np.array([0.003, 0.004, 0.0]), push)
     np.testing.assert_allclose(found.point, [0.003, 0.004, 0.10], atol=1e-15)
     assert found.triangle >= len(far.triangles)
 
@@ -153,16 +153,16 @@ def test_among_two_walls_that_face_the_push_the_first_met_is_taken():
 def test_no_triangle_faces_the_push():
     flat = square(0.0)
     up = np.array([0.0, 0.0, 1.0])
-    assert nearest_in_metric(flat, np.eye(3), np.zeros(3), up) is None
-    assert nearest_in_metric(flat, np.eye(3), np.zeros(3), np.array([1.0, 0.0, 0.0])) is None, "tangent is not facing"
-    assert nearest_in_metric(flat, np.eye(3), np.zeros(3), -up) is not None
+    assert nearest_to(flat, np.eye(3), np.zeros(3), up) is None
+    assert nearest_to(flat, np.eye(3), np.zeros(3), np.array([1.0, 0.0, 0.0])) is None, "tangent is not facing"
+    assert nearest_to(flat, np.eye(3), np.zeros(3), -up) is not None
 
 
 def test_a_hole_is_not_closed():
     flat = square(0.0, cells=4)
     centre = np.linalg.norm(flat.centres[:2], axis=0)
     holed = make_surface(flat.vertices, flat.triangles[centre > 0.02])
-    found = nearest_in_metric(holed, np.eye(3), np.zeros(3), np.array([0.0, 0.0, -1.0]))
+    found = nearest_to(holed, np.eye(3), np.zeros(3), np.array([0.0, 0.0, -1.0]))
     value, _ = by_every_triangle(holed, np.eye(3), np.zeros(3))
     assert found.value == pytest.approx(value)
     assert np.linalg.norm(found.point) > 0.01
@@ -179,7 +179,7 @@ def test_duplicate_triangles_and_needles_change_nothing():
     for _ in range(20):
         metric, target = random_metric(rng, 1e-3), rng.normal([0.04, 0, 0.06], 0.02)
         value, _ = by_every_triangle(crowded, metric, target)
-        found = nearest_in_metric(crowded, metric, target)
+        found = nearest_to(crowded, metric, target)
         assert found.value == pytest.approx(value, rel=1e-8, abs=1e-18)
         assert found.triangle not in range(len(surface.triangles), last), "of two copies the first"
 
@@ -270,7 +270,7 @@ def test_large_triangles_are_found_however_far_their_centres():
     for target, point in zip(targets, points, strict=True):
         value, _ = by_every_triangle(soup, np.eye(3), target)
         assert np.linalg.norm(point - target) == pytest.approx(np.sqrt(value), rel=1e-9, abs=1e-12)
-        found = nearest_in_metric(soup, np.eye(3), target)
+        found = nearest_to(soup, np.eye(3), target)
         assert found.value == pytest.approx(value, rel=1e-9, abs=1e-20)
         ranks = np.argsort(np.linalg.norm(soup.centres.T - target, axis=1))
         wrong_centre += np.flatnonzero(ranks == found.triangle)[0] >= 16
@@ -282,9 +282,9 @@ def test_a_hundred_thousand_triangles_take_milliseconds(least_time):
     push = np.array([-1.0, 0.1, 0.05])
     metric = np.eye(3) - np.outer(push, push) / (push @ push)
     target = np.array([0.04, 0.002, 0.07])
-    nearest_in_metric(surface, metric, target, push)
+    nearest_to(surface, metric, target, push)
     # Measured 3 ms; every triangle by the same closed form takes 100 ms. The bar is loose for a busy machine.
-    assert least_time(lambda: nearest_in_metric(surface, metric, target, push), below=0.03) < 0.03
+    assert least_time(lambda: nearest_to(surface, metric, target, push), below=0.03) < 0.03
 
 
 def square(z: float, cells: int = 1, side: float = 0.1) -> Surface:

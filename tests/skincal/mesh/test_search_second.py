@@ -17,7 +17,7 @@ from mesh_support import (
     tube,
 )  # fmt: skip
 
-from skincal.mesh.search import nearest_to_rows
+from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import make_surface
 
 TIE = 1e-12
@@ -65,7 +65,7 @@ def test_the_second_minimum_is_that_of_walks_over_every_triangle(shape, kind):
     rng = np.random.default_rng(5)
     surface = SHAPES[shape]()
     asked = random_metrics(rng, surface, 40, kind)
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     radius = rng.uniform(0.002, 0.02, 40)
     limit = best.values + (np.abs(asked[0]).max(axis=(1, 2)) * rng.uniform(0, 0.03, 40)) ** 2
     second = second_to_rows(surface, *asked, best, radius, limit)
@@ -94,7 +94,7 @@ def test_two_valleys_are_both_found_and_one_valley_only_once():
     surface = folded(60, 0.02, 1)
     targets = np.array([[0.0, -0.02, 0.03], [0.02, -0.02, 0.03]])
     asked = np.tile(np.eye(3), (2, 1, 1)), targets, down(2)
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     for radius in (0.002, 0.01):
         second = second_to_rows(surface, *asked, best, np.full(2, radius), np.full(2, 1.0))
         walks = [walked(surface, *[part[i] for part in asked], best.points[i], radius, 1.0) for i in range(2)]
@@ -111,7 +111,7 @@ def test_a_wall_behind_the_first_is_a_second_place_for_a_single_axis():
     far = folded(20, 0.0)
     both = together(make_surface(far.vertices + np.array([0.0, 0.0, 0.05]), far.triangles), far)
     asked = np.diag([1.0, 1.0, 0.0])[None], np.array([[0.0031, 0.0042, 0.0]]), down(1)
-    best = nearest_to_rows(both, *asked)
+    best = nearest_in_metric(both, *asked)
     second = second_to_rows(both, *asked, best, np.array([0.01]), np.array([1e-9]))
     np.testing.assert_allclose(best.points[0], [0.0031, 0.0042, 0.05], atol=1e-12)
     np.testing.assert_allclose(second.points[0], [0.0031, 0.0042, 0.0], atol=1e-12)
@@ -121,7 +121,7 @@ def test_a_level_valley_has_no_second_place_however_long_it_is():
     """One direction only is seen: every triangle the line crosses is equally near, and all hang together."""
     surface = folded(30, 0.0)
     asked = np.diag([1.0, 0.0, 0.0])[None], np.array([[0.0011, 0.0, 0.0]]), down(1)
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     assert best.values[0] < 1e-30
     assert second_to_rows(surface, *asked, best, np.array([0.005]), np.array([1e-9])).triangles[0] == -1
 
@@ -130,7 +130,7 @@ def test_a_smooth_part_has_one_place_for_each_taxel():
     rng = np.random.default_rng(7)
     surface = tube(60, 50)
     asked = poked(rng, surface, 300, 5)
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     second = second_to_rows(surface, *asked, best, np.full(300, 0.008), best.values + 0.006**2)
     assert (second.triangles == -1).all()
 
@@ -138,7 +138,7 @@ def test_a_smooth_part_has_one_place_for_each_taxel():
 def test_where_there_is_no_first_there_is_no_second():
     surface = folded(10, 0.0)
     asked = np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)), -down(2)
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     assert (best.triangles == -1).all()
     assert (second_to_rows(surface, *asked, best, np.full(2, 0.001), np.full(2, np.inf)).triangles == -1).all()
 
@@ -147,7 +147,7 @@ def test_a_second_place_does_not_depend_on_the_other_taxels():
     rng = np.random.default_rng(11)
     surface = folded()
     asked = random_metrics(rng, surface, 150, "full rank")
-    best = nearest_to_rows(surface, *asked)
+    best = nearest_in_metric(surface, *asked)
     radius, limit = np.full(150, 0.01), best.values + (np.abs(asked[0]).max(axis=(1, 2)) * 0.02) ** 2
     many = second_to_rows(surface, *asked, best, radius, limit)
     assert (many.triangles >= 0).sum() > 20

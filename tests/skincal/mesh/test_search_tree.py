@@ -8,7 +8,7 @@ import pytest
 from mesh_support import KINDS, folded, nearest_from, part_of, poked, random_metrics, same, soup, together, tube
 
 from skincal.mesh import search
-from skincal.mesh.search import build_tree, find_fans, nearest_to_rows, solver_copy
+from skincal.mesh.search import build_tree, find_fans, nearest_in_metric, surface_in_solver
 from skincal.mesh.surface import make_surface
 
 
@@ -76,8 +76,8 @@ def test_the_tree_leaves_nothing_out_to_the_last_bit(kind, shape):
         targets = surface.vertices[rng.integers(len(surface.vertices), size=count)] + rng.normal(0, 1e-5, (count, 3))
         offsets = np.einsum("tij,tj->ti", roots, targets)
     for own in (pushes, None):
-        found = nearest_to_rows(surface, roots, offsets, own)
-        assert same(found, nearest_to_rows(surface, roots, offsets, own, every=True))
+        found = nearest_in_metric(surface, roots, offsets, own)
+        assert same(found, nearest_in_metric(surface, roots, offsets, own, every=True))
     assert (found.triangles >= 0).all()
 
 
@@ -90,8 +90,8 @@ def test_targets_on_corners_are_found_to_the_last_bit():
     targets = surface.corners[start, rng.integers(3, size=300)]
     for root in (np.eye(3), np.diag([1.0, 1.0, 0.3]), np.diag([0.0, 1.0, 0.0])):
         asked = np.tile(root, (len(targets), 1, 1)), targets @ root, -targets * [1, 1, 0]
-        every = nearest_to_rows(surface, *asked, every=True)
-        assert same(nearest_to_rows(surface, *asked), every)
+        every = nearest_in_metric(surface, *asked, every=True)
+        assert same(nearest_in_metric(surface, *asked), every)
         assert same(nearest_from(surface, *asked, start), every)
 
 
@@ -103,9 +103,9 @@ def test_targets_far_from_the_part_are_found_to_the_last_bit_too():
         roots, _, pushes = random_metrics(rng, surface, 20, "full rank")
         offsets = np.einsum("tij,tj->ti", roots, rng.normal(0, away, (20, 3)))
         asked = roots, offsets, pushes
-        found = nearest_to_rows(surface, *asked)
+        found = nearest_in_metric(surface, *asked)
         assert (found.triangles >= 0).all()
-        assert same(found, nearest_to_rows(surface, *asked, every=True))
+        assert same(found, nearest_in_metric(surface, *asked, every=True))
 
 
 @pytest.mark.parametrize("scale", [1e-140, 1e-12, 1e12, 1e140])
@@ -115,8 +115,8 @@ def test_the_size_of_the_weights_does_not_matter(scale):
     scale = 2.0 ** np.round(np.log2(scale))
     for kind in KINDS:
         roots, offsets, pushes = random_metrics(rng, surface, 20, kind)
-        one = nearest_to_rows(surface, roots, offsets, pushes)
-        two = nearest_to_rows(surface, roots * scale, offsets * scale, pushes * scale)
+        one = nearest_in_metric(surface, roots, offsets, pushes)
+        two = nearest_in_metric(surface, roots * scale, offsets * scale, pushes * scale)
         np.testing.assert_array_equal(one.triangles, two.triangles)
         np.testing.assert_array_equal(one.points, two.points)
 
@@ -127,14 +127,14 @@ def test_an_answer_does_not_depend_on_the_others_nor_on_where_the_search_starts(
     asked = [
         np.concatenate(part) for part in zip(*[random_metrics(rng, surface, 120, kind) for kind in KINDS[:-1]], strict=True)
     ]
-    many = nearest_to_rows(surface, *asked)
+    many = nearest_in_metric(surface, *asked)
     order = rng.permutation(len(asked[0]))
     for start in (None, many.triangles, np.full(len(order), -1), rng.integers(-1, len(surface.triangles), len(order))):
         mixed = nearest_from(surface, *[part[order] for part in asked], None if start is None else start[order])
         back = np.argsort(order)
         assert same(many, part_of(mixed, back))
     for i in order[:60]:
-        one = nearest_to_rows(surface, *[part[i : i + 1] for part in asked])
+        one = nearest_in_metric(surface, *[part[i : i + 1] for part in asked])
         assert same(one, part_of(many, slice(i, i + 1)))
 
 
@@ -144,13 +144,13 @@ def test_the_arrays_given_are_left_as_they_are():
     for count in (1, 5):
         asked = random_metrics(rng, surface, count, "full rank")
         copies = [part.copy() for part in asked]
-        nearest_to_rows(surface, *asked)
+        nearest_in_metric(surface, *asked)
         for part, copy in zip(asked, copies, strict=True):
             np.testing.assert_array_equal(part, copy)
 
 
 def kept(surface, asked):
-    return np.mean(nearest_to_rows(surface, *asked).tried)
+    return np.mean(nearest_in_metric(surface, *asked).tried)
 
 
 def test_few_triangles_are_left_however_many_there_are():
@@ -164,7 +164,7 @@ def test_few_triangles_are_left_however_many_there_are():
 def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
     rng = np.random.default_rng(43)
     surface = tube(250, 200)
-    solver_copy(surface)
+    surface_in_solver(surface)
     asked = poked(rng, surface, 400, 3)
     few = [part[:5] for part in asked]
 
@@ -176,21 +176,21 @@ def test_a_search_is_hundreds_of_times_quicker_than_every_triangle():
             times.append(time.process_time() - begin)
         return min(times)
 
-    every = took(lambda: nearest_to_rows(surface, *few, every=True)) / 5
+    every = took(lambda: nearest_in_metric(surface, *few, every=True)) / 5
     # Measured 900 times. The bar is loose for a busy machine.
-    assert took(lambda: nearest_to_rows(surface, *asked)) / 400 < every / 100
+    assert took(lambda: nearest_in_metric(surface, *asked)) / 400 < every / 100
 
 
 def test_a_root_of_zeros_for_every_taxel_does_not_fill_the_memory():
     """All triangles are equally near, to each of many metrics: what one keeps is given back before the next."""
     surface = tube(60, 50)
-    solver_copy(surface)
+    surface_in_solver(surface)
     count = 1000
     asked = np.zeros((count, 3, 3)), np.ones((count, 3)), np.tile([-1.0, 0.0, 0.0], (count, 1))
-    before = solver_copy(surface)[0].size
-    found = nearest_to_rows(surface, *asked)
+    before = surface_in_solver(surface)[0].size
+    found = nearest_in_metric(surface, *asked)
     # Measured 0.6 MB; if nothing were given back, 360 MB.
-    assert solver_copy(surface)[0].size - before < 5e6
+    assert surface_in_solver(surface)[0].size - before < 5e6
     assert (found.triangles == found.triangles[0]).all()
     assert found.points[0, 0] == pytest.approx(surface.vertices[:, 0].max()), "first met by the push"
     np.testing.assert_array_equal(found.values, 3.0)
@@ -201,7 +201,7 @@ def test_which_of_equals_comes_first_in_the_tree_leaves_no_trace(monkeypatch):
     rng = np.random.default_rng(59)
     first = tube(40, 30)
     asked = random_metrics(rng, first, 60, "rank 1")
-    found = nearest_to_rows(first, *asked)
+    found = nearest_in_metric(first, *asked)
     halved = search._halved
 
     def otherwise(centres):
@@ -215,7 +215,7 @@ def test_which_of_equals_comes_first_in_the_tree_leaves_no_trace(monkeypatch):
     monkeypatch.setattr(search, "_halved", otherwise)
     again = make_surface(first.vertices, first.triangles)
     assert (build_tree(again).order != order).any()
-    assert same(found, nearest_to_rows(again, *asked))
+    assert same(found, nearest_in_metric(again, *asked))
 
 
 def test_of_triangles_equally_near_the_one_that_faces_the_push_most_is_named():
@@ -223,7 +223,7 @@ def test_of_triangles_equally_near_the_one_that_faces_the_push_most_is_named():
     rng = np.random.default_rng(53)
     targets = surface.vertices[rng.integers(len(surface.vertices), size=100)]
     pushes = -targets * [1, 1, 0] + rng.normal(0, 0.01, (100, 3))
-    found = nearest_to_rows(surface, np.tile(np.eye(3), (100, 1, 1)), targets, pushes)
+    found = nearest_in_metric(surface, np.tile(np.eye(3), (100, 1, 1)), targets, pushes)
     np.testing.assert_allclose(found.points, targets, atol=1e-12)
     for target, push, triangle in zip(targets, pushes, found.triangles, strict=True):
         around = np.flatnonzero((surface.corners == target).all(axis=2).any(axis=1))
@@ -234,11 +234,11 @@ def test_of_triangles_equally_near_the_one_that_faces_the_push_most_is_named():
 
 def test_a_surface_that_travelled_gives_the_same_answers():
     surface = tube()
-    solver_copy(surface)
+    surface_in_solver(surface)
     again = pickle.loads(pickle.dumps(surface))
     rng = np.random.default_rng(47)
     asked = random_metrics(rng, surface, 30, "full rank")
-    assert same(nearest_to_rows(surface, *asked), nearest_to_rows(again, *asked))
+    assert same(nearest_in_metric(surface, *asked), nearest_in_metric(again, *asked))
 
 
 def test_fans_hold_the_triangles_around_each_vertex():

@@ -13,10 +13,10 @@ from scipy.optimize import least_squares
 from skincal.methods import average_over_poses, estimate_taxels
 from skincal.model.actions import Exclude, Restore
 from skincal.model.scene import KnownDistance, NoiseSettings
-from skincal.modules.distances import DistanceUse, refined
+from skincal.modules.distances import DistanceUse, apply_distances
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import ModuleModel, joined
-from skincal.modules.pose_fit import fit_poked, whitened
+from skincal.modules.pose import ModuleModel, join_poses
+from skincal.modules.pose_fit import fit_modules_from_pokes, whitened_rows
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
@@ -81,18 +81,18 @@ def rows_of_all(model, contacts, noise, told, start):
     """Give what least squares makes small, as a function of all modules' unknowns from `start`: each poke and each distance."""
     table = ContactTable(contacts)
     evidence = table.evidence(model.layout.channels.tolist())
-    touches, fitted = fit_poked(evidence, table.totals(evidence.pokes), model, noise, [{}])
+    touches, fitted = fit_modules_from_pokes(evidence, table.totals(evidence.pokes), model, noise, [{}])
     assert (fitted.trust == 1.0).all()
-    flat, whiten = np.concatenate(model.pads), whitened(touches, fitted.pads, noise).whiten
+    flat, whiten = np.concatenate(model.pads), whitened_rows(touches, fitted.pads, noise).whiten
     pairs, axes = evidence.pairs[touches.rows], evidence.nearest[touches.rows]
     index = {channel: at for at, channel in enumerate(touches.channels.tolist())}
 
     def rows(x):
-        poses = model.ground.moved(start, x.reshape(len(model.pads), -1))
-        pads = model.ground.laid(poses.take(fitted.of), flat)
+        poses = model.ground.move(start, x.reshape(len(model.pads), -1))
+        pads = model.ground.place_pads(poses.take(fitted.of), flat)
         apart = [np.linalg.norm(np.subtract(*pads.points[[index[end] for end in each.ends]])) for each in told]
         off = [(length - each.length) / each.sd for length, each in zip(apart, told, strict=True)]
-        across = pairs @ (axes - touches.middles(pads)[0])[:, :, None]
+        across = pairs @ (axes - touches.contact_centres(pads)[0])[:, :, None]
         return np.concatenate([(whiten @ across).ravel(), off]), pads
 
     return rows
@@ -116,9 +116,9 @@ def test_it_is_least_squares_over_all_pokes_and_distances(surface, rng):
         # By the noise alone, without what slow errors may add.
         information = own.slopes.reshape(-1, model.ground.unknowns)
         kept[module] = replace(own, covariance=np.linalg.inv(information.T @ information), factor=1.0, height=0.0)
-    found, tried = refined(known, kept, alone, noise)
+    found, tried = apply_distances(known, kept, alone, noise)
     assert all(each.used for each in tried)
-    rows = rows_of_all(known, contacts, noise, told, joined([kept[module].pose for module in range(len(poses))]))
+    rows = rows_of_all(known, contacts, noise, told, join_poses([kept[module].pose for module in range(len(poses))]))
     best = least_squares(lambda x: rows(x)[0], np.zeros(model.ground.unknowns * len(poses)), xtol=1e-15, ftol=1e-15, gtol=1e-15)
     pads, covariance = rows(best.x)[1], np.linalg.inv(best.jac.T @ best.jac)
     channels = np.concatenate([module.channels for module in model.layout.modules]).tolist()
@@ -153,7 +153,7 @@ def test_what_all_modules_share_is_no_news_to_a_distance(rng):
         moves = np.zeros((6, 2))
         moves[:3, 0], moves[:3, 1] = 0.001 * way, 0.001 * apart
         kept[module] = replace(kept[module], moves=moves, shared=-kept[module].slopes @ moves)
-    found, (tried,) = refined(known, kept, alone, noise)
+    found, (tried,) = apply_distances(known, kept, alone, noise)
     assert tried.used
     together, apart = found[middles[0]].moved.T @ way
     assert together == pytest.approx(0.001, rel=1e-6)
@@ -217,7 +217,7 @@ def test_origins_of_modules_are_ends_as_well():
     apart = float(np.linalg.norm(kept[0].pose.points - kept[4].pose.points))
     told = (KnownDistance((ids[0], ids[4]), False, apart, SD),)
     known = ModuleModel(model.layout, rig.scene.skin.anchor, rig.surface, told)
-    assert refined(known, kept, found, rig.scene.noise)[1][0].found == pytest.approx(apart, abs=1e-12)
+    assert apply_distances(known, kept, found, rig.scene.noise)[1][0].found == pytest.approx(apart, abs=1e-12)
 
 
 def test_a_session_is_the_same_to_the_bit_in_parts_and_after_a_poke_was_out():

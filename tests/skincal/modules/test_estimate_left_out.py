@@ -33,7 +33,7 @@ def solved_without(rig, contacts, poke, touches, at, surface):
     """The squared distance of a poke from where its module lies that is solved without it, summed up in space."""
     others, other = fitted(rig, [contact for contact in contacts if contact.poke != poke], surface, doubting=False)
     assert (others.modules == touches.modules).all()
-    places, gradients, normals = (each[at] for each in touches.middles(other.pads))
+    places, gradients, normals = (each[at] for each in touches.contact_centres(other.pads))
     evidence, row, noise = touches.evidence, touches.rows[at], rig.scene.noise
     u, lever, size = evidence.directions[row], places - evidence.sensors[row], evidence.forces[row]
     spread = (noise.moment / size) ** 2 * np.eye(3)

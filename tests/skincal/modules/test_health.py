@@ -8,7 +8,7 @@ import pytest
 
 from skincal.methods import estimate_taxels
 from skincal.model.skin import Layout
-from skincal.modules.health import MisfitKind, find_misfits, spacing_ratio
+from skincal.modules.health import MisplacementKind, find_misplaced_modules, spacing_ratio
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
@@ -46,8 +46,8 @@ CASES = [("noise", 1), ("noise", 2), ("paper", 1), ("paper", 3)]
 @pytest.mark.parametrize(("errors", "seed"), CASES)
 def test_modules_that_lie_as_planned_are_left_alone(errors, seed):
     rig, found = poked(seed, errors)
-    assert find_misfits(planned(rig, lambda _, module: module), found[Method.SURFACE]) == ()
-    assert find_misfits(planned(rig, lambda _, module: module), {}) == ()
+    assert find_misplaced_modules(planned(rig, lambda _, module: module), found[Method.SURFACE]) == ()
+    assert find_misplaced_modules(planned(rig, lambda _, module: module), {}) == ()
 
 
 @pytest.mark.parametrize(("each", "named"), [(2, 1), (3, 0)])
@@ -61,7 +61,7 @@ def test_taxels_that_answered_to_the_same_pokes_are_one_place(each, named):
         together = channels[first : first + each]
         middle = np.mean([estimates[channel].position for channel in together], axis=0)
         estimates |= {channel: replace(estimates[channel], position=middle) for channel in together}
-    assert len(find_misfits(model, estimates)) == named
+    assert len(find_misplaced_modules(model, estimates)) == named
 
 
 def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
@@ -78,7 +78,7 @@ def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
             for row, place in zip(some.tolist(), near, strict=True):
                 normal = rig.normals[rig.row_of(every[row])]
                 estimates[every[row]] = Estimate(every[row], Method.SURFACE, State.ESTIMATED, 3, position=place, normal=normal)
-        for said in find_misfits(model, estimates):
+        for said in find_misplaced_modules(model, estimates):
             assert said.after < 0.8 * said.before
 
 
@@ -87,8 +87,8 @@ def test_a_few_estimates_close_together_fit_any_turn_and_tell_none():
 def test_a_module_that_is_mirrored_is_named(errors, seed, which):
     rig, found = poked(seed, errors)
     model = planned(rig, lambda index, module: replace(module, mirror=index == which))
-    (said,) = find_misfits(model, found[Method.SURFACE])
-    assert (said.kind, said.module) == (MisfitKind.MIRRORED, model.layout.modules[which].id)
+    (said,) = find_misplaced_modules(model, found[Method.SURFACE])
+    assert (said.kind, said.module) == (MisplacementKind.MIRRORED, model.layout.modules[which].id)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
 
 
@@ -97,8 +97,8 @@ def test_a_module_that_is_mirrored_is_named(errors, seed, which):
 def test_a_module_that_is_turned_is_named_with_its_turn(errors, seed, turn):
     rig, found = poked(seed, errors)
     model = planned(rig, lambda index, module: replace(module, angle=module.angle - (np.radians(turn) if index == 2 else 0.0)))
-    (said,) = find_misfits(model, found[Method.SURFACE])
-    assert (said.kind, said.module) == (MisfitKind.TURNED, 29)
+    (said,) = find_misplaced_modules(model, found[Method.SURFACE])
+    assert (said.kind, said.module) == (MisplacementKind.TURNED, 29)
     assert np.degrees(said.turn) == pytest.approx(turn)
     assert said.after < (0.6 if errors == "noise" else 1.0) * said.before
 
@@ -113,9 +113,9 @@ def test_modules_that_are_swapped_are_named_both(errors, seed):
         rig,
         lambda index, module: replace(module, place=other[index].place, angle=other[index].angle) if index in other else module,
     )
-    said = find_misfits(model, found[Method.SURFACE])
+    said = find_misplaced_modules(model, found[Method.SURFACE])
     assert [(misfit.kind, misfit.module, misfit.other) for misfit in said] == [
-        (MisfitKind.SWAPPED, 28, 26), (MisfitKind.SWAPPED, 26, 28)
+        (MisplacementKind.SWAPPED, 28, 26), (MisplacementKind.SWAPPED, 26, 28)
     ]  # fmt: skip
     assert all(misfit.after < 0.5 * misfit.before for misfit in said)
 

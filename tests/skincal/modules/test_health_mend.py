@@ -8,16 +8,16 @@ import pytest
 from skincal.methods import estimate_taxels
 from skincal.model.skin import KINDS, Layout, Module, ModuleKind
 from skincal.modules.health import (
-    Misfit,
-    MisfitKind,
+    MisplacedModule,
+    MisplacementKind,
     ModuleChange,
-    Unmended,
-    UnmendedKind,
+    Unrepaired,
+    UnrepairedKind,
     _meant,
     changes_of,
-    find_misfits,
-    mend_layout,
-    mend_modules,
+    correct_layout,
+    find_misplaced_modules,
+    repair_layout,
 )
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
@@ -93,10 +93,10 @@ def check_mended(rig, layout, estimates):
     """Put a layout right and compare it with the rig's own."""
     scene = rig.scene
     model = ModuleModel(layout, scene.skin.anchor, rig.surface)
-    assert find_misfits(model, estimates), "the damage is seen"
-    mend = mend_modules(model, estimates)
+    assert find_misplaced_modules(model, estimates), "the damage is seen"
+    mend = repair_layout(model, estimates)
     assert mend.left == ()
-    assert find_misfits(model.replanned(mend.layout), estimates) == ()
+    assert find_misplaced_modules(model.with_layout(mend.layout), estimates) == ()
     np.testing.assert_allclose(mend.layout.places, scene.skin.layout.places, atol=OFF)
     np.testing.assert_array_equal(mend.layout.module_of, scene.skin.layout.module_of)
     return mend
@@ -127,7 +127,7 @@ def test_with_the_papers_rig_errors_a_ring_closes_where_one_end_is_less_sure():
     for seed in range(1, 7):
         rig, found = poked(seed, "paper")
         layout = DAMAGES["cycle"](rig.scene.skin.layout)
-        mend = mend_modules(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
+        mend = repair_layout(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
         assert mend.misfits
         closed += np.array_equal(mend.layout.module_of, rig.scene.skin.layout.module_of)
     assert closed >= 5, "measured: nine of ten"
@@ -136,7 +136,7 @@ def test_with_the_papers_rig_errors_a_ring_closes_where_one_end_is_less_sure():
 def test_a_layout_that_is_right_is_left_as_it_is():
     rig, found = poked(1)
     layout = rig.scene.skin.layout
-    mend = mend_modules(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
+    mend = repair_layout(ModuleModel(layout, rig.scene.skin.anchor, rig.surface), found[Method.SURFACE])
     assert (mend.layout, mend.changes, mend.left) == (layout, (), ())
 
 
@@ -167,14 +167,14 @@ def test_of_two_modules_the_turned_one_is_named_and_not_the_other():
     layout = rig.scene.skin.layout
     two = Layout(layout.modules[:2], layout.width)
     model = ModuleModel(damaged(two, m1=turned(120)), rig.scene.skin.anchor, rig.surface)
-    (said,) = find_misfits(model, found[Method.SURFACE])
-    assert (said.module, said.kind) == (layout.modules[1].id, MisfitKind.TURNED)
+    (said,) = find_misplaced_modules(model, found[Method.SURFACE])
+    assert (said.module, said.kind) == (layout.modules[1].id, MisplacementKind.TURNED)
 
 
 def test_pokes_of_a_wrong_layout_are_solved_as_well_as_those_of_the_right_one_once_it_is_put_right():
     rig, found = poked(2)
     wrong = ModuleModel(several(rig.scene.skin.layout), rig.scene.skin.anchor, rig.surface)
-    right = wrong.replanned(mend_modules(wrong, found[Method.SURFACE]).layout)
+    right = wrong.with_layout(repair_layout(wrong, found[Method.SURFACE]).layout)
     rng = np.random.default_rng(2)
     make = make_rig(RigErrors.noise(), 2)
     contacts = simulate_contacts(make, unguided(make, 3, rng), rng)
@@ -209,11 +209,11 @@ def test_a_swap_with_a_module_that_is_not_known_is_not_put_right():
     unseen = set(layout.modules[5].channels.tolist())
     estimates = {channel: estimate for channel, estimate in found[Method.SURFACE].items() if channel not in unseen}
     model = ModuleModel(exchanged(layout, 1, 5), rig.scene.skin.anchor, rig.surface)
-    (said,) = find_misfits(model, estimates)
-    assert said.kind is MisfitKind.SWAPPED
-    mend = mend_modules(model, estimates)
+    (said,) = find_misplaced_modules(model, estimates)
+    assert said.kind is MisplacementKind.SWAPPED
+    mend = repair_layout(model, estimates)
     assert (mend.layout, mend.changes) == (model.layout, ())
-    assert mend.left == (Unmended(UnmendedKind.NO_RING, (said.module, said.other)),)
+    assert mend.left == (Unrepaired(UnrepairedKind.NO_RING, (said.module, said.other)),)
 
 
 def of_kinds(*kinds):
@@ -227,47 +227,47 @@ def of_kinds(*kinds):
 
 
 def swap(module, other):
-    return Misfit(module, MisfitKind.SWAPPED, 0.04, 0.001, other=other)
+    return MisplacedModule(module, MisplacementKind.SWAPPED, 0.04, 0.001, other=other)
 
 
 def test_modules_of_other_kinds_do_not_exchange_their_channels():
     layout = of_kinds("triangle_12", "triangle_10pad", "triangle_12")
-    same, left = mend_layout(layout, [swap(10, 11), swap(11, 10)])
+    same, left = correct_layout(layout, [swap(10, 11), swap(11, 10)])
     assert same is layout
-    assert left == (Unmended(UnmendedKind.UNLIKE, (10, 11)),)
-    other, left = mend_layout(layout, [swap(10, 12), swap(12, 10)])
+    assert left == (Unrepaired(UnrepairedKind.UNLIKE, (10, 11)),)
+    other, left = correct_layout(layout, [swap(10, 12), swap(12, 10)])
     assert left == ()
     assert [module.first_channel for module in other.modules] == [24, 12, 0]
 
 
 def test_rings_exchange_and_open_chains_do_not():
     layout = of_kinds(*["triangle_12"] * 5)
-    ring, left = mend_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 10), swap(13, 14)])
+    ring, left = correct_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 10), swap(13, 14)])
     # What lies in 11's place has the channels of 10, and so on.
     assert [module.first_channel for module in ring.modules] == [24, 0, 12, 36, 48]
-    assert left == (Unmended(UnmendedKind.NO_RING, (13, 14)),)
-    same, left = mend_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 11)])
+    assert left == (Unrepaired(UnrepairedKind.NO_RING, (13, 14)),)
+    same, left = correct_layout(layout, [swap(10, 11), swap(11, 12), swap(12, 11)])
     assert [module.first_channel for module in same.modules] == [0, 24, 12, 36, 48]
-    assert left == (Unmended(UnmendedKind.NO_RING, (10, 11)),)
+    assert left == (Unrepaired(UnrepairedKind.NO_RING, (10, 11)),)
 
 
 def test_a_module_that_lies_beside_its_place_however_it_is_turned_is_left():
     layout = of_kinds("triangle_12", "triangle_12")
-    near = Misfit(10, MisfitKind.TURNED, 0.02, 0.016, turn=float(np.pi))
-    far = Misfit(11, MisfitKind.MIRRORED, 0.05, 0.018)
-    mended, left = mend_layout(layout, [near, far])
+    near = MisplacedModule(10, MisplacementKind.TURNED, 0.02, 0.016, turn=float(np.pi))
+    far = MisplacedModule(11, MisplacementKind.MIRRORED, 0.05, 0.018)
+    mended, left = correct_layout(layout, [near, far])
     assert [change.module for change in changes_of(layout, mended)] == [10]
-    assert left == (Unmended(UnmendedKind.STILL_OFF, (11,), 0.018),)
+    assert left == (Unrepaired(UnrepairedKind.STILL_OFF, (11,), 0.018),)
 
 
 def test_a_correction_that_lies_no_nearer_is_none(monkeypatch):
     rig, found = poked(1)
     model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
-    wrong = Misfit(28, MisfitKind.TURNED, 0.01, 0.001, turn=float(np.radians(120.0)))
-    monkeypatch.setattr("skincal.modules.health.find_misfits", lambda *_: (wrong,))
-    mend = mend_modules(model, found[Method.SURFACE])
+    wrong = MisplacedModule(28, MisplacementKind.TURNED, 0.01, 0.001, turn=float(np.radians(120.0)))
+    monkeypatch.setattr("skincal.modules.health.find_misplaced_modules", lambda *_: (wrong,))
+    mend = repair_layout(model, found[Method.SURFACE])
     assert (mend.layout, mend.changes) == (model.layout, ())
-    assert mend.left[0] == Unmended(UnmendedKind.NO_NEARER, (28,))
+    assert mend.left[0] == Unrepaired(UnrepairedKind.NO_NEARER, (28,))
 
 
 @pytest.mark.parametrize(
@@ -295,6 +295,6 @@ def test_a_change_says_what_the_file_is_to_say():
 @pytest.mark.parametrize(("angle", "turn", "then"), [(-180, 120, -60), (120, 120, -120), (-60, -120, 180), (0, 180, 180)])
 def test_angles_stay_within_half_a_turn(angle, turn, then):
     layout = damaged(of_kinds("triangle_12"), m0=turned(angle))
-    other, _ = mend_layout(layout, [Misfit(10, MisfitKind.TURNED, 0.01, 0.001, turn=float(np.radians(turn)))])
+    other, _ = correct_layout(layout, [MisplacedModule(10, MisplacementKind.TURNED, 0.01, 0.001, turn=float(np.radians(turn)))])
     (change,) = changes_of(layout, other)
     assert change.keys == {"angle_deg": then}

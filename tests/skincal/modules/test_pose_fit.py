@@ -13,7 +13,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import LEVER, ModuleModel, ModulePoses, ModulesInSpace, ModulesOnSurface, rotations
-from skincal.modules.pose_fit import find_touches, offset_squares, whitened
+from skincal.modules.pose_fit import assign_pokes, offset_squares, whitened_rows
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
@@ -39,12 +39,12 @@ def moved_poses(model, rng, shift=0.003, turn=0.1):
     sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * LEVER)]
     if unknowns == 3:
         sizes = np.array([shift, shift, turn * LEVER])
-    return [model.ground.moved(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
+    return [model.ground.move(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
 
 
 def laid(model, module, pose):
     pads = model.pads[module]
-    return model.ground.laid(pose.take(np.zeros(len(pads), dtype=np.int64)), pads)
+    return model.ground.place_pads(pose.take(np.zeros(len(pads), dtype=np.int64)), pads)
 
 
 def press(model, poses, rng, pokes, modules=None, tilt=0.4, noise=0.0):
@@ -114,7 +114,7 @@ def test_exact_pokes_give_the_exact_places(name, surface, rng):
 def test_a_module_that_is_turned_against_its_plan_is_found_as_it_lies(turn, rng):
     model = model_of()
     poses = [model.plan(module) for module in range(7)]
-    poses[2] = model.ground.moved(poses[2], np.array([[0.0, 0.0, np.radians(turn) * LEVER]]))
+    poses[2] = model.ground.move(poses[2], np.array([[0.0, 0.0, np.radians(turn) * LEVER]]))
     found = modules(press(model, poses, rng, 140), model)
     pads = laid(model, 2, poses[2])
     for channel, point in zip(model.layout.modules[2].channels.tolist(), pads.points, strict=True):
@@ -132,7 +132,7 @@ def test_the_gradients_are_those_of_differences(name, surface, rng):
         for unknown in range(model.ground.unknowns):
             move = np.zeros((1, model.ground.unknowns))
             move[0, unknown] = step
-            there, back = (laid(model, module, model.ground.moved(pose, sign * move)).points for sign in (1.0, -1.0))
+            there, back = (laid(model, module, model.ground.move(pose, sign * move)).points for sign in (1.0, -1.0))
             off = np.abs((there - back) / (2 * step) - at.gradients[:, :, unknown]).max(axis=1)
             assert np.median(off) < 1e-6
             assert off.max() < (0.2 if surface else 1e-6)
@@ -144,10 +144,10 @@ def test_rows_fall_with_the_step_that_their_slopes_tell(rng):
     contacts = press(model, poses, rng, 20, modules=[1])
     table = ContactTable(contacts)
     evidence = table.evidence(model.channels_of([1]))
-    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [1])
+    touches = assign_pokes(evidence, table.totals(evidence.pokes), model, NOISE, [1])
     start = model.plan(1)
     step = 1e-6 * rng.standard_normal((1, 6))
-    before, after = (whitened(touches, laid(model, 1, model.ground.moved(start, s * step)), NOISE) for s in (0.0, 1.0))
+    before, after = (whitened_rows(touches, laid(model, 1, model.ground.move(start, s * step)), NOISE) for s in (0.0, 1.0))
     # In metres: the noise's size changes with the lever, which is not part of the step.
     off = np.linalg.solve(before.whiten, before.misses[..., None]) - np.linalg.solve(after.whiten, after.misses[..., None])
     linear = np.linalg.solve(before.whiten, before.slopes @ step[0][:, None])
@@ -311,7 +311,7 @@ def test_one_poke_tells_a_place_and_not_how_the_module_is_turned(surface, rng):
     others = [found[channel] for channel in model.channels_of([3]) if channel != peak]
     assert {estimate.state for estimate in others} == {State.BLIND}
     assert all(
-        estimate.reason.cause is Cause.MODULE_ONE_POKE and estimate.weakest is not None and estimate.sd is None
+        estimate.reason.cause is Cause.MODULE_ONE_POKE and estimate.worst_direction is not None and estimate.sd is None
         for estimate in others
     )
     assert found[peak].state is (State.ESTIMATED if surface else State.BLIND)
@@ -324,7 +324,7 @@ def test_parallel_axes_leave_the_depth_of_a_free_module_open_and_nothing_is_nan(
     assert {estimate.state for estimate in found.values()} == {State.BLIND}
     for estimate in found.values():
         assert estimate.position is None
-        assert abs(estimate.weakest[2]) > 0.9
+        assert abs(estimate.worst_direction[2]) > 0.9
     tilted = modules(press(model, [model.plan(module) for module in range(4)], rng, 60, tilt=0.3), model)
     assert {estimate.state for estimate in tilted.values()} == {State.ESTIMATED}
 
@@ -396,7 +396,7 @@ def test_a_poke_between_two_modules_counts_for_the_one_that_answers_more_and_for
     responses = np.where(channels == here, 100.0, 100.0 * other)
     table = ContactTable([replace(contact, channels=channels, responses=responses)])
     evidence = table.evidence(model.channels_of([0, 1]))
-    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [0, 1])
+    touches = assign_pokes(evidence, table.totals(evidence.pokes), model, NOISE, [0, 1])
     assert touches.modules.tolist() == ([0 if other < 1.0 else 1] if counts else [])
 
 
@@ -434,7 +434,7 @@ def trust_by_hand(slopes, misses, pitches):
         left = left - slopes @ move
     squares = np.sum(left**2, axis=1)
     squares = squares / max(1.0, raised * np.median(squares) / pose_fit.USUAL_MISS) + pitches
-    return pose_fit.trust_of(squares)
+    return pose_fit.trust_from_squares(squares)
 
 
 def test_pokes_are_trusted_as_least_squares_in_plain_numpy_says(rng):
@@ -445,10 +445,10 @@ def test_pokes_are_trusted_as_least_squares_in_plain_numpy_says(rng):
     far = [replace(contact, moment=contact.moment + off.get(contact.poke, 0.0)) for contact in contacts]
     table = ContactTable(far)
     evidence = table.evidence(model.channels_of([2]))
-    touches = find_touches(evidence, table.totals(evidence.pokes), model, NOISE, [2])
+    touches = assign_pokes(evidence, table.totals(evidence.pokes), model, NOISE, [2])
     found = pose_fit.fit_modules(touches, model, poses[2], NOISE).trust
-    rows, at = whitened(touches, laid(model, 2, poses[2]), NOISE), touches.rows
-    middles = touches.middles(laid(model, 2, poses[2]))[0]
+    rows, at = whitened_rows(touches, laid(model, 2, poses[2]), NOISE), touches.rows
+    middles = touches.contact_centres(laid(model, 2, poses[2]))[0]
     pairs, forces, levers = evidence.pairs[at], evidence.forces[at], middles - evidence.sensors[at]
     swing = (NOISE.force / forces)[:, None] * np.sum(pairs * levers[:, None], axis=2)
     pitches = evidence.pitches[at] ** 2 / ((NOISE.moment / forces) ** 2 + np.sum(swing**2, axis=1))

@@ -8,8 +8,8 @@ import pytest
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import plan_from
-from skincal.mesh.lay import lay
+from skincal.guide.knowledge import plan_from_layout
+from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
@@ -250,7 +250,7 @@ def guided_session(rig, pokes, seed=1):
     pipeline = Pipeline(
         scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
     )
-    plan = plan_from(scene.skin.layout, lay(scene.skin.layout, scene.skin.anchor, rig.surface))
+    plan = plan_from_layout(scene.skin.layout, place_layout(scene.skin.layout, scene.skin.anchor, rig.surface))
     guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
     for link in line.links:
         pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from skincal.mesh.lay import lay
+from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.simulate.benches import SHAPES
 from tests.skincal.sim_support import scene_and_surface
@@ -64,7 +64,7 @@ def test_surfaces_are_consistent_outward_and_open(name):
 @pytest.mark.parametrize("name", ["icub-forearm", "whole-body", "flat-patch"])
 def test_every_taxel_lies_on_the_part_and_none_on_another(name):
     scene, surface = scene_and_surface(name)
-    laid = lay(scene.skin.layout, scene.skin.anchor, surface)
+    laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
     places = laid.places[scene.skin.layout.channels]
     assert np.isfinite(places).all()
     if surface is not None:
@@ -86,7 +86,7 @@ def test_whole_body_size():
 
 def test_the_forearms_patch_lies_on_its_upper_side():
     scene, surface = scene_and_surface("icub-forearm")
-    laid = lay(scene.skin.layout, scene.skin.anchor, surface)
+    laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
     places = laid.places[scene.skin.layout.channels] * 1e3
     assert places[:, 2].min() > -5
     assert places[:, 1].min() > 11

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.geometry import axis_point, move_wrench, pitch
-from skincal.mesh.lay import lay
+from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
@@ -136,7 +136,7 @@ def test_values_rise_where_the_scene_says_up(rng):
 
 def test_truth_is_the_plan_displaced_as_a_patch():
     scene, surface = scene_and_surface()
-    laid = lay(scene.skin.layout, scene.skin.anchor, surface)
+    laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
     shifts = []
     for seed in range(6):
         rig = make_rig(RigErrors.none(), seed)

@@ -13,7 +13,7 @@ import wasmtime
 
 from skincal import methods
 from skincal.mesh import search
-from skincal.mesh.search import GRAZING, nearest_to_rows
+from skincal.mesh.search import GRAZING, nearest_in_metric
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
@@ -90,7 +90,7 @@ def answers():
     rng = np.random.default_rng(7)
     surface = together(tube(), soup(rng))
     for kind in KINDS:
-        found = nearest_to_rows(surface, *random_metrics(rng, surface, 50, kind))
+        found = nearest_in_metric(surface, *random_metrics(rng, surface, 50, kind))
         yield from (found.points.tobytes(), found.triangles.tobytes(), found.values.tobytes())
     rig = make_rig(RigErrors.paper(), 1)
     whole = make_surface(rig.surface.vertices, rig.surface.triangles)
@@ -187,8 +187,8 @@ def test_a_sum_loses_nothing(probe):
 def test_threads_take_turns():
     surface = tube(40, 40)
     asked = random_metrics(np.random.default_rng(5), surface, 200, "full rank")
-    alone, found = nearest_to_rows(surface, *asked), []
-    threads = [threading.Thread(target=lambda: found.append(nearest_to_rows(surface, *asked))) for _ in range(4)]
+    alone, found = nearest_in_metric(surface, *asked), []
+    threads = [threading.Thread(target=lambda: found.append(nearest_in_metric(surface, *asked))) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from skincal.mesh.lay import lay
+from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
@@ -119,7 +119,7 @@ def test_the_plan_lies_where_the_program_lays_it_too():
     scene, surface = part()
     own = replace(GOOD, mount_shift=0.0, mount_turn=0.0)
     channels, places = taxels(scene, Body(surface.vertices, surface.triangles), own, rng())
-    laid = lay(scene.skin.layout, scene.skin.anchor, surface)
+    laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
     assert np.linalg.norm(laid.places[channels] - places, axis=1).max() < 0.15 * MM
 
 

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
-from skincal.mesh.search import nearest_points, nearest_to_rows
+from skincal.mesh.search import nearest_in_metric, nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.plotting import render
@@ -332,7 +332,7 @@ def test_the_search_tree_is_many_times_faster_than_every_triangle():
     """Fails on gross loss only: measured 100 to 200 times."""
     mesh = SHAPES[FOREARM].mesh(10_000)
     problems = list(baselines.taxel_problems(poked(), bench().channels, bench().scene.noise).values())
-    search = partial(nearest_to_rows, mesh, *(np.array(part) for part in zip(*problems, strict=True)))
+    search = partial(nearest_in_metric, mesh, *(np.array(part) for part in zip(*problems, strict=True)))
     search()
     ours = best_of(5, search) / len(problems)
     brute = best_of(3, lambda: [baselines.by_every_triangle(mesh, problem) for problem in problems[:5]])

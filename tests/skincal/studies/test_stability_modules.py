@@ -6,11 +6,11 @@ import mpmath
 import numpy as np
 import pytest
 
-from skincal.mesh.geodesics import Footing, geodesics_of
+from skincal.mesh.geodesics import MeshPoints, geodesics_of
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.modules import pose_fit
-from skincal.modules.pose_fit import whitened
+from skincal.modules.pose_fit import whitened_rows
 from skincal.studies import exact, stability
 from skincal.studies.exact import InPlane, OnMesh, find_truth
 from skincal.studies.stability import compare, judge, problem_of, shipped_module
@@ -31,7 +31,7 @@ def contacts(case):
 
 
 def laid(module):
-    return module.ground.laid(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
+    return module.ground.place_pads(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_ways_over_a_flat_sheet_are_straight_and_over_a_bent_one_those_that_unfo
         module = on_sheet(rng, TINY, bend)
         pads = exact.floats(OnMesh.begin(module.at, module.flat, module.mesh).pads().points)
         plane = exact.floats(InPlane.begin(module.at, module.flat).pads().points)
-        crossed = np.unique(module.ground.laid(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).triangles)
+        crossed = np.unique(module.ground.place_pads(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).triangles)
         assert len(crossed) > 3
         np.testing.assert_allclose(pads, laid(module), rtol=0, atol=1e-16)
         if bend == 0:
@@ -118,18 +118,18 @@ def test_a_walk_from_past_the_rim_and_one_through_a_vertex_come_to_an_end():
     ground, walks = module.ground, ground_walks(module)
     past = np.linalg.norm(nearest_points(ground.surface, walks.points)[0] - walks.points, axis=1) > 1e-9
     assert past.all(), "the module stands past the rim"
-    beyond = ground.moved(module.at, np.array([[0.01, 0.003, 0.0]]))
+    beyond = ground.move(module.at, np.array([[0.01, 0.003, 0.0]]))
     np.testing.assert_allclose(np.linalg.norm(beyond.points - module.at.points), np.hypot(0.01, 0.003), rtol=1e-12)
     corner = ground.surface.vertices[ground.surface.triangles[module.at.triangles[0], 0]]
     way = corner - module.at.points[0]
     y = np.cross(module.at.normals[0], module.at.x[0])
-    through = ground.moved(module.at, 1.5 * np.array([[way @ module.at.x[0], way @ y, 0.0]]))
+    through = ground.move(module.at, 1.5 * np.array([[way @ module.at.x[0], way @ y, 0.0]]))
     np.testing.assert_allclose(through.points[0], module.at.points[0] + 1.5 * way, rtol=0, atol=1e-10)
 
 
 def ground_walks(module):
     """The walks to a module's pads; none may take long, wherever it begins."""
-    footing = Footing(module.at.triangles, module.at.points, module.at.x).take(np.zeros(PADS, dtype=np.int64))
+    footing = MeshPoints(module.at.triangles, module.at.points, module.at.x).take(np.zeros(PADS, dtype=np.int64))
     return geodesics_of(module.ground.surface).walk(footing, module.flat)
 
 
@@ -140,10 +140,10 @@ def test_the_bends_are_how_the_slopes_times_misses_change_beside_the_slopes_them
         ground = one.model.ground
 
         def pull(move, one=one, ground=ground, pose=pose):
-            rows = whitened(one.touches, one.laid(ground.moved(pose, move[None])), one.noise)
+            rows = whitened_rows(one.touches, one.place_pads(ground.move(pose, move[None])), one.noise)
             return np.einsum("mid,mi->d", rows.slopes, rows.misses)
 
-        rows = whitened(one.touches, one.laid(pose), one.noise)
+        rows = whitened_rows(one.touches, one.place_pads(pose), one.noise)
         predicted = np.sum(rows.bends, axis=0) - np.einsum("mid,mie->de", rows.slopes, rows.slopes)
         step = 1e-7 * np.eye(ground.unknowns)
         measured = np.stack([(pull(way) - pull(-way)) / 2e-7 for way in step], axis=1)
@@ -244,7 +244,7 @@ def test_a_search_from_anywhere_near_ends_at_the_same_place():
     ends = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        start = case.module.ground.moved(case.module.at, 0.002 * rng.normal(size=(1, 6)))
+        start = case.module.ground.move(case.module.at, 0.002 * rng.normal(size=(1, 6)))
         ends.append(shipped_module(*contacts(replace(case, start=start))).points)
     for end in ends[1:]:
         np.testing.assert_allclose(end, ends[0], rtol=0, atol=1e-14)

@@ -12,7 +12,7 @@ from skincal.studies import stability_terms
 from skincal.studies.stability import judge_term
 from skincal.studies.stability_cases import CaseSizes
 from skincal.studies.stability_terms import Joined, Landmarked, corrected, term_cases
-from skincal.taxels.shared_errors import Pulls
+from skincal.taxels.shared_errors import NormalEquations
 
 TINY = CaseSizes(contacts=8, grid=6, many=300, draws=4)
 
@@ -66,8 +66,8 @@ def test_a_step_too_few_is_caught(monkeypatch):
     ("name", "what"), [(MODULE, "shared"), (MODULE, "covariances"), (SHEET, "covariances"), (HEIGHT, "covariances")]
 )
 def test_a_covariance_of_half_the_digits_is_caught(monkeypatch, name, what):
-    exactly = Pulls.inverse
-    monkeypatch.setattr(Pulls, "inverse", lambda self: exactly(self).astype(np.float32).astype(float))
+    exactly = NormalEquations.inverse
+    monkeypatch.setattr(NormalEquations, "inverse", lambda self: exactly(self).astype(np.float32).astype(float))
     assert not judged(name)[what]["holds"]
 
 

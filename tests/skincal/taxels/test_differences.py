@@ -144,7 +144,7 @@ def test_a_mirrored_module_is_not_fitted_by_a_reflection(rng):
 
 
 def test_a_flat_module_that_is_turned_over_lies_on_its_mirror_image():
-    """A flat module and its mirror image are the same from behind: distinguished by `find_misfits`, which knows the outside."""
+    """A flat module and its mirror image are the same from behind: distinguished by `find_misplaced_modules`."""
     flat = np.concatenate([LAYOUT.places[CHANNELS], np.zeros((84, 1))], axis=1)
     found = compare_modules(LAYOUT, CHANNELS, flat, flat * [-1.0, 1.0, 1.0])
     np.testing.assert_allclose([difference.shape for difference in found], 0.0, atol=1e-12)

@@ -203,7 +203,7 @@ def test_estimates_turn_with_a_rigid_motion_of_everything(method):
         np.testing.assert_allclose(rotation @ a.position + shift, b.position, atol=1e-10)
         np.testing.assert_allclose(rotation @ a.normal, b.normal, atol=1e-9)
         np.testing.assert_allclose(rotation @ a.covariance @ rotation.T, b.covariance, atol=1e-13)
-        assert abs(rotation @ a.weakest @ b.weakest) > 1 - 1e-9
+        assert abs(rotation @ a.worst_direction @ b.worst_direction) > 1 - 1e-9
 
 
 def test_units_of_force_do_not_move_the_free_estimate():
@@ -228,7 +228,7 @@ def test_one_axis():
     assert free.state is State.BLIND
     assert free.position is None
     assert free.sd is None
-    assert abs(free.weakest @ push) / np.linalg.norm(push) > 1 - 1e-9
+    assert abs(free.worst_direction @ push) / np.linalg.norm(push) > 1 - 1e-9
     assert free.reason.cause is Cause.ONE_AXIS
     np.testing.assert_allclose(free.normal, -push / np.linalg.norm(push))
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, surface)[0]
@@ -245,7 +245,7 @@ def test_parallel_axes_are_blind_along_them(angle_deg):
     contacts = [poke(i, point, 8 * np.array([-1.0, tilt * s, 0.0])) for i, s in enumerate((-1, 0, 1), start=1)]
     free = solve(contacts, [0], Method.FREE, NOISE, None)[0]
     assert free.state is State.BLIND
-    assert abs(free.weakest[0]) > 1 - 1e-6
+    assert abs(free.worst_direction[0]) > 1 - 1e-6
     assert (free.reason.cause, free.reason.count) == (Cause.ALIKE_AXES, 3)
     assert np.degrees(free.reason.angle) == pytest.approx(angle_deg, abs=0.05)
     on_surface = solve(contacts, [0], Method.SURFACE, NOISE, tube())[0]
@@ -260,7 +260,7 @@ def test_axes_far_enough_apart_are_estimated():
     assert free.state is State.ESTIMATED
     np.testing.assert_allclose(free.position, point, atol=1e-14)
     assert free.sd < 0.03
-    assert abs(free.weakest[0]) > 0.99, "depth is the worst"
+    assert abs(free.worst_direction[0]) > 0.99, "depth is the worst"
 
 
 def test_no_contact_and_dead():
@@ -321,7 +321,7 @@ def test_pokes_that_graze_the_surface_are_blind():
     estimate = solve(contacts, [0], Method.SURFACE, NOISE, flat)[0]
     assert estimate.state is State.BLIND
     assert estimate.reason.cause is Cause.GRAZING
-    assert abs(estimate.weakest[0]) > 0.99
+    assert abs(estimate.worst_direction[0]) > 0.99
     assert estimate.sd > 0.03
 
 

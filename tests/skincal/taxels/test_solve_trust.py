@@ -115,13 +115,13 @@ def test_without_trust_they_cost_more():
 @pytest.mark.parametrize("guided", [False, True])
 def test_clean_pokes_count_fully_and_lose_no_accuracy(guided):
     trusted = mean_and_worst(10, guided, False)
-    values = np.concatenate([trust_of(10, guided, seed) for seed in range(1, 5)])
+    values = np.concatenate([trust_from_squares(10, guided, seed) for seed in range(1, 5)])
     assert np.mean(values == 1.0) > 0.97
     plain = mean_and_worst(10, guided, False, doubting=False)
     assert all(trusted[method][0] < 1.025 * plain[method][0] for method in PER_TAXEL)
 
 
-def trust_of(own, guided, seed, twice=False, preset="noise"):
+def trust_from_squares(own, guided, seed, twice=False, preset="noise"):
     rig, contacts = session(own, guided, seed, twice, preset)
     return trust(ContactTable(contacts).evidence(rig.channels.tolist()), rig.scene.noise)
 
@@ -129,7 +129,7 @@ def trust_of(own, guided, seed, twice=False, preset="noise"):
 def test_a_rig_with_a_wrong_matrix_and_wrong_poses_keeps_its_pokes():
     """Its axes miss by more than noise; the taxel's own spread is the measure."""
     for seed in (1, 2, 3):
-        assert np.mean(trust_of(10, False, seed, preset="paper")) > 0.95
+        assert np.mean(trust_from_squares(10, False, seed, preset="paper")) > 0.95
         rig, _ = session(10, False, seed, False, "paper")
         several = [
             replace(contact, poke=contact.poke + 10_000 * i, pose=pose)

@@ -10,7 +10,7 @@ from skincal.geometry import cross_matrix
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import ContactTable, across
+from skincal.taxels.contact_table import ContactTable, orthonormal_pair
 from skincal.taxels.result import SD_MAX, Method, State
 from skincal.taxels.solve import factor
 from skincal.taxels.solve import solve as solve_evidence
@@ -127,7 +127,7 @@ def test_the_covariance_equals_the_sandwich_of_the_papers_three_rows():
     values, axes = np.linalg.eigh(expected)
     assert own.free.sds[0] == pytest.approx(np.sqrt(values[-1]))
     assert own.free.rms[0] == pytest.approx(np.sqrt(np.trace(expected)))
-    assert abs(own.free.weakest[0] @ axes[:, -1]) == pytest.approx(1)
+    assert abs(own.free.worst_direction[0] @ axes[:, -1]) == pytest.approx(1)
 
 
 def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
@@ -233,7 +233,7 @@ def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
         estimate = solve(contacts, [0], Method.FREE, NOISE, None)[0]
         sds.append(estimate.sd)
         assert (estimate.state is State.BLIND) == (estimate.sd > SD_MAX)
-        assert abs(estimate.weakest[2]) > 0.9
+        assert abs(estimate.worst_direction[2]) > 0.9
     assert sds == sorted(sds, reverse=True)
     assert sds[0] > SD_MAX > sds[-1]
 
@@ -248,7 +248,7 @@ def axes_near(rng, point, spread, weights):
 
 def made(directions, moments, weights):
     """Directions, m/|f|, weights and the weighted rows of (5)."""
-    rows = weights[:, None, None] * across(directions)
+    rows = weights[:, None, None] * orthonormal_pair(directions)
     nearest = np.cross(directions, moments)
     return directions, moments, weights, rows.reshape(-1, 3), np.einsum("nij,nj->ni", rows, nearest).ravel()
 
