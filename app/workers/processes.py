@@ -1,8 +1,7 @@
 """Processes for work that would hold the window even from a thread: the review of landmark pokes, and single jobs.
 
-The calculation of a rig's errors keeps Python's lock for some tenths of a second. The process is asked from the first poke at a
-landmark on, and sent what is new of the session since it was asked last. There is one review at a time, and its work gives way
-to a newer request. The process ends with the window; it imports this module, too.
+The fit of a rig's errors keeps Python's lock for some tenths of a second. The process starts with the first poke at a landmark
+and ends with the window. It does one review at a time, which gives way to a newer request. The process imports this module.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import logging
 import os
 import signal
 import threading
-import uuid
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,7 +20,7 @@ from PySide6.QtCore import QObject, Signal
 
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
-from skincal.session.review import Asked, Change, Review, ReviewedPart, Unreviewed, review_change
+from skincal.session.review import Review, ReviewRequest, SentReview, review_sent
 from skincal.session.session import Session
 from skincal.session.snapshot import PokeRecord, Snapshot
 
@@ -354,7 +352,7 @@ class ReviewClient(QObject):
     """
 
     reviewed = Signal(object)
-    """`Review` of what was asked last, or of what was asked before where that was finished all the same."""
+    """`Review` of the newest request, or of an earlier one that had taken long."""
     failed = Signal(str)
     """A sentence; nothing is reviewed any more."""
 
@@ -363,8 +361,6 @@ class ReviewClient(QObject):
         self._session = session
         self._processes = processes
         self._threads = ThreadService("review", self)
-        self._name = uuid.uuid4().hex
-        self._asked = Asked()
         self._seen: Snapshot | None = None
         self._shown: Snapshot | None = None
         """The snapshot whose review was asked for last; None before the first poke at a landmark."""
@@ -392,20 +388,13 @@ class ReviewClient(QObject):
         if self._again:
             return  # what is worked on gives way; then the newest is asked about
         self._waits = True
-        change = self._asked.change(self._session, snapshot)
-        surface, part = self._session.surface, None
-        if not change.since:
-            part = ReviewedPart(self._session.scene, None if surface is None else surface.sha256)
-        self._threads.submit(partial(_review, self._processes, ticket, self._name, part, change), self._take, self._fail)
+        request = ReviewRequest.of(self._session)
+        self._threads.submit(partial(_review, self._processes, ticket, request), self._take, self._fail)
 
-    def _take(self, answer: Review | Unreviewed) -> None:
+    def _take(self, review: Review | None) -> None:
         self._waits = False
-        # A process that took the place of another knows nothing of the session: it is sent all of it.
-        if answer is Unreviewed.UNKNOWN:
-            self._asked.forget()
-            self._again = True
-        elif isinstance(answer, Review):
-            self.reviewed.emit(replace(answer, used=self._asked.used))
+        if review is not None:
+            self.reviewed.emit(review)
         if self._again and self._seen is not None and not self._stopped:
             self._ask(self._seen)
 
@@ -414,10 +403,8 @@ class ReviewClient(QObject):
         self.failed.emit(sentence)
 
 
-def _review(
-    processes: ProcessService, ticket: int, session: str, part: ReviewedPart | None, change: Change
-) -> Review | Unreviewed:
-    """Have a change reviewed in the process; in a thread.
+def _review(processes: ProcessService, ticket: int, request: ReviewRequest) -> Review | None:
+    """Have a session reviewed in the process; in a thread. `None` if the work gave way to a newer request.
 
     Raises
     ------
@@ -425,7 +412,7 @@ def _review(
         There will be no reviews, whatever the reason is.
     """
     try:
-        return processes.ask(ticket, review_change, session, part, change)
+        review: Review | None = processes.ask(ticket, review_sent, SentReview.of(request))
     except InputError:
         raise
     except ProcessLostError as lost:
@@ -433,6 +420,8 @@ def _review(
     except Exception as error:
         LOG.exception("a review of the rig failed")
         raise InputError(f"The rig is not reviewed any more: {error!r}; details are in the log.") from error
+    # The window compares corrections by identity.
+    return review and replace(review, used=request.used)
 
 
 def _due(asked: Snapshot, now: Snapshot) -> bool:

@@ -238,10 +238,10 @@ def _corrected(pipeline: Pipeline, known: Mapping[int, FloatArray] | None) -> tu
     from skincal.cli import report
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
-    from skincal.session.checked import landmark_findings
+    from skincal.session.review import ReviewRequest, diagnose_rig
     from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 
-    frame, answer = landmark_findings(session)
+    frame, answer = diagnose_rig(ReviewRequest.of(session))
     rig: dict[str, Any] = {"landmark_pokes": len(session.landmark_pokes), "used": answer.used}
     rig["corrections"] = [
         {"of": used.of, "before_mm": used.before * 1e3, "after_mm": used.after * 1e3}

@@ -27,11 +27,12 @@ from skincal.model.errors import InputError
 from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout, spacing_ratio
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
-from skincal.session.checked import landmark_findings, use_offered, verdicts_of
+from skincal.session.checked import use_offered, verdicts_of
 from skincal.session.error_history import ErrorCourse, ErrorSeries, spreads_of
 from skincal.session.part import Part, lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
+from skincal.session.review import ReviewRequest, diagnose_rig
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.streams.links import LinkSpec
@@ -131,7 +132,7 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
     truth = find_truth(folder, pipeline.scene.link, part.channels.tolist())
     estimates, calibration = snapshot.estimates[chosen], session.calibration()
     errors = errors_of(estimates, truth)
-    frame, rig = landmark_findings(session) if session.landmark_pokes else (None, None)
+    frame, rig = diagnose_rig(ReviewRequest.of(session)) if session.landmark_pokes else (None, None)
     mend, judged = _modules(session, snapshot)
     return SessionFacts(
         name=folder.resolve().name,

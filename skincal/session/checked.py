@@ -9,26 +9,17 @@ from skincal.files.calibration import Calibration, landmark_check
 from skincal.guide.verdict import Verdict
 from skincal.model.errors import InputError
 from skincal.rig.correction import FRAME
-from skincal.rig.correction_fit import RigAnswer, correct_rig
-from skincal.rig.frame_check import FrameDiagnosis, diagnose
+from skincal.rig.correction_fit import RigAnswer
 from skincal.session.corrections import offered
 from skincal.session.guiding import SessionGuide
-from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import Part, lay_part
+from skincal.session.review import ReviewRequest, diagnose_rig
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.words.rig_words import frame_sentence, rig_sentences
 from skincal.words.verdict_words import verdict_sentence
-
-
-def landmark_findings(session: Session) -> tuple[FrameDiagnosis | None, RigAnswer]:
-    """Return what landmark pokes say of the sensor's frame, None from too few, and of the rig."""
-    known = {landmark.name: landmark for landmark in session.decisions.landmarks}
-    pokes = session.landmark_pokes
-    normals = landmark_normals([known[poke.name] for poke in pokes], session.surface)
-    return diagnose(pokes, normals), correct_rig(session.rig_request())
 
 
 def use_offered(session: Session) -> None:
@@ -40,7 +31,7 @@ def use_offered(session: Session) -> None:
         raise InputError(
             "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
         )
-    frame, rig = landmark_findings(session)
+    frame, rig = diagnose_rig(ReviewRequest.of(session))
     # A frame's correction changes what is found of the rig, so both are looked at again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.decisions.corrections)) is not None:
         # Each kind is used once, or what is found again and again would never end.
@@ -49,7 +40,7 @@ def use_offered(session: Session) -> None:
         if action.of == FRAME and frame is not None and not frame.sure:
             raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)
-        frame, rig = landmark_findings(session)
+        frame, rig = diagnose_rig(ReviewRequest.of(session))
     if not session.decisions.corrections:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 

@@ -1,20 +1,19 @@
-"""What pokes at landmarks say of the rig, and where the taxels lie with and without its correction.
+"""Review of a session's landmark pokes: the sensor's frame, the rig's correction, and the taxels with and without it.
 
-It takes some tenths of a second, so it is worked out in another process (`review_change`), from what has changed since the last
-time.
+A review follows from a frozen request alone and takes some tenths of a second, so the window has another process do it.
 """
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.contacts.outcome import Contact, Outcome
+from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.methods import estimate_taxels
 from skincal.model.errors import InputError
@@ -23,10 +22,9 @@ from skincal.modules.pose import ModuleModel
 from skincal.rig.correction import RIG, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, RigRequest, correct_rig
 from skincal.rig.frame_check import FrameDiagnosis, diagnose
-from skincal.session.landmark_pokes import landmark_normals, landmark_pokes
+from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.part import load_scene_surface
 from skincal.session.session import Session
-from skincal.session.snapshot import Snapshot
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
@@ -34,203 +32,191 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 PATIENCE_S = 5.0
-"""s. Work on an older change goes on after that: on a large part each poke would else end the work on the one before."""
+"""s. A review that has taken this long is finished, although a newer one waits. Else no review of a large part would end."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Review:
-    """The answer, as of one moment of a session."""
+    """Findings of one review."""
 
-    generation: int
-    """Of what was asked."""
     pokes: tuple[LandmarkPoke, ...]
-    """Those at landmarks that count, in the right frame."""
+    """Landmark pokes that count, after the frame's correction."""
     reported: Mapping[int, float]
-    """m: of each, by its number, how far its axis passes the landmark as the rig reports it."""
+    """m: by poke, the distance between its axis and its landmark, without a correction of the rig."""
     frame: FrameDiagnosis | None
-    """What the sensor's frame looks like; None from too few pokes."""
+    """`None` with too few pokes."""
     rig: RigAnswer
     channels: IntArray
     """(n,) of the taxels, ascending."""
     before: Mapping[Method, FloatArray]
-    """For each method (n, 3) float, metres, link frame: the taxels as the rig reports, NaN where not known; only while a
-    correction of the rig is in use: else the session's estimates are these."""
+    """By method (n, 3) float, metres, link frame: taxels without the rig's correction, NaN if unknown.
+
+    Empty while no correction of the rig is in use: then the session's estimates are these."""
     after: Mapping[Method, FloatArray]
-    """The same under the correction that was found; only where it is worth using and none is in use."""
+    """The same with the correction that was found. Empty if it is not worth using or one is in use."""
     used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
-    """Corrections that were in use, `Decisions.corrections` itself: it says nothing of a session that uses others."""
+    """Corrections in use when it was asked for, `Decisions.corrections` itself. It is void for a session that uses others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
-    """What is new since the last time that was asked."""
+class ReviewRequest:
+    """Everything that a review follows from."""
 
-    generation: int
-    """Counts up."""
-    since: int
-    """Generation of the change before; 0 where this one holds everything."""
-    pokes: Mapping[int, Outcome]
-    """Pokes that count and are new or others than they were, in the right frame, by their number."""
-    gone: tuple[int, ...]
-    """Numbers of pokes that count no more."""
+    rig: RigRequest
     landmarks: tuple[Landmark, ...]
-    at_landmarks: Mapping[int, str]
-    """Pokes that were at a landmark: number to its name."""
     channels: tuple[int, ...]
-    dead: Mapping[int, str]
-    corrected: bool
-    """A correction of the rig is in use."""
+    used: Mapping[str, UsedCorrection]
+
+    @staticmethod
+    def of(session: Session) -> ReviewRequest:
+        """Ask for a review of a session as it is now."""
+        decisions = session.decisions
+        return ReviewRequest(session.rig_request(), decisions.landmarks, session.channels, decisions.corrections)
 
 
-@dataclass(slots=True)
-class Asked:
-    """What was asked last, on the side that asks."""
-
-    generation: int = 0
-    known: int = 0
-    """Generation that the other side knows; 0 where it knows nothing."""
-    pokes: Mapping[int, Outcome] = field(default_factory=dict[int, Outcome])
-    used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
-    """Corrections in use."""
-
-    def change(self, session: Session, snapshot: Snapshot) -> Change:
-        """Return what is new in a session, of which `snapshot` is the newest."""
-        counting = [record.outcome.poke for record in snapshot.pokes if not record.excluded]
-        before, since = self.pokes, self.known
-        now = {outcome.poke: outcome for outcome in session.frame_corrected(counting)}
-        self.generation = self.known = self.generation + 1
-        self.pokes, self.used = now, snapshot.decisions.corrections
-        return Change(
-            generation=self.generation,
-            since=since,
-            # By identity: `Session.frame_corrected` returns the same object for what did not change.
-            pokes={number: poke for number, poke in now.items() if before.get(number) is not poke},
-            gone=tuple(before.keys() - now.keys()),
-            landmarks=snapshot.decisions.landmarks,
-            at_landmarks=snapshot.at_landmarks,
-            channels=session.channels,
-            dead=snapshot.dead,
-            corrected=RIG in snapshot.decisions.corrections,
-        )
-
-    def forget(self) -> None:
-        """Let the next change hold everything."""
-        self.known, self.pokes = 0, {}
+def _go_on() -> None:
+    pass
 
 
-class Reviewer:
-    """Follows a session by what changes."""
+def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = _go_on) -> tuple[FrameDiagnosis | None, RigAnswer]:
+    """Check the sensor's frame (`None` with too few pokes) and fit the rig's correction.
 
-    def __init__(self, scene: Scene, surface: Surface | None) -> None:
-        self._scene, self._surface = scene, surface
-        self._methods = methods_of(scene, surface)
-        layout = scene.skin.layout
-        self._module_model = None if layout is None else ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
-        self._pokes: dict[int, Outcome] = {}
-        self._newest: Change | None = None
-
-    @property
-    def generation(self) -> int:
-        """Of the newest change; 0 before the first."""
-        return 0 if self._newest is None else self._newest.generation
-
-    def take(self, change: Change) -> None:
-        """Take what is new."""
-        for number in change.gone:
-            self._pokes.pop(number, None)
-        self._pokes.update(change.pokes)
-        self._newest = change
-
-    def review(self, between: Callable[[], None]) -> Review:
-        """Return what the pokes say; `between` is called every tenth of a second or so, and may raise to give up."""
-        newest = self._newest
-        if newest is None:
-            raise ValueError("nothing was asked yet")
-        ordered = [self._pokes[number] for number in sorted(self._pokes)]
-        contacts = [outcome for outcome in ordered if isinstance(outcome, Contact)]
-        known = {landmark.name: landmark for landmark in newest.landmarks}
-        pokes = landmark_pokes(ordered, newest.landmarks, newest.at_landmarks)
-        frame = diagnose(pokes, landmark_normals([known[poke.name] for poke in pokes], self._surface))
-        between()
-        rig = correct_rig(RigRequest(self._scene, self._surface, contacts, pokes, newest.dead), between)
-        between()
-        found = None if rig.correction is None or not rig.used else rig.correction
-        after = [found.corrected(contact) for contact in contacts] if found is not None and not newest.corrected else None
-        return Review(
-            generation=newest.generation,
-            pokes=tuple(pokes),
-            reported={poke.poke: poke.miss for poke in pokes},
-            frame=frame,
-            rig=rig,
-            channels=np.array(newest.channels, dtype=np.int64),
-            before=self._places(contacts, newest) if newest.corrected else {},
-            after={} if after is None else self._places(after, newest),
-        )
-
-    def _places(self, contacts: Sequence[Contact], of: Change) -> dict[Method, FloatArray]:
-        """Return for each method (n, 3) where the taxels lie, metres; NaN where not known."""
-        noise, unknown = self._scene.noise, np.full(3, np.nan)
-        solved = estimate_taxels(contacts, of.channels, self._methods, noise, self._surface, of.dead, model=self._module_model)
-        return {
-            method: np.array([unknown if e.position is None else e.position for e in found.values()]).reshape(-1, 3)
-            for method, found in solved.items()
-        }
+    `between` is called every tenth of a second or so, and may raise to give up.
+    """
+    pokes, known = request.rig.landmarks, {landmark.name: landmark for landmark in request.landmarks}
+    frame = diagnose(pokes, landmark_normals([known[poke.name] for poke in pokes], request.rig.surface))
+    between()
+    return frame, correct_rig(request.rig, between)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ReviewedPart:
-    """What a session is of; the mesh is read again, which is quicker than to send it."""
-
-    scene: Scene
-    mesh_sha256: str | None
-
-    def load_surface(self) -> Surface | None:
-        """Load the mesh; InputError where it is gone, or another than the session's."""
-        surface, _ = load_scene_surface(self.scene)
-        if surface is not None and self.scene.surface is not None and surface.sha256 != self.mesh_sha256:
-            raise InputError(f"{self.scene.surface.path}: the mesh changed since the session was opened; open it again.")
-        return surface
-
-
-class Unreviewed(Enum):
-    """Why there is no review."""
-
-    GIVEN_UP = "a newer change waits"
-    UNKNOWN = "what came before this change is not known here"
-
-
-class _GivenUpError(Exception):
-    """A newer change waits."""
-
-
-_reviewers: dict[str, Reviewer] = {}
-"""The newest session of this process."""
-
-
-def review_change(session: str, part: ReviewedPart | None, change: Change, wanted: Callable[[], bool]) -> Review | Unreviewed:
-    """Take a change of a session and review it; what came before is kept in this process.
+def review_rig(request: ReviewRequest, between: Callable[[], None] = _go_on, model: ModuleModel | None = None) -> Review:
+    """Review a session.
 
     Parameters
     ----------
-    session : a name of it, unlike any other's
-    part : where the change holds everything, else None; `InputError` as for its `load_surface`
-    wanted : returns whether this change is the newest; the work on another is given up, unless it has taken long
+    between : as for `diagnose_rig`
+    model : of the scene's modules; made if it is missing
     """
-    if part is not None:
-        _reviewers.clear()
-        _reviewers[session] = Reviewer(part.scene, part.load_surface())
-    reviewer = _reviewers.get(session)
-    if reviewer is None or reviewer.generation != change.since:
-        return Unreviewed.UNKNOWN
-    reviewer.take(change)
+    of = request.rig
+    frame, rig = diagnose_rig(request, between)
+    between()
+    found, is_corrected = rig.correction if rig.used else None, RIG in request.used
+    after = [found.corrected(contact) for contact in of.contacts] if found is not None and not is_corrected else None
+    if model is None and (is_corrected or after is not None):
+        model = _model_of(of.scene, of.surface)
+    return Review(
+        pokes=tuple(of.landmarks),
+        reported={poke.poke: poke.miss for poke in of.landmarks},
+        frame=frame,
+        rig=rig,
+        channels=np.array(request.channels, dtype=np.int64),
+        before=_places(request, of.contacts, model) if is_corrected else {},
+        after={} if after is None else _places(request, after, model),
+        used=request.used,
+    )
+
+
+def _model_of(scene: Scene, surface: Surface | None) -> ModuleModel | None:
+    layout = scene.skin.layout
+    return None if layout is None else ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
+
+
+def _places(request: ReviewRequest, contacts: Sequence[Contact], model: ModuleModel | None) -> dict[Method, FloatArray]:
+    scene, surface, unknown = request.rig.scene, request.rig.surface, np.full(3, np.nan)
+    methods = methods_of(scene, surface)
+    solved = estimate_taxels(contacts, request.channels, methods, scene.noise, surface, request.rig.dead, model=model)
+    return {
+        method: np.array([unknown if e.position is None else e.position for e in found.values()]).reshape(-1, 3)
+        for method, found in solved.items()
+    }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SentReview:
+    """A request on its way to another process. Arrays: ten thousand pickled contacts would hold Python's lock for 0.3 s.
+
+    The mesh is not sent, since reading it there is quicker.
+    """
+
+    request: ReviewRequest
+    """Without contacts and mesh."""
+    mesh_sha256: str | None
+    values: FloatArray
+    """(n, 27) float, SI, of the contacts: poke, how many channels, start, end, force, moment, pose row by row, tare change."""
+    answers: FloatArray
+    """(2, m) float: channels and responses of all contacts."""
+    poses: tuple[str, ...]
+
+    @staticmethod
+    def of(request: ReviewRequest) -> SentReview:
+        """Pack a request."""
+        contacts, surface = request.rig.contacts, request.rig.surface
+        values = [
+            [c.poke, len(c.channels), c.start_s, c.end_s, *c.force, *c.moment, *c.link_from_sensor.ravel(), c.tare_change]
+            for c in contacts
+        ]
+        answers = [np.array([c.channels, c.responses], dtype=np.float64) for c in contacts]
+        return SentReview(
+            replace(request, rig=replace(request.rig, contacts=(), surface=None)),
+            None if surface is None else surface.sha256,
+            np.array(values, dtype=np.float64).reshape(-1, 27),
+            np.concatenate([np.empty((2, 0)), *answers], axis=1),
+            tuple(contact.pose for contact in contacts),
+        )
+
+    def contacts(self) -> list[Contact]:
+        """Unpack the contacts."""
+        found, end = list[Contact](), 0
+        for row, pose in zip(self.values, self.poses, strict=True):
+            start, end = end, end + int(row[1])
+            channels, responses = self.answers[:, start:end]
+            own = row[4:7], row[7:10], channels.astype(np.int64), responses, row[10:26].reshape(4, 4)
+            found.append(Contact(int(row[0]), float(row[2]), float(row[3]), *own, pose, float(row[26]), final=True))
+        return found
+
+    def loaded(self) -> tuple[Surface | None, ModuleModel | None]:
+        """Load mesh and modules, once for all reviews of a part; `InputError` if the mesh is gone or has changed."""
+        scene = self.request.rig.scene
+        key = pickle.dumps((self.mesh_sha256, scene.surface, scene.skin, scene.distances))
+        if key not in _loaded:
+            surface, _ = load_scene_surface(scene)
+            if surface is not None and scene.surface is not None and surface.sha256 != self.mesh_sha256:
+                raise InputError(f"{scene.surface.path}: the mesh changed since the session was opened; open it again.")
+            _loaded.clear()
+            _loaded[key] = surface, _model_of(scene, surface)
+        return _loaded[key]
+
+
+_loaded: dict[bytes, tuple[Surface | None, ModuleModel | None]] = {}
+"""Mesh and modules of the newest part that this process has reviewed."""
+
+
+class _GivenUpError(Exception):
+    """A newer request waits."""
+
+
+def review_sent(sent: SentReview, is_wanted: Callable[[], bool]) -> Review | None:
+    """Review a request that came from another process; `None` if it gave way to a newer one.
+
+    Parameters
+    ----------
+    is_wanted : says whether it is the newest request; work on another is given up, unless it has taken long
+
+    Raises
+    ------
+    InputError
+        The mesh is gone or has changed.
+    """
     begun = time.monotonic()
 
     def between() -> None:
-        if not wanted() and time.monotonic() - begun < PATIENCE_S:
+        if not is_wanted() and time.monotonic() - begun < PATIENCE_S:
             raise _GivenUpError
 
     try:
         between()
-        return reviewer.review(between)
+        surface, model = sent.loaded()
+        rig = replace(sent.request.rig, contacts=sent.contacts(), surface=surface)
+        return review_rig(replace(sent.request, rig=rig), between, model)
     except _GivenUpError:
-        return Unreviewed.GIVEN_UP
+        return None

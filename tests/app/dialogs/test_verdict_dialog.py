@@ -303,7 +303,7 @@ def test_what_is_known_of_the_rig_is_said():
     few = RigAnswer(None, False, np.nan, np.nan, 2, {1: 1.0, 2: 1.0, 3: 1.0}, {}, np.zeros(42), np.ones(42))
     pokes = tuple(LandmarkPoke(poke, "wrist", *np.zeros((3, 3)), np.eye(4), "") for poke in (1, 2, 3))
     for poked, said in ((pokes, rig_sentences(few)[0]), ((), rig_state((), (), None))):
-        review = Review(1, poked, {}, None, few, np.arange(24), {}, {})
+        review = Review(poked, {}, None, few, np.arange(24), {}, {})
         assert rig_state((), (), review) == said
     assert approved("rig.too_few_counts", pokes=3, landmarks=2) in rig_sentences(few)[0]
 

@@ -86,7 +86,7 @@ def at(free: dict, surface: dict | None = None, generation: int = 1, **changes):
 
 def review(before: dict, after: dict, channels=CHANNELS) -> Review:
     answer = RigAnswer(None, False, float("nan"), float("nan"), 0, {}, {}, np.empty(0), np.empty(0))
-    return Review(1, (), {}, None, answer, channels, before, after)
+    return Review((), {}, None, answer, channels, before, after)
 
 
 # What there is

@@ -76,7 +76,7 @@ def review(
     after: Mapping[Method, FloatArray] | None = None,
 ) -> Review:
     found = tuple(poke_of(number) for number in range(1, pokes + 1))
-    return Review(1, found, reported or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
+    return Review(found, reported or {}, diagnosis, answer or rig(), PLAN.channels, before or {}, after or {})
 
 
 def at(*used: UsedCorrection, known: Mapping | None = None, pokes=(), at_landmarks=None, excluded=()):

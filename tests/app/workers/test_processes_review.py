@@ -19,7 +19,7 @@ from skincal.model.actions import AddLandmark, AtLandmark, Exclude, MarkDead, Se
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
-from skincal.session.review import Asked, Reviewer, Unreviewed
+from skincal.session.review import ReviewRequest, review_rig
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.faults import RigErrors
@@ -114,9 +114,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     (answer,) = heard.reviews
     assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
     assert answer.used is session.snapshot().decisions.corrections
-    reviewer = Reviewer(session.scene, session.surface)
-    reviewer.take(Asked().change(session, session.snapshot()))
-    own = reviewer.review(lambda: None)
+    own = review_rig(ReviewRequest.of(session))
     assert answer.reported == own.reported
     assert frame_sentence(answer.frame) == frame_sentence(own.frame)
     assert rig_sentences(answer.rig) == rig_sentences(own.rig)
@@ -192,12 +190,7 @@ def test_a_fault_of_a_review_is_said_and_logged(qtbot, session, client, processe
 
 
 def test_a_mesh_that_changed_is_said_and_the_rest_is_silence(qtbot, session, client, heard):
-    client._session = SimpleNamespace(
-        scene=session.scene,
-        surface=SimpleNamespace(sha256="0" * 64),
-        frame_corrected=session.frame_corrected,
-        channels=session.channels,
-    )
+    session.surface = SimpleNamespace(sha256="0" * 64)
     tell(session, client, 1)
     qtbot.waitUntil(lambda: bool(heard.failures), timeout=OPEN_MS)
     assert approved("mesh.changed_after_opening") in heard.failures[0]
@@ -218,7 +211,6 @@ def asked(monkeypatch):
 
 def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     tell(session, client, 1)
-    assert [change.generation for change in asked] == [1]
     client.follow(session.snapshot())
     session.act(SetPose("2"))
     client.follow(session.snapshot())
@@ -228,14 +220,13 @@ def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     client.follow(session.snapshot())
     session.act(MarkDead(session.channels[0]))
     client.follow(session.snapshot())
+    # A landmark poke that is reported again.
     session.add(replace(session.outcome(1), end_s=9.0))
     client.follow(session.snapshot())
-    assert [change.generation for change in asked] == [1, 2, 3, 4, 5]
-    assert list(asked[-1].pokes) == [1], "a landmark poke that is reported again"
+    assert [len(request.rig.landmarks) for request in asked] == [1, 2, 2, 2, 2]
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     client.follow(session.snapshot())
-    assert len(asked) == 6
-    assert asked[-1].corrected
+    assert [RIG in request.used for request in asked] == [False] * 5 + [True]
 
 
 def on_skin(session, number: int) -> Contact:
@@ -253,16 +244,16 @@ def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(se
         assert len(asked) == 1, number
         session.add(on_skin(session, number))
         client.follow(session.snapshot())
-    assert list(asked[-1].pokes) == list(range(11, 11 + SKIN))
+    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN))
     session.add(replace(on_skin(session, 11), final=True))
     client.follow(session.snapshot())
     assert len(asked) == 2, "with the tare after it, it tells nearly the same"
     session.act(Exclude(12))
     client.follow(session.snapshot())
-    assert (len(asked), asked[-1].gone, list(asked[-1].pokes)) == (3, (12,), [11])
+    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN - 1)
     session.act(Undo())
     client.follow(session.snapshot())
-    assert (len(asked), list(asked[-1].pokes)) == (4, [12])
+    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN)
 
 
 def test_one_review_at_a_time_and_the_newest_next(session, client, processes, heard, monkeypatch):
@@ -273,17 +264,12 @@ def test_one_review_at_a_time_and_the_newest_next(session, client, processes, he
     tell(session, client, 1, 2, 3)
     ((arguments, done),) = waiting
     assert arguments[1] < tickets[-1], "the work gives way"
-    done(Unreviewed.GIVEN_UP)
-    assert len(waiting) == 2
-    newest = waiting[1][0]
+    done(None)
+    (_, (newest, finish)) = waiting
     assert newest[1] == tickets[-1]
-    assert newest[-1].at_landmarks.keys() == {1, 2, 3}
-    assert (newest[-2], newest[-1].since) == (None, 1), "only what is new"
-    waiting[1][1](Unreviewed.UNKNOWN)
-    assert (waiting[2][0][-1].since, len(waiting[2][0][-1].pokes)) == (0, 3), "all, to a process that knows nothing"
-    assert waiting[2][0][-2].scene is session.scene
-    waiting[2][1](Unreviewed.GIVEN_UP)
-    assert len(waiting) == 3
+    assert [poke.poke for poke in newest[-1].rig.landmarks] == [1, 2, 3]
+    finish(None)
+    assert len(waiting) == 2
     assert heard.reviews == []
 
 
@@ -292,12 +278,10 @@ def test_a_review_that_took_long_is_passed_on_although_newer_was_asked(session, 
     monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
     tell(session, client, 1)
     used = session.snapshot().decisions.corrections
-    reviewer = Reviewer(session.scene, session.surface)
-    reviewer.take(waiting[0][0][-1])
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
     tell(session, client, 2)
-    waiting[0][1](reviewer.review(lambda: None))
+    waiting[0][1](review_rig(waiting[0][0][-1]))
     (review,) = heard.reviews
     assert review.used is used, "as of when it was asked"
     assert len(waiting) == 2
-    assert waiting[1][0][-1].corrected
+    assert RIG in waiting[1][0][-1].used
