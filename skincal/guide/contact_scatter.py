@@ -1,7 +1,8 @@
 """Scatter of the contact points, learned from how far a session's own pokes miss their predictions.
 
 The scene's noise says how far a press acts from where the taxels answer. Skins and hands differ: a wide skin, an uneven tip or
-a careless aim scatter more. The extra variance is one number for the session, the same in each direction across the push.
+a careless aim scatter more. The extra variance is the same in each direction across the push. Most pokes of a session share one
+number. Where a press reaches many taxels, pokes that few taxels answer lie beyond the skin's edge: they have a larger one.
 
 Errors of the rig must not pass for scatter. They are shared by pokes that follow each other in one arm pose, so the misses are
 compared within windows of such pokes. In each window the rigid motion (six numbers) that explains most is taken out first.
@@ -10,9 +11,11 @@ Wrong poses, drift and a creeping arm therefore stay in the check. The median of
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
 
@@ -30,6 +33,12 @@ MOTION_LEVER_M = 0.2
 MOTION_RIDGE = 1.0
 """1/m^2, added to the information of each motion (a prior of 1 m): one that a window does not determine is no division by 0."""
 BISECTIONS = 16
+EDGE_ANSWER_RATIO = 0.6
+"""Pokes with at most this share of the session's median number of answers are taken for pokes at the skin's edge."""
+MIN_EDGE_POKES = 24
+"""Edge pokes below which their scatter is that of the others."""
+MAX_EDGE_NOISE_FACTOR = 3.0
+"""`MAX_NOISE_FACTOR` of edge pokes: the middle of the taxels that answer may lie a whole pitch beside the press."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +49,8 @@ class PokeMisses:
     """(n,) numbers of the pokes."""
     poses: IntArray
     """(n,) equal where the arm's pose has the same name."""
+    answers: IntArray
+    """(n,) number of taxels that answered."""
     pairs: FloatArray
     """(n, 2, 3) float: two unit directions across each push."""
     levers: FloatArray
@@ -55,44 +66,73 @@ class PokeMisses:
         """Select some of the pokes."""
         return PokeMisses(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def squares(self, scatter: float) -> FloatArray:
-        """Compute (n,) squared misses in standard deviations, with `scatter`, m^2, added to each direction."""
-        total = self.covariances + scatter * np.eye(2)
+    def squares(self, scatter: Scatter) -> FloatArray:
+        """Compute (n,) squared misses in standard deviations, with the scatter added to each direction."""
+        total = self.covariances + scatter.variances(self.answers)[:, None, None] * np.eye(2)
         return np.sum(self.misses * np.linalg.solve(total, self.misses[:, :, None])[:, :, 0], axis=1)
 
 
-def learn_scatter(misses: PokeMisses) -> float:
-    """Learn the variance, m^2, that contact points have beyond the scene's noise.
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Variances of the contact points beyond the scene's noise, m^2."""
+
+    common: float = 0.0
+    edge: float = 0.0
+    """Of pokes at the skin's edge."""
+    edge_answers: int = 0
+    """Largest number of answers of an edge poke."""
+
+    def variances(self, answers: IntArray) -> FloatArray:
+        """Look up (n,) variances, m^2, of pokes by their (n,) numbers of answers."""
+        return np.where(answers <= self.edge_answers, self.edge, self.common)
+
+
+def learn_scatter(misses: PokeMisses) -> Scatter:
+    """Learn the variances that contact points have beyond the scene's noise.
 
     0 if the scene's noise is enough. 0 as well if more than `MAX_NOISE_FACTOR` is needed: an error and not scatter.
     """
     windows = _windows(misses)
     if len(windows) < MIN_WINDOWS:
-        return 0.0
+        return Scatter()
     own = misses.select(windows.ravel())
-    shape = (*windows.shape, 2)
-    motions = np.concatenate([own.pairs, np.cross(own.levers[:, None], own.pairs) / MOTION_LEVER_M], axis=2)
+    edge_answers = int(EDGE_ANSWER_RATIO * np.median(own.answers))
+    at_edge = own.answers <= edge_answers
+    if np.count_nonzero(at_edge) < MIN_EDGE_POKES:
+        at_edge, edge_answers = np.zeros_like(at_edge), 0
+    common = _bisect(lambda scatter: _median(own, windows.shape, Scatter(scatter), ~at_edge), own, MAX_NOISE_FACTOR)
+    if not edge_answers:
+        return Scatter(common)
+    edge = _bisect(
+        lambda scatter: _median(own, windows.shape, Scatter(common, scatter, edge_answers), at_edge), own, MAX_EDGE_NOISE_FACTOR
+    )
+    return Scatter(common, max(common, edge), edge_answers)
 
-    def median(scatter: float) -> float:
-        whiten = np.linalg.inv(np.linalg.cholesky(own.covariances + scatter * np.eye(2)))
-        slopes = (whiten @ motions).reshape(len(windows), -1, 6)
-        sides = (whiten @ own.misses[:, :, None]).reshape(len(windows), -1, 1)
-        held = slopes.transpose(0, 2, 1) @ slopes
-        taken = slopes @ np.linalg.solve(held + MOTION_RIDGE * np.eye(6), slopes.transpose(0, 2, 1))
-        # Of each miss the motion takes its leverage.
-        left = 1.0 - np.diagonal(taken, axis1=1, axis2=2)
-        rest = (sides - taken @ sides)[:, :, 0] / np.sqrt(np.maximum(left, 0.05))
-        return float(np.median(np.sum(rest.reshape(shape) ** 2, axis=2)))
 
-    low, high = 0.0, (MAX_NOISE_FACTOR**2 - 1.0) * float(np.median(misses.variances))
-    if median(low) <= CHI2_2DOF_MEDIAN:
-        return low
-    if median(high) > CHI2_2DOF_MEDIAN:
+def _bisect(median: Callable[[float], float], misses: PokeMisses, max_factor: float) -> float:
+    """Find the scatter at which the median of the squared misses is that of two degrees of freedom; 0 if there is none."""
+    low, high = 0.0, (max_factor**2 - 1.0) * float(np.median(misses.variances))
+    if median(low) <= CHI2_2DOF_MEDIAN or median(high) > CHI2_2DOF_MEDIAN:
         return 0.0
     for _ in range(BISECTIONS):
         middle = (low + high) / 2.0
         low, high = (middle, high) if median(middle) > CHI2_2DOF_MEDIAN else (low, middle)
     return high
+
+
+def _median(misses: PokeMisses, shape: tuple[int, ...], scatter: Scatter, counted: NDArray[np.bool_]) -> float:
+    """Compute the median of the squared misses that no rigid motion of a window explains, of the pokes that are counted."""
+    motions = np.concatenate([misses.pairs, np.cross(misses.levers[:, None], misses.pairs) / MOTION_LEVER_M], axis=2)
+    total = misses.covariances + scatter.variances(misses.answers)[:, None, None] * np.eye(2)
+    whiten = np.linalg.inv(np.linalg.cholesky(total))
+    slopes = (whiten @ motions).reshape(shape[0], -1, 6)
+    sides = (whiten @ misses.misses[:, :, None]).reshape(shape[0], -1, 1)
+    held = slopes.transpose(0, 2, 1) @ slopes
+    taken = slopes @ np.linalg.solve(held + MOTION_RIDGE * np.eye(6), slopes.transpose(0, 2, 1))
+    # Of each miss the motion takes its leverage.
+    left = 1.0 - np.diagonal(taken, axis1=1, axis2=2)
+    rest = (sides - taken @ sides)[:, :, 0] / np.sqrt(np.maximum(left, 0.05))
+    return float(np.median(np.sum(rest.reshape(-1, 2) ** 2, axis=1)[counted]))
 
 
 def _windows(misses: PokeMisses) -> IntArray:

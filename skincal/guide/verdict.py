@@ -146,15 +146,36 @@ def check(
     if not cuts:
         return Check(0, 0)
     solution = solve(_without(answers, [others for _, others in cuts]), [method], noise, surface)
-    return _counted(_misses(answers, np.array([out for out, _ in cuts]), solution, method, noise), contacts)
+    out = np.array([out for out, _ in cuts])
+    return _check_misses(contacts, answers, out, *_misses(answers, out, solution, method, noise))
 
 
-def _counted(misses: PokeMisses, contacts: Sequence[Contact]) -> Check:
-    """Count the held-out pokes, and those inside; the scatter is learned from the other pokes."""
-    known = misses.select(np.flatnonzero(np.isfinite(misses.misses).all(axis=1)))
-    out = np.isin(known.pokes, [poke for poke, _ in held_out(contacts)])
-    scatter = learn_scatter(known.select(np.flatnonzero(~out)))
-    squares = known.select(np.flatnonzero(out)).squares(scatter)
+def _check_misses(
+    contacts: Sequence[Contact],
+    answers: Evidence,
+    rows: IntArray,
+    levers: FloatArray,
+    misses: FloatArray,
+    covariances: FloatArray,
+    own: FloatArray,
+) -> Check:
+    """Count the held-out pokes, and those inside; the scatter is learned from the other pokes. `rows` are their answers."""
+    known = np.flatnonzero(np.isfinite(misses).all(axis=1))
+    counts = {contact.poke: len(contact.channels) for contact in contacts}
+    pokes = answers.pokes[rows][known]
+    every = PokeMisses(
+        pokes=pokes,
+        poses=answers.poses[rows][known],
+        answers=np.array([counts[poke] for poke in pokes.tolist()], dtype=np.int64),
+        pairs=answers.pairs[rows][known],
+        levers=levers[known],
+        misses=misses[known],
+        covariances=covariances[known],
+        variances=np.trace(own[known], axis1=1, axis2=2) / 2.0,
+    )
+    out = np.isin(pokes, [poke for poke, _ in held_out(contacts)])
+    scatter = learn_scatter(every.select(np.flatnonzero(~out)))
+    squares = every.select(np.flatnonzero(out)).squares(scatter)
     return Check(len(squares), int((squares <= INSIDE).sum()))
 
 
@@ -179,8 +200,7 @@ def _check_modules(
     at = np.flatnonzero(fitted.misses[touches.of] <= MISS_MAX)
     rows = touches.rows[at]
     levers = touches.contact_centres(fitted.pads)[0][at] - answers.sensors[rows]
-    found = _poke_misses(answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
-    return _counted(found, contacts)
+    return _check_misses(contacts, answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
@@ -213,8 +233,10 @@ def _without(answers: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
     )
 
 
-def _misses(answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings) -> PokeMisses:
-    """Compute how far each left-out axis passes its taxel; NaN where the taxel is unknown."""
+def _misses(
+    answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN where the taxel is unknown."""
     if method is Method.FREE and solution.free is not None:
         places, known = solution.factors.solutions, solution.free
         there = known.sds <= SD_MAX
@@ -231,21 +253,7 @@ def _misses(answers: Evidence, out: IntArray, solution: Solution, method: Method
     own = np.asarray(np.linalg.inv(precision), dtype=np.float64)
     off = (pairs @ (places - answers.nearest[out])[:, :, None])[:, :, 0]
     total = pairs @ covariances @ pairs.transpose(0, 2, 1) + own
-    return _poke_misses(answers, out, lever, np.where(there[:, None], off, np.nan), total, own)
-
-
-def _poke_misses(
-    answers: Evidence, rows: IntArray, levers: FloatArray, misses: FloatArray, covariances: FloatArray, own: FloatArray
-) -> PokeMisses:
-    return PokeMisses(
-        pokes=answers.pokes[rows],
-        poses=answers.poses[rows],
-        pairs=answers.pairs[rows],
-        levers=levers,
-        misses=misses,
-        covariances=covariances,
-        variances=np.trace(own, axis1=1, axis2=2) / 2.0,
-    )
+    return lever, np.where(there[:, None], off, np.nan), total, own
 
 
 @dataclass(frozen=True, slots=True)
