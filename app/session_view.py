@@ -1,7 +1,6 @@
 """The view of one open session: its panels in their places, selection, method, and what the operator wants of the session.
 
-A tick does two things in turn. What follows the session follows it: the guide, which landmark is asked for, the checks that an
-open panel wants. Then one frozen value is made of all that and handed to the views, which change nothing.
+Each tick makes one frozen value of what the session and its followers say and hands it to the views, which change nothing.
 
 It is imported beside the window, after the window is on the screen: numpy and all that stands on it comes with it.
 """
@@ -40,7 +39,6 @@ from app.session.controller import Controller, Tick
 from app.sound.cues import CueMemory, due_cue
 from app.state.place_sets import PlaceOrigin, Source, other_source
 from app.state.policies import Allowed, RigReview, allowed
-from app.state.press_coach import PressCoach
 from app.state.view_state import ViewState, looked_at
 from app.text.compare_text import saved_words
 from app.text.demo_text import simulated_words
@@ -51,7 +49,7 @@ from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
 from skincal.files.reference import Origin
-from skincal.guide.guidance import Guidance, max_angle_error
+from skincal.guide.guidance import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import (
     Action,
@@ -67,9 +65,8 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
-from skincal.session.asking import first_method
-from skincal.session.error_history import ErrorFollower, ModulesCheck
-from skincal.session.guiding import ModulesEnough, SessionGuide
+from skincal.session.guided_session import GuidedSession
+from skincal.session.guiding import ModulesEnough
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.session.snapshot import Snapshot
@@ -89,7 +86,7 @@ VERDICT_MS = 3000
 LATE_S = 0.3
 """s. What happened longer ago makes no sound any more: by now the hand does something else."""
 SHOWN = (Method.SURFACE, Method.FREE, Method.MODULES)
-"""Methods in the order in which they are offered; which is shown first says `first_method`."""
+"""Methods in the order in which they are offered; `first_method` says which is shown first."""
 RIGHT_PX = 430
 """Width of the right column at 1280 pixels; the 3D view gets the rest, two thirds."""
 RIGHT_LEAST_PX = 400
@@ -270,8 +267,6 @@ class SessionView(QObject):
         self._opened_s, self._opened_unix_s = time.monotonic(), time.time()
         self._cues = CueMemory()
         self._rig = RigReview()
-        self._guidance: Guidance | None = None
-        self._coach = PressCoach(part.surface)
         self._may: tuple[tuple[object, ...], Allowed] | None = None
         """What the newest answer of `_allowed` was made of, and that."""
         self._diversity: tuple[tuple[object, ...], AxisDiversity | None] = ((), None)
@@ -280,12 +275,12 @@ class SessionView(QObject):
         """What is shown; None before the first tick."""
         self.selected: int | None = None
         self.workspace = Workspace(part, make_view)
-        self.method = first_method(self.workspace.methods, part)
+        assert controller.guided is not None
+        self.guided: GuidedSession = controller.guided
+        self.guided.shows_modules = self.workspace.compare.isVisible
+        self.guided.shows_errors = self.workspace.error_course.isVisible
         self.chips = LinkChips()
-        self.course = ErrorFollower(part, controller.compute)
-        self.guide = SessionGuide(part)
-        self._modules_check = ModulesCheck(part, controller.compute)
-        self._modules_enough = ModulesEnough(self.guide.plan, part.scene.noise.skin)
+        self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin)
         self._enough_said: Message | None = None
         self.picking = LandmarkPicking(self.workspace.view, self._landmark_names, controller.act, part.scene.link, self)
         self._tab_actions: list[QAction] = commands.add_tabs(self.workspace.panels, self.workspace.tabs.setCurrentIndex)
@@ -294,7 +289,7 @@ class SessionView(QObject):
     def _connect(self) -> None:
         workspace = self.workspace
         workspace.wait("opening", workspace.part.scene.name)
-        workspace.error_course.begin(self.course)
+        workspace.error_course.begin(self.guided.errors)
         workspace.taxel_selected.connect(self.select_taxel)
         workspace.method_chosen.connect(self.show_method)
         workspace.inspect.poke_wanted.connect(self.select_poke)
@@ -318,6 +313,11 @@ class SessionView(QObject):
         # With the workspace as its context Qt calls nothing once that is gone.
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
+    @property
+    def method(self) -> Method:
+        """Method whose estimates are shown."""
+        return self.guided.method
+
     def session_opened(self, snapshot: Snapshot) -> None:
         """Start with a session whose pokes are known already."""
         self._cues = CueMemory.of(snapshot)
@@ -326,27 +326,9 @@ class SessionView(QObject):
     # What is shown
 
     def take_tick(self, tick: Tick) -> None:
-        """Follow what a tick found, then show it."""
+        """Show a tick."""
         self._tick = tick
-        self._follow()
         self.show()
-
-    def _follow(self) -> None:
-        """Let the guide and the checks follow the session, and have asked for what the guide asks for."""
-        tick = self._tick
-        if tick is None:
-            return
-        # What is shown is seen now, though readings may wait.
-        seen_s = tick.now_ns * 1e-9 + tick.behind_s
-        self._guidance = self.guide.next_target(
-            tick.snapshot, (tick.live.pose, tick.live.link_from_sensor), self.method, tick.evidence, seen_s
-        )
-        self._controller.follow_guide(self._guidance)
-        self._coach.follow(tick.live.progress, None if self._guidance is None else self._guidance.target)
-        if self.workspace.compare.isVisible():
-            self._modules_check.follow(tick.snapshot)
-        if self.workspace.error_course.isVisible():
-            self.course.follow(tick.snapshot)
 
     def _tab_opened(self, _index: int) -> None:
         # What these show is worked out only while they are seen, and not only from the next tick on.
@@ -386,7 +368,7 @@ class SessionView(QObject):
     def _allowed(self, tick: Tick) -> Allowed:
         """Return what may be done now; the same object until something that it follows from changes."""
         snapshot, live, running, offers = tick.snapshot, tick.live, self._controller.running, self._rig.offers(tick.snapshot)
-        pokes, taxel, guidance = self.workspace.pokes.selected(), self.selected, self._guidance
+        pokes, taxel, guidance = self.workspace.pokes.selected(), self.selected, self.guided.guidance
         carried = tuple(link.carries for link in live.links)
         made_of = (snapshot.generation, running, pokes, taxel, carried, guidance, offers)
         if self._may is None or made_of != self._may[0]:
@@ -408,15 +390,15 @@ class SessionView(QObject):
             now_ns=tick.now_ns,
             behind_s=tick.behind_s,
             clock_offset=self._opened_unix_s - self._opened_s,
-            guidance=self._guidance,
+            guidance=self.guided.guidance,
             diversity=self._diversity_of(tick),
-            coaching=self._coach.coaching,
+            coaching=self.guided.coach.coaching,
             review=self._rig.shown(snapshot),
             offers=self._rig.offers(snapshot),
-            modules=self._modules_check.found,
+            modules=self.guided.modules.found,
             unsolved=tick.unsolved,
             simulated=simulated_words(self._controller.pace, self._controller.running) if self._controller.simulated else "",
-            costs=self.guide.costs,
+            costs=self.guided.guide.costs,
             eye=self.workspace.view.eye(),
             may=self._allowed(tick),
         )
@@ -429,10 +411,10 @@ class SessionView(QObject):
 
     def _diversity_of(self, tick: Tick) -> AxisDiversity | None:
         """Return what the contacts of the taxel that is looked at are like; the same object until something changes it."""
-        channel = looked_at(self.selected, self._guidance)
-        made_of = tick.snapshot.generation, self.method, channel, self._guidance
+        channel = looked_at(self.selected, self.guided.guidance)
+        made_of = tick.snapshot.generation, self.method, channel, self.guided.guidance
         if made_of != self._diversity[0]:
-            self._diversity = made_of, None if channel is None else self.guide.axis_diversity(channel, tick.evidence)
+            self._diversity = made_of, None if channel is None else self.guided.guide.axis_diversity(channel, tick.evidence)
         return self._diversity[1]
 
     def take_review(self, review: Review | None) -> None:
@@ -467,13 +449,12 @@ class SessionView(QObject):
             self.sound_due.emit(due)
 
     def follow_again(self) -> None:
-        """Follow and show the newest tick again, after the method or what is wanted of the guide changed."""
-        self._follow()
-        self.show()
+        """Follow and show the session again, after the method or what is wanted of the guide changed."""
+        self._controller.publish_again()
 
     def show_guide(self) -> None:
         """Say and show what to poke next, or do not."""
-        self.guide.wanted = self._commands.actions["guide"].isChecked()
+        self.guided.guide.wanted = self._commands.actions["guide"].isChecked()
         self.follow_again()
 
     def show_turning(self) -> None:
@@ -487,15 +468,15 @@ class SessionView(QObject):
 
     def skip_target(self) -> None:
         """Ask for another target."""
-        self._act_and_follow(self.guide.skip())
+        self._act_and_follow(self.guided.guide.skip())
 
     def skip_landmarks(self) -> None:
         """Ask for no landmarks in this arm pose, or end the closing check."""
-        self._act_and_follow(self.guide.skip_landmarks())
+        self._act_and_follow(self.guided.guide.skip_landmarks())
 
     def check_again(self) -> None:
         """Make the closing check once more."""
-        again = None if self._tick is None else self.guide.check_again(self._tick.snapshot, self._tick.live.pose)
+        again = None if self._tick is None else self.guided.guide.check_again(self._tick.snapshot, self._tick.live.pose)
         if again is None:
             self.said.emit(Message(NOTHING_TO_CHECK))
         else:
@@ -513,7 +494,7 @@ class SessionView(QObject):
 
     def show_method(self, method: Method) -> None:
         """Show another method's estimates."""
-        self.method = method
+        self.guided.method = method
         self.follow_again()
 
     def next_method(self) -> None:
@@ -607,7 +588,7 @@ class SessionView(QObject):
         if state is None or self._tick is None or state.guidance is None:
             return
         found = None if state.review is None else state.review.rig
-        verdict = self.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
+        verdict = self.guided.guide.verdict(state.snapshot, state.method, self._tick.evidence, found)
         rig = rig_state(state.offers, state.snapshot.decisions.corrections.values(), state.review)
         may, names, settled = state.may, self.workspace.names, not state.offers
         dialog = VerdictDialog(verdict, names, parent, rig=rig, can_export=may.export, settled=settled)
@@ -643,7 +624,7 @@ class SessionView(QObject):
         evidence, snapshot = self._tick.evidence, state.snapshot
 
         def verdict_of(method: Method) -> str:
-            return verdict_sentence(self.guide.verdict(snapshot, method, evidence, rig))
+            return verdict_sentence(self.guided.guide.verdict(snapshot, method, evidence, rig))
 
         address = str(settings.value("apply/address", "")) or offered_port(link.address for link in self._controller.links)
         dialog = ApplyDialog(self.workspace.methods, self.method, verdict_of, address, parent)
@@ -730,7 +711,7 @@ class SessionView(QObject):
 
     def offer(self, reference: Reference) -> None:
         """Compare estimates with it, where the panel of errors is open."""
-        self.course.offer(reference)
+        self.guided.errors.offer(reference)
         source = (
             Source(PlaceOrigin.TRUTH) if reference.origin is Origin.TRUTH else Source(PlaceOrigin.OTHER, name=reference.name)
         )
@@ -764,8 +745,8 @@ class SessionView(QObject):
             if isinstance(state, QByteArray):
                 splitter.restoreState(state)
         # A settings file holds words, and "false" would be true without its type.
-        self.guide.wanted = bool(settings.value("window/guide", True, type=bool))
-        self._commands.actions["guide"].setChecked(self.guide.wanted)
+        self.guided.guide.wanted = bool(settings.value("window/guide", True, type=bool))
+        self._commands.actions["guide"].setChecked(self.guided.guide.wanted)
         self._commands.actions["turn"].setChecked(bool(settings.value("window/turn", True, type=bool)))
         self.show_turning()
         for name in LAYERS:
@@ -774,7 +755,7 @@ class SessionView(QObject):
         self.show_difference()
         self.workspace.error_course.restore(settings)
         self.workspace.show_tab(str(settings.value("window/tab", "")))
-        self._follow()
+        self.follow_again()
 
     def save(self, settings: QSettings) -> None:
         """Remember where the splitters are, and which tab is open; nothing of panels that were not laid out yet."""
@@ -783,7 +764,7 @@ class SessionView(QObject):
         for name, splitter in self._splitters().items():
             settings.setValue(name, splitter.saveState())
         self.workspace.error_course.save(settings)
-        settings.setValue("window/guide", self.guide.wanted)
+        settings.setValue("window/guide", self.guided.guide.wanted)
         settings.setValue("window/turn", self._commands.actions["turn"].isChecked())
         for name in LAYERS:
             settings.setValue(f"layers/{name}", self._commands.actions[name].isChecked())

@@ -301,7 +301,6 @@ class Window(QMainWindow):
         controller.said.connect(self.tell)
         controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
         controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
-        controller.skip_wanted.connect(self._of_session(lambda view: view.skip_target()))
         controller.stored.connect(self._say_where)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self._follow_text)

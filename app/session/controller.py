@@ -38,12 +38,11 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
     from skincal.files.reference import Reference, TaxelPositions
-    from skincal.guide.guidance import Guidance
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
     from skincal.robot.target_server import TargetServer
-    from skincal.session.asking import PokeAsking
+    from skincal.session.guided_session import GuidedSession
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.session.session import Session
@@ -196,8 +195,6 @@ class Controller(QObject):
     """`Path` of a session that was to be opened, and a sentence: another process records it."""
     confirmation_due = Signal(object)
     """Addresses that a recorded session names: `go_on(confirmed=True)` connects them."""
-    skip_wanted = Signal()
-    """A robot asks for another target."""
     stored = Signal(str)
     """Where the recording is, in words."""
 
@@ -208,8 +205,8 @@ class Controller(QObject):
     """The rig is, or was, a simulated one."""
     _targets: TargetServer | None = None
     """Where a robot, or the simulated operator, is asked."""
-    _asking: PokeAsking | None = None
-    """What is asked in the session that is open."""
+    guided: GuidedSession | None = None
+    """Guide, coach and checks of what is open; `None` before its part is loaded."""
     _pose = ""
     """Of the arm, in which a new session begins."""
     _again: tuple[str, ...] = ()
@@ -291,7 +288,7 @@ class Controller(QObject):
         if reviewing is not None:
             reviewing.stop()
             reviewing.deleteLater()
-        self._part = self._shown = self._asking = None
+        self._part = self._shown = self.guided = None
         self._links, self._truth, self._schedule = (), b"", TickSchedule()
         self._close_targets()
         self._again, self.simulated = (), False
@@ -393,43 +390,18 @@ class Controller(QObject):
         """Whether a simulated rig is there, or can be served again."""
         return self._server is not None or bool(self._again)
 
-    def follow_guide(self, guidance: Guidance | None) -> None:
-        """Let the pipeline know which landmark is asked for, and a robot or a simulated operator what to poke.
-
-        Parameters
-        ----------
-        guidance : what is asked for from now on; None where nobody guides
-        """
-        recording = self._recording
-        if recording is None:
+    def _hear_robot(self, recording: Recording) -> None:
+        """Handle the answers of robots. A skip has to wait while an action would."""
+        if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > AT_ONCE:
             return
-        now_ns, streaming = time.monotonic_ns(), self.running is Running.STREAMING
-        if streaming:
-            from skincal.session.asking import act_on
-
-            act_on(guidance, recording.pipeline, now_ns)
-        if self._targets is not None and self._asking is not None and self._shown is not None:
-            measuring = streaming and recording.pipeline.measures(recording.seen_ns(now_ns))
-            pose = recording.pipeline.poses.current[0]
-            lines = self._asking.follow(guidance, self._shown, pose, now_ns * 1e-9, measuring=measuring)
-            self._targets.send(lines)
-
-    def _hear_robot(self) -> None:
-        """Take what a robot answered."""
-        if self._targets is None or self._asking is None or self._recording is None:
-            return
-        if self._recording.pipeline.session.unsolved > AT_ONCE:
-            return  # a skip could not be done yet
-        from skincal.session.asking import take_answers
-
-        skips, sentences = take_answers(self._targets, self._asking, time.monotonic())
+        sentences = self.guided.handle_answers(recording.pipeline, self._targets, time.monotonic_ns())
         for sentence in () if self.simulated else sentences:
             self.said.emit(Message(sentence, found=True))
-        for _ in range(skips):
-            self.skip_wanted.emit()
 
     def _take_part(self, part: Part, *, record: bool = True) -> None:
-        self._part = part
+        from skincal.session.guided_session import GuidedSession
+
+        self._part, self.guided = part, GuidedSession(part, self.compute)
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
@@ -470,9 +442,7 @@ class Controller(QObject):
             self.said.emit(Message(copy_words(storage.shipped), found=True))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
-        from skincal.session.asking import PokeAsking
-
-        self._recording, self._asking = recording, PokeAsking(recording.pipeline.scene)
+        self._recording = recording
         self._links, self._opened_with = recording.links, _had(recording.pipeline)
         if connect:
             recording.start()
@@ -500,7 +470,7 @@ class Controller(QObject):
         recording = self._recording
         if recording is None:
             return
-        self._hear_robot()
+        self._hear_robot(recording)
         drained = self._take_in(recording)
         snapshot = recording.pipeline.snapshot(SOLVE_S)
         behind = recording.behind or recording.pipeline.session.unsolved > 0
@@ -527,10 +497,20 @@ class Controller(QObject):
         if snapshot.decisions.landmarks:
             self._review(recording.pipeline.session, snapshot)
         reached_ns = recording.seen_ns(now_ns)
-        live = recording.pipeline.live(reached_ns)
-        evidence = recording.pipeline.session.evidence
-        unsolved = self._schedule.worth_saying(recording.pipeline.session.unsolved, now_ns)
-        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, evidence, unsolved))
+        pipeline, guided = recording.pipeline, self.guided
+        live = pipeline.live(reached_ns)
+        if guided is not None:
+            streaming = self.running is Running.STREAMING
+            guided.follow(pipeline, snapshot, now_ns, self._targets, is_recording=streaming, seen_ns=reached_ns)
+            target = None if guided.guidance is None else guided.guidance.target
+            guided.coach.follow(live.progress, target)
+        unsolved = self._schedule.worth_saying(pipeline.session.unsolved, now_ns)
+        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, pipeline.session.evidence, unsolved))
+
+    def publish_again(self) -> None:
+        """Publish the newest snapshot again: what the operator wants of the guide or the panels changed."""
+        if self._recording is not None and self._shown is not None:
+            self._publish(self._recording, self._shown, time.monotonic_ns())
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
         """Let another process work out what landmark pokes say of the rig."""

@@ -1,8 +1,8 @@
 """What the hand that presses should do better: the push beside the one that is asked for, and which hint holds now.
 
 A poke that is off is coached only while the hand still moves: as soon as it holds still the poke counts as it is, and nothing
-is asked of it. `PressCoach` follows the readings of a session; what lasts between two ticks is a `CoachMemory`, which goes in
-and comes out. Numbers only: `app.text.guidance_text` puts them into words.
+is asked of it. What lasts between two ticks is a `CoachMemory`, which goes in and comes out. Numbers only:
+`app.text.guidance_text` puts them into words.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from enum import Enum
 import numpy as np
 
 from app.state.view_state import ViewState
-from skincal.contacts.outcome import PressPhase, Progress
+from skincal.contacts.outcome import PressPhase
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, PokeError, Smoothed, Target, compare_to_target, max_angle_error, smooth_wrench
-from skincal.mesh.surface import Surface, point_on_skin
+from skincal.guide.guidance import Guidance, PokeError, Target, max_angle_error
 
 STRAIGHT = float(np.radians(5.0))
 """rad. A hand does not hold a smaller tilt: it is asked to push straight."""
@@ -39,29 +38,6 @@ ELSEWHERE = 0.015
 """m. A tip this far off, three taxels, is on another taxel on purpose: it counts there, and there is nothing to say."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 """rad and m. A number that changes by less is not said anew."""
-
-
-class PressCoach:
-    """Follows a poke in progress beside the poke that is asked for."""
-
-    def __init__(self, surface: Surface | None) -> None:
-        self._surface = surface
-        self._smoothed: Smoothed | None = None
-        self._skin: tuple[Target, FloatArray] | None = None
-        """The target and its place on the skin, (3,) float, metres."""
-        self.coaching: PokeError | None = None
-        """None while nothing presses, or nobody guides."""
-
-    def follow(self, progress: Progress, target: Target | None) -> None:
-        """Take the newest reading; `target` is None where nobody guides."""
-        self._smoothed = smooth_wrench(self._smoothed, progress)
-        # What a rig's errors make of a tip on a landmark is what is to be found: nobody is asked to aim by it.
-        if target is None or target.landmark or self._smoothed is None:
-            self.coaching = None
-            return
-        if self._skin is None or self._skin[0] is not target:
-            self._skin = target, point_on_skin(self._surface, target.place, target.normal)
-        self.coaching = compare_to_target(self._smoothed, progress, target, self._skin[1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.robot.target_server import TargetServer
-    from skincal.session.asking import RobotGuide
+    from skincal.session.guided_session import RobotGuide
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import ChunkQueue, Reader
 
@@ -162,7 +162,7 @@ def _asking(targets: str | None) -> Generator[TargetServer | None]:
 
 
 def _guide(pipeline: Pipeline, server: TargetServer | None, method: Method | None) -> RobotGuide | None:
-    from skincal.session.asking import RobotGuide
+    from skincal.session.guided_session import RobotGuide
 
     return None if server is None else RobotGuide(pipeline, server, method)
 

@@ -248,9 +248,9 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
     for owner, names in (
         (pipeline, ("feed", "act", "take", "begin_segment")),
         (pipeline.session, ("act", "add", "set_detected_dead", "finalize_outcomes")),
-        (view.guide, ("next_target", "skip")),
-        (view.course, ("follow", "choose")),
-        (bench.controller, ("act", "follow_guide", "tick", "pause", "go_on")),
+        (view.guided.guide, ("next_target", "skip")),
+        (view.guided.errors, ("follow", "choose")),
+        (bench.controller, ("act", "publish_again", "tick", "pause", "go_on")),
     ):
         for name in names:
             monkeypatch.setattr(owner, name, lambda *_, name=name: touched.append(name))

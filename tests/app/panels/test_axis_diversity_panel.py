@@ -198,9 +198,9 @@ def test_the_window_asks_once_for_the_diversity_of_the_taxel_that_is_looked_at(b
     bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ShiftModifier)
     view, asked = bench.window.session_view, []
     assert view.state.diversity.channel == view.state.target.channel
-    diversity_of = view.guide.axis_diversity
+    diversity_of = view.guided.guide.axis_diversity
     monkeypatch.setattr(
-        view.guide, "axis_diversity", lambda channel, evidence: asked.append(channel) or diversity_of(channel, evidence)
+        view.guided.guide, "axis_diversity", lambda channel, evidence: asked.append(channel) or diversity_of(channel, evidence)
     )
     other = next(
         channel for channel in bench.snapshot.pokes[0].outcome.channels.tolist() if channel != view.state.diversity.channel

@@ -142,6 +142,10 @@ def at(made: Session, **changes):
     return frame(made.snapshot(), **changes)
 
 
+def course_of(bench):
+    return bench.window.session_view.guided.errors.series()
+
+
 def follow(course: ErrorFollower, state) -> None:
     course.follow(state.snapshot)
 
@@ -439,7 +443,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     bench.until(lambda: workspace.error_course.plot is not None, OPEN_MS)
     accepted = len(bench.accepted())
     bench.until(lambda: len(bench.accepted()) > accepted)
-    bench.until(lambda: bench.window.session_view.course.series().counts[-1] > accepted, 5000)
+    bench.until(lambda: course_of(bench).counts[-1] > accepted, 5000)
     bench.key(Qt.Key.Key_1)
     qtbot.wait(100)
     calls.count = paints.count = 0
@@ -453,7 +457,7 @@ def open_errors(bench, folder) -> ErrorsPanel:
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_6)
     panel = bench.window.session_view.workspace.error_course
-    bench.until(lambda: panel.ready and not bench.window.session_view.course.series().missing, OPEN_MS)
+    bench.until(lambda: panel.ready and not course_of(bench).missing, OPEN_MS)
     return panel
 
 
@@ -463,15 +467,13 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
     panel = open_errors(bench, recorded)
     bench.until(lambda: panel.source_box.currentText() == approved("errors.against_truth", name="truth.json"), 5000)
     bench.until(
-        lambda: (
-            bench.window.session_view.course.series().missing == 0 and len(bench.window.session_view.course.series().counts) > 0
-        ),
+        lambda: course_of(bench).missing == 0 and len(course_of(bench).counts) > 0,
         OPEN_MS,
     )
     truth = read_reference(recorded / "truth.json")
     for method in BOTH:
         summary = error_summary(bench.snapshot.estimates[method], truth)
-        last = bench.window.session_view.course.series().spreads[method][-1, 0]
+        last = course_of(bench).spreads[method][-1, 0]
         assert last[TAXELS] == (0 if summary is None else summary.taxels)
         if summary is not None:
             assert last[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max])
@@ -483,26 +485,21 @@ def test_a_simulated_sessions_truth_is_found_and_its_error_is_that_of_the_report
 
 def test_excluded_by_key_a_poke_leaves_the_course_and_comes_back(bench, recorded):
     open_errors(bench, recorded)
-    before = bench.window.session_view.course.series()
+    before = course_of(bench)
     first = bench.accepted()[0].poke
     bench.window.session_view.select_poke(first)
     bench.key(Qt.Key.Key_E)
     bench.key(Qt.Key.Key_6)
     bench.until(
-        lambda: (
-            first not in bench.window.session_view.course.series().pokes
-            and not bench.window.session_view.course.series().missing
-        ),
+        lambda: first not in course_of(bench).pokes and not course_of(bench).missing,
         5000,
     )
     bench.key(Qt.Key.Key_Backspace)
     bench.until(
-        lambda: (
-            first in bench.window.session_view.course.series().pokes and not bench.window.session_view.course.series().missing
-        ),
+        lambda: first in course_of(bench).pokes and not course_of(bench).missing,
         5000,
     )
-    after = bench.window.session_view.course.series()
+    after = course_of(bench)
     for method in BOTH:
         assert np.array_equal(before.spreads[method], after.spreads[method], equal_nan=True)
 

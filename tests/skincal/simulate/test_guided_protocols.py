@@ -15,10 +15,10 @@ from skincal.guide.guidance import GuidePhase
 from skincal.model.readings import LinkState, Loss
 from skincal.model.scene import resource
 from skincal.robot.target_lines import read_line, write_line
-from skincal.session.asking import PokeAsking
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
+from skincal.session.robot_dialogue import RobotDialogue
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Guided, Habits
@@ -62,8 +62,8 @@ def guided_to_the_end(part, wrench, skin):
     operator = Guided(rig, hand, np.random.default_rng([3, 1]), MOST)
     line = DeviceTimeline(rig, operator, np.random.default_rng([3, 2]), DeviceSettings(block_s=0.02))
     orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, None, 0
-    links, asking = tuple(orchestra.links.values()), PokeAsking(part.scene)
-    operator.answered = lambda answer: asking.hear(answer, line.now)
+    links, robot = tuple(orchestra.links.values()), RobotDialogue(part.scene)
+    operator.answered = lambda answer: robot.handle_answer(answer, line.now)
     pipeline, guide = Pipeline(part.scene, links, part.surface), SessionGuide(part)
     with closing(orchestra), reading(links, brought):
         begun_s = line.now
@@ -81,7 +81,7 @@ def guided_to_the_end(part, wrench, skin):
             if guidance.phase in (GuidePhase.CLOSING, GuidePhase.ENOUGH):
                 break
             # As the line that another process gets.
-            for said in asking.follow(guidance, snapshot, pose[0], line.now, measuring=True):
+            for said in robot.lines_to_send(guidance, snapshot, pose[0], line.now, measuring=True):
                 operator.show(read_line(write_line(said) + "\n"))
     return pipeline, rig, guidance
 

@@ -15,7 +15,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import resource
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
-from skincal.session.asking import RobotGuide
+from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.courses import errors_of
 from skincal.simulate.device import DeviceTimeline

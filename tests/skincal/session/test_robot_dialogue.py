@@ -10,8 +10,8 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
 from skincal.robot.target_lines import Answer, AnswerKind, Judged, NoTarget, PokeTarget
-from skincal.session.asking import FELT_S, PokeAsking
 from skincal.session.decisions import Decisions
+from skincal.session.robot_dialogue import DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.approved import approved
@@ -41,17 +41,17 @@ def poke(number, start_s, reason=None, *, final=True):
 
 
 class Course:
-    """A session as the asking sees it, at times that the test gives."""
+    """A session as the dialogue sees it, at times that the test gives."""
 
     def __init__(self, *pokes):
         scene = load_scene(resource("scenes/flat-patch/scene.toml"))
-        self.asking, self.thresholds = PokeAsking(scene), scene.contacts
+        self.robot, self.thresholds = RobotDialogue(scene), scene.contacts
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
     def at(self, now_s, guidance, *, measuring=True):
         decisions = Decisions(thresholds=self.thresholds, missed_landmarks=self.missed)
         snapshot = SimpleNamespace(pokes=tuple(self.pokes), at_landmarks=self.landmarks, decisions=decisions)
-        return self.asking.follow(guidance, snapshot, "", now_s, measuring=measuring)
+        return self.robot.lines_to_send(guidance, snapshot, "", now_s, measuring=measuring)
 
     def asked(self, now_s, guidance):
         """The one target that is said now."""
@@ -137,9 +137,9 @@ def test_a_poke_that_began_before_is_of_the_target_before_or_of_nobody():
 def test_what_is_reached_and_not_felt_is_rejected_in_the_end():
     course = Course()
     course.asked(1.0, wants(3))
-    assert course.asking.hear(Answer(REACHED, 1), 2.0).lie == ""
-    assert course.at(2.0 + FELT_S - 0.1, wants(3)) == []
-    verdict, line = course.at(2.0 + FELT_S + 0.1, wants(3))
+    assert course.robot.handle_answer(Answer(REACHED, 1), 2.0).protocol_error == ""
+    assert course.at(2.0 + DETECTION_TIMEOUT_S - 0.1, wants(3)) == []
+    verdict, line = course.at(2.0 + DETECTION_TIMEOUT_S + 0.1, wants(3))
     assert verdict == Judged(1, approved("targets.not_felt"))
     assert line.number == 2
 
@@ -155,32 +155,32 @@ def test_links_that_stop_hold_nothing_up_for_ever():
 def test_skip_asks_for_another_and_what_crosses_it_is_passed_over():
     course = Course()
     course.asked(1.0, wants(3))
-    assert course.asking.hear(Answer(SKIP, 1), 1.1).skips
-    assert not course.asking.hear(Answer(SKIP, 1), 1.2).skips, "once"
+    assert course.robot.handle_answer(Answer(SKIP, 1), 1.1).wants_other_target
+    assert not course.robot.handle_answer(Answer(SKIP, 1), 1.2).wants_other_target, "once"
     assert course.asked(1.3, wants(4)).number == 2
     for late in (Answer(REACHED, 1), Answer(SKIP, 1), Answer(FAULT, 1, "late")):
-        meaning = course.asking.hear(late, 1.4)
-        assert (meaning.skips, meaning.trouble, meaning.lie) == (False, "", "")
+        meaning = course.robot.handle_answer(late, 1.4)
+        assert (meaning.wants_other_target, meaning.warning, meaning.protocol_error) == (False, "", "")
 
 
 @pytest.mark.parametrize("on", ["again", "another"])
 def test_after_a_fault_nothing_is_asked_for_until_the_robot_comes_again_or_wants_another(on):
     course = Course()
     course.asked(1.0, wants(3))
-    trouble = course.asking.hear(Answer(FAULT, 1, "protective stop"), 1.1).trouble
+    trouble = course.robot.handle_answer(Answer(FAULT, 1, "protective stop"), 1.1).warning
     assert approved("targets.stopped", number=1, why="protective stop") in trouble
     assert course.at(1.2, wants(3)) == [NoTarget.WAIT]
     assert course.at(9.0, wants(4)) == []
     if on == "again":
-        course.asking.came()
+        course.robot.robot_connected()
     else:
-        assert course.asking.hear(Answer(SKIP, 1), 9.1).skips
+        assert course.robot.handle_answer(Answer(SKIP, 1), 9.1).wants_other_target
     assert course.asked(9.2, wants(4)).number == 2
 
 
 @pytest.mark.parametrize("number", [0, 2, 999_999_999])
 def test_a_number_that_was_never_asked_for_is_a_lie(number):
     course = Course()
-    assert course.asking.hear(Answer(REACHED, 1), 0.5).lie, "before anything was asked for"
+    assert course.robot.handle_answer(Answer(REACHED, 1), 0.5).protocol_error, "before anything was asked for"
     course.asked(1.0, wants(3))
-    assert approved("targets.was_asked", most=1) in course.asking.hear(Answer(REACHED, number), 1.1).lie
+    assert approved("targets.was_asked", most=1) in course.robot.handle_answer(Answer(REACHED, number), 1.1).protocol_error

@@ -1,0 +1,188 @@
+"""An open session with what follows it: guide, press coach, dialogue with a robot, course of errors, check of the modules.
+
+All of it follows the session before a tick is published. A view shows what it says, and tells it what the operator wants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+from skincal.contacts.outcome import Progress
+from skincal.geometry import FloatArray
+from skincal.guide.guidance import Guidance, PokeError, Smoothed, Target, compare_to_target, smooth_wrench
+from skincal.mesh.surface import Surface, point_on_skin
+from skincal.model.actions import AskLandmark, BeginClosing
+from skincal.model.errors import InputError
+from skincal.robot.target_lines import NoTarget
+from skincal.robot.target_server import RobotCame, TargetServer
+from skincal.session.error_history import ErrorFollower, ModulesCheck, Run
+from skincal.session.guiding import SessionGuide, asked_poke
+from skincal.session.part import Part, lay_part
+from skincal.session.robot_dialogue import RobotDialogue
+from skincal.session.solving import methods_of
+from skincal.taxels.result import Method
+
+if TYPE_CHECKING:
+    from skincal.session.pipeline import Pipeline
+    from skincal.session.snapshot import Snapshot
+
+STEP_NS = 20_000_000
+"""ns between two looks at the guide, without a window."""
+
+
+def first_method(methods: Sequence[Method], part: Part) -> Method:
+    """Choose the method to start with: modules if their layout lies on a mesh, since it takes far fewer pokes."""
+    if Method.MODULES in methods and part.surface is not None and part.laid is not None:
+        return Method.MODULES
+    return Method.SURFACE if Method.SURFACE in methods else methods[0]
+
+
+class PressCoach:
+    """Compares the poke in progress with the target."""
+
+    def __init__(self, surface: Surface | None) -> None:
+        self._surface = surface
+        self._smoothed: Smoothed | None = None
+        self._skin: tuple[Target, FloatArray] | None = None
+        """The target and its place on the skin, (3,) float, metres."""
+        self.coaching: PokeError | None = None
+        """`None` while nothing presses or guidance is off."""
+
+    def follow(self, progress: Progress, target: Target | None) -> None:
+        """Follow the newest reading; `target` is `None` while guidance is off."""
+        self._smoothed = smooth_wrench(self._smoothed, progress)
+        # At a landmark the rig's errors move the tip, and the poke is there to measure them: no one is asked to aim by it.
+        if target is None or target.landmark or self._smoothed is None:
+            self.coaching = None
+            return
+        if self._skin is None or self._skin[0] is not target:
+            self._skin = target, point_on_skin(self._surface, target.place, target.normal)
+        self.coaching = compare_to_target(self._smoothed, progress, target, self._skin[1])
+
+
+def _run_at_once(work: Callable[[], object], done: Callable[[object], None]) -> None:
+    done(work())
+
+
+class GuidedSession:
+    """Everything that follows one open session.
+
+    Parameters
+    ----------
+    run : does the slow work beside the session
+    """
+
+    def __init__(self, part: Part, run: Run = _run_at_once) -> None:
+        self.guide, self.coach = SessionGuide(part), PressCoach(part.surface)
+        self.method = first_method(methods_of(part.scene, part.surface), part)
+        """Method that is shown, whose needs the guide follows."""
+        self.errors, self.modules = ErrorFollower(part, run), ModulesCheck(part, run)
+        self.shows_errors: Callable[[], bool] = lambda: False
+        self.shows_modules: Callable[[], bool] = lambda: False
+        """Say whether anybody sees them; else they do no work."""
+        self.guidance: Guidance | None = None
+        """`None` before the first tick and while guidance is off."""
+        self._robot = RobotDialogue(part.scene)
+
+    def handle_answers(self, pipeline: Pipeline, server: TargetServer, now_ns: int) -> list[str]:
+        """Handle what robots said since the last call; give sentences for the operator."""
+        sentences = list[str]()
+        for item in server.take():
+            if isinstance(item, str):
+                sentences.append(item)
+                continue
+            if isinstance(item, RobotCame):
+                self._robot.robot_connected()
+                continue
+            meaning = self._robot.handle_answer(item, now_ns * 1e-9)
+            if meaning.wants_other_target and (skip := self.guide.skip()) is not None:
+                pipeline.act(skip, now_ns)
+            if meaning.warning:
+                sentences.append(meaning.warning)
+            if meaning.protocol_error:
+                server.refuse(meaning.protocol_error)
+        return sentences
+
+    def follow(
+        self,
+        pipeline: Pipeline,
+        snapshot: Snapshot,
+        now_ns: int,
+        server: TargetServer | None = None,
+        *,
+        is_recording: bool = True,
+        seen_ns: int | None = None,
+    ) -> bool:
+        """Follow the session: say what to poke next, record that, and send it to a robot.
+
+        Parameters
+        ----------
+        snapshot : the newest that is solved
+        now_ns : host's monotonic clock
+        server : sends targets to robots
+        is_recording : the devices are read; else nothing is recorded and no robot is asked to press
+        seen_ns : as `now_ns`, arrival of the newest reading while readings wait
+
+        Returns
+        -------
+        Whether a robot was told that it is enough.
+        """
+        pose, evidence = pipeline.poses.current, pipeline.session.evidence
+        self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
+        if is_recording:
+            record_request(self.guidance, pipeline, now_ns)
+        if self.shows_modules():
+            self.modules.follow(snapshot)
+        if self.shows_errors():
+            self.errors.follow(snapshot)
+        if server is None:
+            return False
+        measuring = is_recording and pipeline.measures(now_ns if seen_ns is None else seen_ns)
+        lines = self._robot.lines_to_send(self.guidance, snapshot, pose[0], now_ns * 1e-9, measuring=measuring)
+        server.send(lines)
+        return NoTarget.ENOUGH in lines
+
+
+def record_request(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -> None:
+    """Record a changed request of the guide: landmark, poke on the skin, or start of a closing check."""
+    name = "" if guidance is None or guidance.landmark is None else guidance.landmark.landmark.name
+    if name != pipeline.asked_landmark:
+        pipeline.act(AskLandmark(name), now_ns)
+    asked = asked_poke(guidance)
+    if asked != pipeline.session.asked:
+        pipeline.act(asked, now_ns)
+    # Guidance may be older than the session, in which the check has begun meanwhile.
+    closing = None if guidance is None else guidance.closing
+    if closing is not None and len(pipeline.session.decisions.closings) < closing.number:
+        pipeline.act(BeginClosing(), now_ns)
+
+
+class RobotGuide:
+    """Guides a robot through a recording without a window.
+
+    Parameters
+    ----------
+    method : whose needs the guide follows; `None` for the one that the window shows first
+    """
+
+    def __init__(self, pipeline: Pipeline, server: TargetServer, method: Method | None) -> None:
+        part = lay_part(pipeline.scene, pipeline.session.surface, ())
+        methods = methods_of(part.scene, part.surface)
+        if method is not None and method not in methods:
+            known = " or ".join(each.value for each in methods)
+            raise InputError(f"the scene has no {method.value} method; expected --method {known}.")
+        self._pipeline, self._server, self._guided = pipeline, server, GuidedSession(part)
+        self._guided.method = method or self._guided.method
+        self._next_ns = 0
+        self.enough = False
+        """The robot was told that no more pokes are needed."""
+
+    def step(self, now_ns: int) -> list[str]:
+        """Do what is due at `now_ns` of the host's monotonic clock; give sentences for the operator."""
+        if now_ns < self._next_ns:
+            return []
+        self._next_ns = now_ns + STEP_NS
+        sentences = self._guided.handle_answers(self._pipeline, self._server, now_ns)
+        self.enough |= self._guided.follow(self._pipeline, self._pipeline.snapshot(), now_ns, self._server)
+        return sentences

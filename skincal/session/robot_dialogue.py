@@ -1,0 +1,191 @@
+"""Dialogue with a robot that pokes: the guide's targets as numbered lines, verdicts on its pokes, and its answers.
+
+Each request has a new number. A poke belongs to the request that was open when its still window began. Once it is final, the
+number is accepted or rejected and the next target follows. A target that changes replaces the one before.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from skincal.contacts.outcome import Contact
+from skincal.guide.guidance import Guidance
+from skincal.model.scene import Scene
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Judged, NoTarget, PokeTarget, write_answer, write_line
+from skincal.session.snapshot import PokeRecord, Snapshot
+from skincal.words.poke_words import missed_words, rejection_words
+
+DETECTION_TIMEOUT_S = 3.0
+"""s. If no poke is detected within this time after the robot reports "reached", the target has failed. A poke is judged within
+half a second after the tool has left."""
+VERDICT_TIMEOUT_S = 2.0
+"""s. The next target waits this long at most for a verdict: links that stop leave a poke open."""
+STILL_WINDOWS_HELD = 2.0
+"""A robot is asked to hold for this many still windows, since the force has to settle, too."""
+MAX_OPEN_TARGETS = 8
+"""Targets that a late poke may belong to."""
+NOT_DETECTED = f"no poke was felt within {DETECTION_TIMEOUT_S:g} s after it was said to be reached"
+
+
+@dataclass(slots=True)
+class _Request:
+    target: PokeTarget
+    at_s: float
+    reached_s: float | None = None
+    is_open: bool = True
+    """It is the current request."""
+    is_judged: bool = False
+    """No verdict on it follows."""
+
+    def end(self) -> None:
+        self.is_open, self.is_judged = False, True
+
+
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """Result of a robot's answer."""
+
+    wants_other_target: bool = False
+    warning: str = ""
+    """A sentence for the operator."""
+    protocol_error: str = ""
+    """Why the answer is impossible: the robot is disconnected with it."""
+
+
+class RobotDialogue:
+    """Turns guidance into lines for a robot, and its answers into their meaning."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._frame = scene.link
+        self._requests: deque[_Request] = deque(maxlen=MAX_OPEN_TARGETS)
+        self._last_line: NoTarget | None = None
+        """The last line if it was no target."""
+        self._is_stopped = False
+        """After a fault: nothing is asked for until the robot connects again or wants another target."""
+        self._judged_poke = -1
+        """Number of the newest poke that is judged, or that was there before."""
+        self._number = 0
+
+    def lines_to_send(
+        self, guidance: Guidance | None, snapshot: Snapshot, pose: str, now_s: float, *, measuring: bool
+    ) -> list[AskedLine]:
+        """Give the lines to send now.
+
+        Parameters
+        ----------
+        guidance : `None` while guidance is off
+        pose : name of the current arm pose
+        now_s : host's monotonic clock, seconds
+        measuring : a poke would be measured; else no robot is asked to press
+        """
+        lines: list[AskedLine] = []
+        is_waiting = self._judge_pokes(snapshot, now_s, lines)
+        wanted = self._wanted_line(guidance, snapshot, pose, measuring=measuring)
+        if is_waiting and wanted is not NoTarget.WAIT:
+            return lines
+        if isinstance(wanted, NoTarget):
+            if wanted is not self._last_line:
+                self._last_line = wanted
+                self._withdraw()
+                lines.append(wanted)
+        elif not self._is_asked(wanted):
+            self._withdraw()
+            self._number += 1
+            self._requests.append(_Request(replace(wanted, number=self._number), now_s))
+            self._last_line = None
+            lines.append(self._requests[-1].target)
+        return lines
+
+    def robot_connected(self) -> None:
+        """Ask again after a fault."""
+        self._is_stopped = False
+
+    def handle_answer(self, answer: Answer, now_s: float) -> Meaning:
+        """Note a robot's answer and give its meaning."""
+        if not 0 < answer.number <= self._number:
+            return Meaning(protocol_error=f"it answers {write_answer(answer)[:40]!r}, and was asked {self._number} at most.")
+        request, skips = self._requests[-1], answer.kind is AnswerKind.SKIP
+        is_newest = answer.number == request.target.number
+        if is_newest and skips and self._is_stopped:
+            self._is_stopped = False
+            return Meaning(wants_other_target=True)
+        if not is_newest or not request.is_open:
+            # The answer crossed the next target or the verdict.
+            return Meaning()
+        if answer.kind is AnswerKind.REACHED:
+            request.reached_s = now_s
+            return Meaning()
+        request.end()
+        if skips:
+            return Meaning(wants_other_target=True)
+        self._is_stopped = True
+        why = answer.text or "it does not say why"
+        return Meaning(
+            warning=f"The robot has stopped at target {answer.number}: {why}. It is asked again once it connects anew, "
+            "or for another once it skips this one."
+        )
+
+    def _wanted_line(
+        self, guidance: Guidance | None, snapshot: Snapshot, pose: str, *, measuring: bool
+    ) -> PokeTarget | NoTarget:
+        if not measuring or self._is_stopped:
+            return NoTarget.WAIT
+        if guidance is None:
+            return NoTarget.ANY
+        target = guidance.target
+        if target is None:
+            return NoTarget.ENOUGH if guidance.enough else NoTarget.WAIT
+        limits = snapshot.decisions.thresholds
+        force, hold = (limits.force_min + limits.force_max) / 2.0, STILL_WINDOWS_HELD * limits.still_s
+        known = bool(target.landmark)
+        return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, force, hold)
+
+    def _is_asked(self, wanted: PokeTarget) -> bool:
+        """Whether the current request is the same, apart from the pose's name, which follows the joints' tremor."""
+        if self._last_line is not None or not self._requests or not self._requests[-1].is_open:
+            return False
+        now, wanted = (replace(each, number=0, pose="") for each in (self._requests[-1].target, wanted))
+        return write_line(now) == write_line(wanted)
+
+    def _withdraw(self) -> None:
+        if self._requests:
+            self._requests[-1].is_open = False
+
+    def _judge_pokes(self, snapshot: Snapshot, now_s: float, lines: list[AskedLine]) -> bool:
+        """Add verdicts on final pokes; say whether the next target has to wait for one."""
+        if self._judged_poke < 0:
+            self._judged_poke = max((record.outcome.poke for record in snapshot.pokes), default=0)
+        for record in _pokes_after(snapshot.pokes, self._judged_poke):
+            outcome = record.outcome
+            request = next((each for each in reversed(self._requests) if each.at_s <= outcome.start_s), None)
+            if not outcome.final and now_s - outcome.end_s < VERDICT_TIMEOUT_S:
+                return request is not None and request.is_open
+            self._judged_poke = outcome.poke
+            if request is not None and not request.is_judged:
+                request.end()
+                lines.append(Judged(request.target.number, _why_rejected(record, snapshot)))
+        newest = self._requests[-1] if self._requests else None
+        if newest and newest.is_open and newest.reached_s is not None and now_s - newest.reached_s > DETECTION_TIMEOUT_S:
+            newest.end()
+            lines.append(Judged(newest.target.number, NOT_DETECTED))
+        return False
+
+
+def _pokes_after(pokes: Sequence[PokeRecord], number: int) -> Sequence[PokeRecord]:
+    # They are at the end, after thousands of others.
+    count = 0
+    while count < len(pokes) and pokes[-1 - count].outcome.poke > number:
+        count += 1
+    return pokes[len(pokes) - count :]
+
+
+def _why_rejected(record: PokeRecord, snapshot: Snapshot) -> str:
+    """Reason why a poke does not count; empty if it does, on the skin or at a landmark."""
+    outcome = record.outcome
+    if outcome.poke in snapshot.decisions.missed_landmarks:
+        return missed_words(snapshot.decisions.missed_landmarks[outcome.poke])
+    if isinstance(outcome, Contact) or outcome.poke in snapshot.at_landmarks:
+        return ""
+    return rejection_words(outcome)
