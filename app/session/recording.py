@@ -162,7 +162,7 @@ class Recording:
         self._queue.finish()
         self.drain()
         self._queue = self._new_inbox()
-        self.pipeline.demand_record()
+        self.pipeline.require_intact_journal()
         if self.pipeline.journal is None:
             raise InputError(f"{self.storage.folder}: is only looked at. Open it again when its recording has ended.")
         # Opened while the old segment is open: where the disk refuses, nothing has happened yet.

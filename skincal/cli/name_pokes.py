@@ -285,14 +285,14 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
 
 def _use_words(folder: Path, known: Session) -> str:
     """Say which commands use the landmark pokes, or how many a rig correction still needs."""
-    from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS
+    from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
 
-    points = max(FEWEST_POINTS - len({poke.name for poke in known.landmark_pokes}), 0)
-    more = max(FEWEST - len(known.landmark_pokes), points)
+    points = max(MIN_LANDMARKS - len({poke.name for poke in known.landmark_pokes}), 0)
+    more = max(MIN_LANDMARK_POKES - len(known.landmark_pokes), points)
     if not more:
         return f"`skincal solve {folder} --correct` uses them"
     others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and known.landmark_pokes else ""
-    return f"a correction of the rig needs {FEWEST} at {FEWEST_POINTS} landmarks: {more} more{others}"
+    return f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
 
 
 def _unsure_lines(known: Session, nearest: dict[int, NearestLandmark], named: Names) -> list[str]:

@@ -25,7 +25,7 @@ from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.rig.closing import ClosingPlace
 from skincal.rig.correction import RigPrior
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkPoke
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkPoke
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
 
@@ -74,8 +74,8 @@ def landmark_targets(
     total = Counter(name for _, name in every)
     elsewhere = len(every) - here.total()
     wanted = LANDMARK_POKES_PER_POSE - elsewhere
-    if len(landmarks) >= FEWEST_POINTS:
-        wanted = max(LANDMARK_POKES_PER_POSE, FEWEST - elsewhere)
+    if len(landmarks) >= MIN_LANDMARKS:
+        wanted = max(LANDMARK_POKES_PER_POSE, MIN_LANDMARK_POKES - elsewhere)
     targets = list[LandmarkTarget]()
     open_ = [] if "" in skipped else [landmark for landmark in landmarks if landmark.name not in skipped]
     while open_ and here.total() < wanted:

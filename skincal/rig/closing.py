@@ -1,26 +1,24 @@
-"""Closing check: whether anything moved between the first pokes of a session and those that are made once more at its end.
+"""Closing check: whether anything moved between the first pokes of a session and repeated pokes at its end.
 
 A poke's axis passes its place P at r, two numbers across its push; E are these two directions. With x the rig's unknowns in
-standard deviations of their prior and J the change of r with them (`skincal.rig.correction`), q how far the place lies off P,
-and n the sensor's noise and the hand,
+standard deviations of their prior, J the change of r with them (`skincal.rig.correction`), q the distance of the place from P
+and n the noise of sensor and hand,
 
-    r = J x + E q + n            of the pokes before,
-    r = J x + E q + E s + n      of those at the end, if the part moved by s against what the sensor and the arm report.
+    r = J x + E q + n            for the first pokes,
+    r = J x + E q + E s + n      for the repeated ones, if the part moved by s relative to what sensor and arm report.
 
-x, q and n have known spreads, so r has a known covariance C; s follows by generalized least squares, and s' S^-1 s with
-S = (X' C^-1 X)^-1 is a chi-squared of three degrees of freedom where nothing moved. A rig that is wrong all along is no
-movement: x is the same in all pokes.
+x, q and n have known spreads, so r has a known covariance C. Generalized least squares gives s, and s' S^-1 s with S = (X'
+C^-1 X)^-1 is chi-square with three degrees of freedom if nothing moved. A constant error of the rig is no movement: x is the
+same in all pokes. A push shows no movement along itself. If all pushes are nearly parallel, as on a flat patch, only the
+directions known to `OBSERVABLE_SD_M` are tested, with as many degrees of freedom.
 
-Pokes tell nothing of a movement along their own push. Where all push nearly the same way, as on a flat patch, s is so uncertain
-along it that its length would say nothing: only the directions known to `SEEN` are told, by as many degrees of freedom.
-
-A poke that slips, or a tool that touches twice, is off by more than noise, and of nine pokes it may decide alone. So each poke
-is left out in turn, and a movement is told only where the others show it, too. To leave poke i out is to give its two numbers a
-shift of their own: with K = C^-1, X the columns of s, y the misses, and K_i the two columns of K of poke i
+A single poke that slips may decide alone, so each poke is left out in turn: a movement counts only if the others show it, too.
+Leaving poke i out means giving its two numbers a shift of their own. With K = C^-1, X the columns of s, y the misses and K_i
+the two columns of K of poke i,
 
     S^-1 = X' K X - X' K_i K_ii^-1 K_i' X,        S^-1 s = X' K y - X' K_i K_ii^-1 K_i' y.
 
-Landmarks do not move on the part: a movement there is the sensor's or the arm's. Taxels do: there it may be the skin's.
+Landmarks do not move on the part: there a movement is that of the sensor or the arm. Taxels may move with the skin.
 """
 
 from __future__ import annotations
@@ -35,27 +33,28 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.correction import RigPrior, RigState, rig_rows
+from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, readings_of
-from skincal.rig.expected_gain import EXACT
+from skincal.rig.expected_gain import rows_in_metres
 
-PLACES = 3
-"""Places that are poked once more: one may be missed, and two still say it."""
-FEWEST = 2
-"""Places below which nothing is said: a single poke may have been anywhere."""
-CHANCE = 0.01
-"""Chance, below which a movement is no accident."""
-WITHOUT = 0.05
-"""The same with any one poke left out. It need not be as rare: with all pokes it is, and a poke that is far off is rare itself.
-With 0.01 movements of 8 mm are told in 53 to 67 of 100 rigs, with 0.05 in 68 to 81."""
-INSIDE = (0.0, 6.635, 9.210, 11.345)
-"""Chi-squared of none to three degrees of freedom that all but `CHANCE` stay below."""
-SEEN = 0.010
-"""m, sd of a movement in a direction, up to which it is told: a movement that matters is seen, at half a finger's width."""
+CHECKED_PLACES = 3
+"""Places that are repeated: one may be missed, and two still tell."""
+MIN_PLACES = 2
+"""With fewer places nothing is said: a single poke may have been anywhere."""
+MAX_CHANCE = 0.01
+"""A movement is told if its chance without one is smaller."""
+MAX_CHANCE_WITHOUT_ONE = 0.05
+"""The same with any one poke left out. It is less strict, since the chance with all pokes is small already. With 0.01 movements
+of 8 mm are told on 53 to 67 of 100 rigs, with 0.05 on 68 to 81."""
+CHI2_QUANTILES = (0.0, 6.635, 9.210, 11.345)
+"""Chi-square with none to three degrees of freedom, exceeded with `MAX_CHANCE`."""
+OBSERVABLE_SD_M = 0.010
+"""m. A direction is tested if the sd of a movement along it is smaller: a movement that matters shows at half a finger's
+width."""
 
 
 class ClosingPlaces(Enum):
-    """What was poked once more; the value is the word for it."""
+    """Kind of the repeated places; the value is the word for it."""
 
     LANDMARKS = "landmarks"
     TAXELS = "taxels"
@@ -67,60 +66,60 @@ class ClosingPlace:
 
     at: ClosingPlaces
     name: str
-    """Of the landmark; of a taxel its channel."""
+    """Name of the landmark, or channel of the taxel."""
 
 
-_OFF = {ClosingPlaces.LANDMARKS: 0.002, ClosingPlaces.TAXELS: 0.020}
-"""m, sd of how far a place lies off what is believed, each direction: a drawing, and a taxel before anything is known."""
+_PLACE_OFFSET_SD_M = {ClosingPlaces.LANDMARKS: 0.002, ClosingPlaces.TAXELS: 0.020}
+"""m, sd of a place's error in each direction: of a drawing, and of a taxel before anything is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """What the closing check found."""
+    """Result of the closing check."""
 
     at: ClosingPlaces
     names: tuple[str, ...]
-    """Of the landmarks that were poked once more; of taxels their channels."""
+    """Repeated landmarks, or channels of the repeated taxels."""
     shift: float
-    """m, how far the part moved against what the sensor and the arm report, by these pokes, in the directions they see."""
+    """m, estimated movement of the part relative to sensor and arm, in the observable directions."""
     limit: float
-    """m, how far it seems to, in that direction, where nothing moved: 99 times of 100 less."""
+    """m: in that direction the estimate stays below this in 99 of 100 sessions without a movement."""
     chance: float
-    """Of so large a shift where nothing moved, 0 to 1."""
-    seen: int = 3
-    """Directions that the pokes see, each across the others: two where all push nearly the same way, which hides that way."""
+    """Probability of so large a shift without a movement, 0 to 1."""
+    observable_directions: int = 3
+    """Number of orthogonal directions that the pokes show: two if all push nearly the same way."""
     after: int = 0
     """Number of the last poke before the check."""
-    without: float = 0.0
-    """The chance with one poke left out: the one that speaks most for a movement."""
+    chance_without_worst: float = 0.0
+    """The chance without the poke that speaks most for a movement."""
     poke: int = 0
     """Number of that poke..."""
     place: str = ""
-    """...and at which place it was."""
+    """...and its place."""
 
     @property
     def moved(self) -> bool:
-        """Whether something moved: no poke says so alone."""
-        return self.chance < CHANCE and self.without < WITHOUT
+        """Whether something moved, by more than one poke."""
+        return self.chance < MAX_CHANCE and self.chance_without_worst < MAX_CHANCE_WITHOUT_ONE
 
     @property
-    def hangs_on_one(self) -> bool:
-        """Whether one poke alone says that something moved."""
-        return self.chance < CHANCE and self.without >= WITHOUT
+    def single_poke_decides(self) -> bool:
+        """Whether only one poke shows a movement."""
+        return self.chance < MAX_CHANCE and self.chance_without_worst >= MAX_CHANCE_WITHOUT_ONE
 
 
 def closing_check(
     before: Sequence[LandmarkPoke], after: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
 ) -> Closing | None:
-    """Compare pokes that were made once more with those before; None where they are at too few places, or see no movement.
+    """Compare repeated pokes with the first ones; `None` with too few places or no observable direction.
 
     Parameters
     ----------
-    before, after : at landmarks or taxels, in the right frame; those before may be at other places, too
+    before, after : at landmarks or taxels, after the frame's correction; those before may be at other places, too
     """
     names = sorted({poke.name for poke in after} & {poke.name for poke in before})
     after = [poke for poke in after if poke.name in names]
-    if len(names) < FEWEST:
+    if len(names) < MIN_PLACES:
         return None
     pokes = [*before, *after]
     across, miss, covariance = _passings(pokes, at, noise)
@@ -132,38 +131,35 @@ def closing_check(
         return None
     without = _without_each(inverse, moves, miss)
     most = int(np.argmax(without))
-    name, poke = pokes[most].name, pokes[most].poke
-    return Closing(at, tuple(names), found.size, found.limit, found.chance, found.seen, 0, without[most], poke, name)
+    return Closing(at, tuple(names), *found, 0, without[most], pokes[most].poke, pokes[most].name)
 
 
 class _Movement(NamedTuple):
     """As in `Closing`."""
 
-    size: float
+    shift: float
     limit: float
     chance: float
-    seen: int
+    observable_directions: int
 
 
 def _movement(precision: FloatArray, sums: FloatArray) -> _Movement | None:
-    """Return the movement s of which S^-1 (3, 3), 1/m^2, and S^-1 s (3,), 1/m, are given; None where no direction is known."""
-    # Along each of these axes the movement is known apart from the others.
+    """Solve for the movement s from S^-1 (3, 3), 1/m^2, and S^-1 s (3,), 1/m; `None` without an observable direction."""
+    # Along each of these axes the movement is known independently of the others.
     weights, axes = np.linalg.eigh(precision)
-    seen = weights >= SEEN**-2
+    seen = weights >= OBSERVABLE_SD_M**-2
     if not seen.any():
         return None
     along = np.asarray((axes.T @ sums)[seen] / weights[seen], dtype=np.float64)
     square, size = float(weights[seen] @ along**2), float(np.sqrt(along @ along))
-    limit = size * sqrt(INSIDE[len(along)] / square) if square > 0 else 0.0
-    return _Movement(size, limit, _beyond(square, len(along)), len(along))
+    limit = size * sqrt(CHI2_QUANTILES[len(along)] / square) if square > 0 else 0.0
+    return _Movement(size, limit, _chi2_exceedance(square, len(along)), len(along))
 
 
 def _without_each(inverse: FloatArray, moves: FloatArray, miss: FloatArray) -> list[float]:
-    """Return the chance with each of the m pokes left out, 1 where the others know no direction.
+    """Compute the chance without each of the m pokes; 1 if the others show no direction.
 
-    Parameters
-    ----------
-    inverse, moves, miss : K (2 m, 2 m), X (2 m, 3) and y (2 m,)
+    `inverse`, `moves` and `miss` are K (2 m, 2 m), X (2 m, 3) and y (2 m,).
     """
     count, weighed = len(miss) // 2, inverse @ moves
     rows = weighed.reshape(count, 2, 3)
@@ -178,13 +174,11 @@ def _without_each(inverse: FloatArray, moves: FloatArray, miss: FloatArray) -> l
 def _passings(
     pokes: Sequence[LandmarkPoke], at: ClosingPlaces, noise: NoiseSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return E (m, 2, 3), and of how m pokes pass their places (2 m,), metres, the covariance (2 m, 2 m)."""
+    """Compute E (m, 2, 3), the misses (2 m,), metres, and their covariance (2 m, 2 m) for m pokes."""
     prior, poses = RigPrior(), sorted({poke.pose for poke in pokes})
     order = {name: index for index, name in enumerate(poses)}
-    places, readings, scales = np.array([poke.place for poke in pokes]), readings_of(pokes, order), prior.scales(len(poses))
-    # Whitened by a spread of one metre the rows are in metres, and their change with the place has orthonormal rows.
-    spread = np.broadcast_to(np.eye(3), (len(pokes), 3, 3))
-    rows = rig_rows(readings, RigState.at_prior(len(poses)), places, spread, EXACT, scales)
+    places, readings = np.array([poke.place for poke in pokes]), readings_of(pokes, order)
+    rows = rows_in_metres(readings, places, prior, prior.scales(len(poses)))
     of_rig = rows.of_rig.reshape(2 * len(pokes), -1)
     force = np.linalg.norm(readings.wrenches[:, :3], axis=1)
     lever = np.linalg.norm(places - readings.reported[:, :3, 3], axis=1)
@@ -192,12 +186,12 @@ def _passings(
     own = aim**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
     same = np.array([[one.name == other.name for other in pokes] for one in pokes], dtype=np.float64)
     flat = rows.of_place.reshape(-1, 3)
-    off = _OFF[at] ** 2 * np.kron(same, np.ones((2, 2))) * (flat @ flat.T)
+    off = _PLACE_OFFSET_SD_M[at] ** 2 * np.kron(same, np.ones((2, 2))) * (flat @ flat.T)
     return rows.of_place, rows.misses.ravel(), of_rig @ of_rig.T + np.diag(np.repeat(own, 2)) + off
 
 
-def _beyond(square: float, freedom: int) -> float:
-    """Return the chance that a chi-squared of one to three degrees of freedom is larger."""
+def _chi2_exceedance(square: float, freedom: int) -> float:
+    """Probability that chi-square with one to three degrees of freedom is larger."""
     if freedom == 2:
         return exp(-square / 2.0)
     outside = erfc(sqrt(square / 2.0))

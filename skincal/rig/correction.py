@@ -1,15 +1,15 @@
-"""A rig's correction: what a wrench and an arm pose really are, and the rows that landmark and skin pokes give for it.
+"""Correction of a rig: the true wrench and arm pose, and the linear rows that landmark and skin pokes give for them.
 
-A rig's errors shift whole groups of taxels, and no poke on a skin whose place is unknown shows them: they are found from
-pokes at points of the part that are known, the landmarks. With C near 0 (6 x 6) and for each arm pose a turn w and a shift t,
-both small, a poke with the measured wrench (f, m) at the point P of the link frame has in the sensor's frame
+A rig's errors shift whole groups of taxels, and pokes on a skin of unknown place cannot show them. Pokes at landmarks can:
+known points of the part. With C near 0 (6 x 6), and for each arm pose a small rotation w and shift t, a poke with the measured
+wrench (f, m) at the point P of the link frame has in the sensor's frame
 
-    (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|,
+    (f', m') = (I + C) (f, m),   c = exp(-S(w)) (R'(P - o) - t),   r = E (m' - c x f') / |f|.
 
-where C may go on with columns for the products of the wrench's components (a sensor that is not linear), (R, o) is the arm's
-pose as reported and E two directions across the measured push. For a landmark P is known but for the hand's aim; for a poke on
-the skin it is the middle of the pads that answered (`skincal.modules.pose_fit`), and moves with its module. Every unknown of
-the rig has a prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not determine stays at zero.
+(R, o) is the arm pose as reported and E two directions across the measured push. C may have more columns, for the products of
+the wrench's components (a sensor that is not linear). P is known for a landmark, apart from the hand's aim. For a skin poke it
+is the middle of the pads that answered (`skincal.modules.pose_fit`) and moves with its module. Every unknown of the rig has a
+prior (`RigPrior`) and is counted in its standard deviations; what the pokes do not determine stays at zero.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from skincal.modules.pose import rotations
 from skincal.taxels.contact_table import orthonormal_pair
 
 FRAME, RIG = "frame", "rig"
-"""What a correction is of: the sensor's frame, or the rig's small errors."""
+"""Kinds of corrections: of the sensor's frame, and of the rig's small errors."""
 Poke = TypeVar("Poke", bound=Contact | Rejection)
 
 
@@ -36,30 +36,30 @@ class Correction:
     """A linear map of the wrench and a small motion of the arm's poses."""
 
     matrix: FloatArray
-    """(6, 6) float, SI: the true wrench, force above moment, is this times the reported one."""
+    """(6, 6) float, SI: true wrench (force, then moment) = matrix @ reported wrench."""
     everywhere: FloatArray = field(default_factory=lambda: np.eye(4))
-    """(4, 4) float, metres: link_from_sensor is the reported one times this, in every arm pose."""
+    """(4, 4) float, metres: in every arm pose link_from_sensor = reported @ everywhere..."""
     motions: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    """For some arm poses (4, 4) float, metres: and times this."""
+    """...and in some arm poses, by name, @ motion, (4, 4) float, metres."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
-    """(n, n) float, SI, upper triangular: root root' is the covariance of the unknowns, the matrix with the quadratic's columns
-    row by row, then turn and shift of each of `motions` by name, or of none of them where there are more than `POSES_KEPT`;
-    (0, 0) of a correction that is taken for exact."""
+    """(n, n) float, SI, upper triangular: root root' is the covariance of the unknowns: the matrix with the quadratic's columns
+    row by row, then rotation and shift of each of `motions` by name (of none with more than `MAX_KEPT_POSES`). (0, 0) if the
+    correction counts as exact."""
     quadratic: FloatArray = field(default_factory=lambda: np.empty((6, 0)))
-    """(6, 21) float, SI: the true wrench has besides this times its `products`; (6, 0) of a sensor that is taken for linear."""
+    """(6, 21) float, SI: the true wrench has in addition quadratic @ `products`; (6, 0) for a linear sensor."""
 
     @property
     def exact(self) -> bool:
-        """Whether it is taken for exact: what it does not know was not recorded, or nobody knows it."""
+        """Whether it counts as exact: its uncertainty was not recorded."""
         return not len(self.root)
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:
-        """Return link_from_sensor, (4, 4), of the arm pose of that name; of one that is not known, by `everywhere` alone."""
+        """Correct a reported link_from_sensor, (4, 4), of the arm pose of that name; an unknown one by `everywhere` alone."""
         there = link_from_sensor @ self.everywhere
         return there @ self.motions[name] if name in self.motions else there
 
     def wrench(self, force: FloatArray, moment: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the true force (3,), N, and moment (3,), N m, of the reported ones, in the sensor's frame."""
+        """Correct a reported force (3,), N, and moment (3,), N m, in the sensor's frame."""
         reported = np.concatenate([force, moment])
         true = self.matrix @ reported
         if self.quadratic.size:
@@ -67,79 +67,79 @@ class Correction:
         return true[:3], true[3:]
 
     def after(self, first: Correction) -> Correction:
-        """Return the correction that is `first`, which moves all arm poses alike, and then this one."""
+        """Combine two corrections: `first`, which moves all arm poses equally, then this one."""
         return replace(self, matrix=self.matrix @ first.matrix, everywhere=first.everywhere @ self.everywhere)
 
     def corrected(self, poke: Poke) -> Poke:
-        """Return a poke as a right rig would have reported it; a poke without a force stays as it is."""
+        """Correct a poke; one without a force stays as it is."""
         if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
             return poke
         force, moment = self.wrench(poke.force, poke.moment)
         return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
 
 
-POSES_KEPT = 24
-"""Arm poses up to which their uncertainty is kept, with how it goes together. Streamed joints make hundreds of names, each for
-a few pokes, which hardly tell more of it than its prior: 2 million numbers for 315 of them."""
-LOAD = 10.0
-"""N: the force at which a sensor that is not linear is off by the share `RigPrior.quadratic`; hands press with 6 to 13 N."""
+MAX_KEPT_POSES = 24
+"""With more arm poses than this their uncertainty is not kept. Streamed joints make hundreds of poses with a few pokes each,
+which hardly tell more than the prior: 2 million numbers for 315 of them."""
+HAND_LOAD_N = 10.0
+"""N. At this force a nonlinear sensor errs by the share `RigPrior.quadratic`; hands press with 6 to 13 N."""
 _FIRST, _SECOND = np.triu_indices(6)
 
 
 def products(wrenches: FloatArray) -> FloatArray:
-    """Return (m, 21) the products of each two components of wrenches (m, 6)."""
+    """Multiply each two components of wrenches (m, 6): (m, 21)."""
     return wrenches[:, _FIRST] * wrenches[:, _SECOND]
 
 
 def _features(wrenches: FloatArray, count: int) -> FloatArray:
-    """Return (m, count) what the matrix C is times: wrenches (m, 6), of 27 with their products."""
+    """Compute the (m, count) that C is multiplied with: wrenches (m, 6), and with a count of 27 their products."""
     return wrenches if count == 6 else np.concatenate([wrenches, products(wrenches)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UsedCorrection:
-    """A correction that the operator uses, and what spoke for it."""
+    """A correction in use, with its evidence."""
 
     of: str
     """`FRAME` or `RIG`."""
     correction: Correction
     before: float
-    """m: at what distance pokes pass their landmarks as the rig reports them, root mean square."""
+    """m: rms distance of poke axes from their landmarks as reported."""
     after: float
-    """m: the same under the correction; for the rig's errors of pokes that were held out."""
+    """m: the same with the correction; for `RIG` of held-out pokes."""
     pokes: int
-    """How many landmark pokes it was found from."""
+    """Number of landmark pokes it was found from."""
     ratio: float = float("nan")
-    """Misses of held-out landmark pokes over what was predicted for them (`RigAnswer.ratio`); NaN where nobody knows."""
+    """Misses of held-out landmark pokes over their prediction (`RigAnswer.ratio`); NaN if unknown."""
     noisier: float = 1.0
-    """How many times the scene's noise was predicted for them (`RigAnswer.noisier`)."""
+    """Factor on the scene's noise in that prediction (`RigAnswer.noisier`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigPrior:
-    """How wrong a rig may be before anything is known of it; SI units."""
+    """Standard deviations of a rig's errors before any poke; SI units."""
 
     matrix: float = 0.02
-    """sd of each entry of C: the F/T matrix with its cross-talk, 2 % (`docs/noise.md`)."""
+    """sd of each entry of C: error and cross-talk of the F/T matrix, 2 % (`docs/noise.md`)."""
     arm: float = 0.35
     """m: the entries between force and moment count a moment in units of force x this length."""
     pose_turn: float = float(np.radians(1.0))
-    """rad, sd of the turn of each arm pose about each axis through the sensor."""
+    """rad, sd of the rotation of each arm pose about each axis through the sensor."""
     pose_shift: float = 0.002
     """m, sd of the shift of each arm pose along each axis."""
     quadratic: float = 0.0
-    """sd of each product's part in each component, as a share of that at `LOAD`; 0 takes the sensor for linear."""
+    """sd of each product's part in each component, as a share of that at `HAND_LOAD_N`; 0 for a linear sensor."""
     landmark: float = 0.0007
-    """m, sd of the contact beside the landmark in each direction: a tip on a screw head, by hand."""
+    """m, sd of the contact from the landmark in each direction: a tip on a screw head, by hand."""
 
     @property
     def columns(self) -> int:
-        """Columns of C: the wrench's components, and their products where the sensor is not linear."""
+        """Number of columns of C: the wrench's components, and their products for a nonlinear sensor."""
         return 6 + len(products(np.ones((1, 6)))[0]) if self.quadratic else 6
 
     def scales(self, poses: int) -> FloatArray:
-        """Return (6 columns + 6 poses,) the sd of each unknown: C row by row, 6 or 27 columns, then turn and shift of each."""
-        units = LOAD * np.repeat([1.0, self.arm], 3)
+        """Compute the sd (6 columns + 6 poses,) of the unknowns: C row by row, then rotation and shift of each pose."""
+        units = HAND_LOAD_N * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
         if self.quadratic:
             matrix = np.concatenate([matrix, self.quadratic * units[:, None] / products(units[None])], axis=1)
@@ -160,24 +160,24 @@ class RigReadings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigRows:
-    """The whitened rows of m pokes, and how they change."""
+    """Whitened rows of m pokes, with their derivatives."""
 
     misses: FloatArray
     """(m, 2) float: r in standard deviations."""
     of_rig: FloatArray
-    """(m, 2, n) float: change of r with the rig's unknowns, each in its prior's standard deviations."""
+    """(m, 2, n) float: derivative of r by the rig's unknowns in standard deviations of the prior."""
     of_place: FloatArray
-    """(m, 2, 3) float, 1/m: change of r with P."""
+    """(m, 2, 3) float, 1/m: derivative of r by P."""
     distances: FloatArray
-    """(m,) float, metres: how far the corrected axis passes P."""
+    """(m,) float, metres: distance of the corrected axis from P."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigState:
-    """Where the rig's unknowns stand."""
+    """Values of the rig's unknowns."""
 
     matrix: FloatArray
-    """(6, 6) float, C; (6, 27) of a sensor that is not linear."""
+    """(6, 6) float, C; (6, 27) for a nonlinear sensor."""
     turns: FloatArray
     """(poses, 3) float, radians, w."""
     shifts: FloatArray
@@ -185,11 +185,11 @@ class RigState:
 
     @classmethod
     def at_prior(cls, poses: int, columns: int = 6) -> RigState:
-        """Return a rig that is as it reports, with so many columns of C."""
+        """Make the state of an exact rig, with so many columns of C."""
         return cls(np.zeros((6, columns)), np.zeros((poses, 3)), np.zeros((poses, 3)))
 
     def moved(self, step: FloatArray, scales: FloatArray) -> RigState:
-        """Return the state after a step in standard deviations of the prior."""
+        """Add a step in standard deviations of the prior."""
         change = step * scales
         of_matrix = self.matrix.size
         of_poses = change[of_matrix:].reshape(-1, 2, 3)
@@ -200,7 +200,7 @@ class RigState:
         )
 
     def unknowns(self, scales: FloatArray) -> FloatArray:
-        """Return (n,) the unknowns in standard deviations of the prior."""
+        """Compute the unknowns (n,) in standard deviations of the prior."""
         of_poses = np.concatenate([self.turns[:, None], self.shifts[:, None]], axis=1)
         return np.concatenate([self.matrix.ravel(), of_poses.ravel()]) / scales
 
@@ -208,7 +208,7 @@ class RigState:
 def rig_rows(
     readings: RigReadings, state: RigState, places: FloatArray, spread: FloatArray, noise: NoiseSettings, scales: FloatArray
 ) -> RigRows:
-    """Return the rows of pokes at `places`.
+    """Compute the rows of pokes at `places`.
 
     Parameters
     ----------
@@ -246,15 +246,14 @@ def rig_rows(
 
 
 class CorrectionErrors:
-    """What a correction of a rig does not know, as `skincal.taxels.shared_errors.SharedRows`.
+    """Uncertainty of a rig's correction as `skincal.taxels.shared_errors.SharedRows`, to first order.
 
-    An arm pose that the correction's root does not know is as wrong as any may be before something is known of it, and by
-    itself. All of it is to first order in the correction.
+    An arm pose without a covariance in the correction's root has the prior's, independent of all others.
 
     Parameters
     ----------
     correction : with its `root`
-    contact_of : gives a poke by its number, as corrected
+    contact_of : gives a corrected poke by its number
     """
 
     def __init__(self, correction: Correction, contact_of: Callable[[int], Contact], prior: RigPrior | None = None) -> None:
@@ -264,7 +263,7 @@ class CorrectionErrors:
         self._poses = {name: index for index, name in enumerate(known)}
 
     def __call__(self, pokes: IntArray, places: FloatArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (m, 2, n) and (m, 2, 6) metres; see `SharedRows`."""
+        """Compute (m, 2, n) and (m, 2, 6), metres; see `SharedRows`."""
         numbers, row = np.unique(pokes, return_inverse=True)
         contacts = [self._contact_of(poke) for poke in numbers.tolist()]
         poses = np.array([self._poses.get(contact.pose, -1) for contact in contacts])[row]
@@ -289,14 +288,14 @@ class CorrectionErrors:
 
 
 def rigid_motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return (4, 4) the motion by a turn about `turn` (3,) by its length, rad, and a shift (3,), m."""
+    """Make a (4, 4) motion from a rotation vector `turn` (3,), rad, and a shift (3,), m."""
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = rotations(turn[None])[0], shift
     return motion
 
 
 def _whitening(pairs: FloatArray, here: FloatArray, force: FloatArray, spread: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return (m, 2, 2) L^-1 of the rows' covariance L L': noise of moment and force, and the contact beside its place."""
+    """Compute the (m, 2, 2) L^-1 of the rows' covariance L L': noise of moment and force, and scatter of the contact."""
     lever = cross_matrix(here)
     pull = cross_matrix(force)
     total = noise.moment**2 * np.eye(3) + noise.force**2 * lever @ lever.transpose(0, 2, 1)
@@ -305,7 +304,7 @@ def _whitening(pairs: FloatArray, here: FloatArray, force: FloatArray, spread: F
 
 
 def _right_jacobians(turns: FloatArray) -> FloatArray:
-    """Return (n, 3, 3) J with exp(S(w + d)) = exp(S(w)) exp(S(J d)) to first order."""
+    """Compute the (n, 3, 3) J with exp(S(w + d)) = exp(S(w)) exp(S(J d)) to first order."""
     angles = np.sqrt(np.sum(turns * turns, axis=1))[:, None, None]
     small = angles < 1e-4
     safe = np.where(small, 1.0, angles)

@@ -1,17 +1,16 @@
-"""The fit of a rig's correction from landmark pokes and skin pokes together, tried on landmark pokes that were held out.
+"""Fit of a rig's correction to landmark pokes and skin pokes together, tested on held-out landmark pokes.
 
-The rows are those of `skincal.rig.correction`. What moves with the taxels while a rig is fitted are **rigid groups**: modules
-where there is a layout, else each taxel alone. The rows of a group know no other group, so each group's own unknowns are
-eliminated from its rows first (QR of its rows, the group's columns in front), and what is left of all of them is solved for
-the rig, by QR again. Each step costs one such solve.
+The rows are those of `skincal.rig.correction`. **Rigid groups** move with the taxels while a rig is fitted: modules with a
+layout, else each taxel alone. The rows of a group contain no other group's unknowns, so each group's unknowns are eliminated
+first (QR of its rows with the group's columns in front), and the rest is solved for the rig by QR again. Each Gauss-Newton
+step is one such solve.
 
-A landmark poke that is far off what all others predict for it, in standard deviations of that (its miss divided by the root
-of one less its leverage), counts less, as a taxel's poke does (`trust.h`); the answer says which. One landmark in four is held
-out with all its pokes, each quarter in turn: the correction is used only where it predicts the held-out pokes better than the
-rig as it reports itself. Without landmarks nothing of the rig is touched: no poke on the skin tells whether the rig is wrong
-or the skin lies elsewhere.
+A landmark poke that is far from the prediction of all others, in standard deviations of it (its miss divided by the root of one
+minus its leverage), counts less, as a taxel's poke does (`trust.h`). One landmark in four is held out with all its pokes, each
+quarter in turn: a correction is worth using only if it predicts the held-out pokes better than the rig as reported. Without
+landmarks nothing is corrected: no skin poke tells whether the rig is wrong or the skin lies elsewhere.
 
-What is asked is frozen, and the answer follows from it alone: it may be worked out in any thread or process, at any time.
+The answer follows from a frozen request alone, so any thread or process may compute it.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_modules_from_pokes, trust_from_squares
 from skincal.rig.correction import (
-    POSES_KEPT,
+    MAX_KEPT_POSES,
     Correction,
     RigPrior,
     RigReadings,
@@ -45,58 +44,57 @@ from skincal.taxels.result import Estimate, Method
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-STEPS = 4
-"""Of Gauss and Newton: the rows are nearly linear in the unknowns, and the fourth step moves no taxel by a micrometre."""
-ROUNDS = 4
-"""How often the trust of landmark pokes is found anew within a step."""
-SKIN = 0.1
-"""What a poke on the skin counts for the rig: pokes near one place are off by the same, so ten of them do not say ten times as
-much. On the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with
-0.1 and 0.65 with 0.03."""
-HELD_OUT = 4
-"""One landmark in this many is held out, with all its pokes: a landmark whose place is wrong predicts its own miss."""
-FEWEST_POINTS = 4
-"""Different landmarks below which nothing is corrected: fewer would be held out one by one, and the rest would say too little.
-With three that are 4 mm off, pokes held out instead of landmarks made a good rig five times worse."""
-BETTER = 0.5
-"""The held-out pokes must be predicted better by this share, in the mean square, for a correction to be used. Six pokes at six
-landmarks in one pose, ten rigs each: on good ones whose landmarks are 4 to 6 mm off it comes to 0.53 and more by chance, on
-the paper's to 0.01 to 0.43 in 19 of 20, with landmarks that are right or 4 mm off."""
-AS_PREDICTED = 1.5
-"""Misses of landmarks over what is predicted for them that are still as predicted: of 21 pokes at six landmarks the ratio is
-0.7 to 1.1 on rigs that are wrong as modelled."""
-TOO_NOISY = 2.0
-"""Times the scene's noise from which landmarks that agree do not speak for a prediction, and so much is said: what is predicted
-for them is then twice as wide by their own misses, and hardly any misses would disagree."""
-DOUBTED = 0.9
-"""A landmark poke that counts less than this is named to the operator."""
-PLACES_OFF = (0.0, 0.0005, 0.001, 0.002, 0.004)
-"""m: how far the places of landmarks may be off, sd in each direction, alike for all pokes at one; the likeliest is taken."""
-NOISIER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
-"""How many times larger than the scene says the noise of landmark pokes may be: an arm that wanders, a sensor that drifts."""
-QUADRATIC = 0.03
-"""Share of its load by which a sensor may be off that is not linear (`RigPrior.quadratic`), where pokes speak for one."""
-STEPS_ON = 2
-"""Of the fit with such a sensor, from where that with a linear one ended."""
-SURE = 5.0
-"""Logarithm of how many times likelier landmark pokes are by a sensor that is linear, or by one that is not, for it to be taken
-alone: 150 times. What the other would add is then below a tenth of the predicted error."""
-LINEAR = 6
-"""Columns of the matrix C of a sensor that is linear."""
-LEFT = 0.5
-"""Share of the landmark pokes that must count, or all of them do: where most are doubted, nobody can say which are right."""
-FEWEST = 6
-"""Landmark pokes below which nothing is corrected: from fewer, nothing is left to try a correction on."""
+GAUSS_NEWTON_STEPS = 4
+"""The rows are nearly linear in the unknowns: the fourth step moves no taxel by a micrometre."""
+TRUST_ROUNDS = 4
+"""Updates of the landmark pokes' trust within a step."""
+SKIN_POKE_WEIGHT = 0.1
+"""Weight of a skin poke for the rig: pokes near one place share their error, so ten of them are not ten times the evidence. On
+the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with 0.1 and
+0.65 with 0.03."""
+HELD_OUT_PARTS = 4
+"""One landmark in this many is held out, with all its pokes: a wrong place of a landmark would predict its own miss."""
+MIN_LANDMARKS = 4
+"""With fewer landmarks nothing is corrected: the rest would tell too little while one is held out. With three that are 4 mm
+off, holding out pokes instead of landmarks made a good rig five times worse."""
+REQUIRED_GAIN = 0.5
+"""A correction must lower the held-out mean square to below this share. With six pokes at six landmarks in one pose, good rigs
+with landmarks 4 to 6 mm off had 0.53 or more by chance, rigs like the paper's 0.01 to 0.43 in 19 of 20."""
+MAX_MISS_RATIO = 1.5
+"""Landmarks agree up to this ratio of misses to their prediction. On rigs with modelled errors 21 pokes at six landmarks have
+0.7 to 1.1."""
+MAX_NOISE_FACTOR = 2.0
+"""From this factor on the scene's noise, agreeing landmarks say little and the operator is told so: their prediction was
+widened by their own misses."""
+REPORT_TRUST_BELOW = 0.9
+"""A landmark poke with less trust is named to the operator."""
+LANDMARK_OFFSETS_M = (0.0, 0.0005, 0.001, 0.002, 0.004)
+"""m: candidate sds of a landmark's place in each direction, shared by all its pokes; the likeliest is used."""
+NOISE_FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""Candidate factors on the scene's noise for landmark pokes: an arm that wanders, a sensor that drifts."""
+QUADRATIC_SHARE = 0.03
+"""`RigPrior.quadratic` of the nonlinear sensor that is fitted as an alternative."""
+NONLINEAR_STEPS = 2
+"""Steps of the nonlinear fit, which starts from the linear one's end."""
+MODEL_LOG_ODDS = 5.0
+"""From this log likelihood ratio on (150 times) the likelier sensor model, linear or not, is used alone. The other would add
+less than a tenth of the predicted error."""
+LINEAR_COLUMNS = 6
+"""Columns of C for a linear sensor."""
+MIN_TRUSTED_SHARE = 0.5
+"""If the mean trust of landmark pokes falls below this, all count fully: with most in doubt, nobody can say which are right."""
+MIN_LANDMARK_POKES = 6
+"""With fewer landmark pokes nothing is corrected: none would be left to test a correction on."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedPokes:
-    """Where the m pokes on the skin are, as their groups lie."""
+    """Places of m skin pokes by the current groups."""
 
     places: FloatArray
     """(m, 3) float, metres, link frame."""
     gradients: FloatArray
-    """(m, 3, d) float: change of a place with its group's unknowns."""
+    """(m, 3, d) float: derivative of a place by its group's unknowns."""
     spread: FloatArray
     """(m, 3, 3) float, m^2: covariance of the contact about its place."""
 
@@ -121,7 +119,6 @@ class ModuleGroups(_Groups):
     poses: ModulePoses
 
     def placed(self) -> PlacedPokes:
-        """Return where the pokes are."""
         modules: list[int] = self.touches.modules.tolist()
         own = [self.model.pads[module] for module in modules]
         of = np.repeat(np.arange(len(own)), [len(pads) for pads in own])
@@ -131,7 +128,6 @@ class ModuleGroups(_Groups):
         return PlacedPokes(places, gradients, self.touches.offsets[:, None, None] * across)
 
     def moved(self, moves: FloatArray) -> ModuleGroups:
-        """Return them moved by `moves` (count, d)."""
         return replace(self, poses=self.model.ground.move(self.poses, moves))
 
 
@@ -142,15 +138,13 @@ class TaxelGroups(_Groups):
     points: FloatArray
     """(count, 3) float, metres."""
     offsets: FloatArray
-    """(m,) float, m^2: variance of the contact beside its taxel, each direction."""
+    """(m,) float, m^2: variance of the contact about its taxel, each direction."""
 
     def placed(self) -> PlacedPokes:
-        """Return where the pokes are: at their taxels."""
         eye = np.tile(np.eye(3), (len(self.of), 1, 1))
         return PlacedPokes(self.points[self.of], eye, self.offsets[:, None, None] * eye)
 
     def moved(self, moves: FloatArray) -> TaxelGroups:
-        """Return them moved by `moves` (count, 3)."""
         return replace(self, points=self.points + moves)
 
 
@@ -160,12 +154,12 @@ RigidGroups: TypeAlias = ModuleGroups | TaxelGroups
 def module_groups(
     table: ContactTable, model: ModuleModel, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
 ) -> ModuleGroups | None:
-    """Return the modules that were poked, where the rig as it reports itself puts them; None where none was.
+    """Fit the modules that were poked with the rig as reported; `None` if none was.
 
     Parameters
     ----------
-    estimates : of taxels, where the search for a module begins
-    channels : those that are used
+    estimates : of taxels, from which the search for a module starts
+    channels : those in use
     """
     evidence = table.evidence(channels)
     fit = fit_modules_from_pokes(evidence, table.totals(evidence.pokes), model, noise, [estimates])
@@ -179,7 +173,7 @@ def module_groups(
 def taxel_groups(
     table: ContactTable, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
 ) -> TaxelGroups | None:
-    """Return the taxels that have an estimate and were poked; None where none was."""
+    """Collect the taxels that have an estimate and were poked; `None` without any."""
     placed = {channel: estimates[channel] for channel in channels if channel in estimates}
     known = {channel: estimate.position for channel, estimate in placed.items() if estimate.position is not None}
     evidence = table.evidence(known)
@@ -220,19 +214,19 @@ class LandmarkPoke:
 
     @property
     def miss(self) -> float:
-        """How far its axis passes the landmark, metres."""
+        """Distance of its axis from the landmark, metres."""
         force, moment = move_wrench(self.link_from_sensor, self.force, self.moment)
         return float(np.linalg.norm(np.cross(self.place - axis_point(force, moment), force / np.linalg.norm(force))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigRequest:
-    """What a correction is worked out from."""
+    """Input of a rig's correction."""
 
     scene: Scene
     surface: Surface | None
     contacts: Sequence[Contact]
-    """Those on the skin that count."""
+    """Skin pokes that count."""
     landmarks: Sequence[LandmarkPoke]
     dead: Mapping[int, str] = field(default_factory=dict[int, str])
     prior: RigPrior = field(default_factory=RigPrior)
@@ -240,66 +234,66 @@ class RigRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigAnswer:
-    """What came out."""
+    """Result of the fit of a rig's correction."""
 
     correction: Correction | None
-    """None where there is nothing to correct with."""
+    """`None` with too few landmark pokes."""
     used: bool
-    """Whether the correction predicts held-out landmark pokes better than the rig as it reports itself."""
+    """The correction predicts held-out landmark pokes better than the rig as reported, and is worth using."""
     before: float
-    """m: at what distance the axes pass the landmarks as reported, root mean square by trust; NaN without pokes."""
+    """m: distance of the axes from the landmarks as reported, rms weighted by trust; NaN without pokes."""
     after: float
-    """m: the same for held-out pokes under a correction made without them; NaN where there is none."""
+    """m: the same of held-out pokes with a correction made without them; NaN without one."""
     points: int
-    """How many different landmarks were poked."""
+    """Number of different landmarks poked."""
     trust: Mapping[int, float]
     """Of each landmark poke, 0 to 1."""
     distances: Mapping[int, float]
-    """m: of each landmark poke, how far its axis passes the landmark under the correction."""
+    """m: of each landmark poke the distance of its axis from the landmark with the correction."""
     unknowns: FloatArray
     """(n,) float: the correction in standard deviations of the prior; n as in `RigPrior.scales`."""
     known: FloatArray
-    """(n,) float: sd of each unknown over that of its prior, 0 to 1; 1 is not determined."""
+    """(n,) float: sd of each unknown over its prior's, 0 to 1; 1 is undetermined."""
     ratio: float = float("nan")
-    """Misses of held-out pokes over what was predicted for them, root mean square; NaN where there is none. Above 1 something
-    is wrong that the correction does not know of, and its uncertainty is as many times larger."""
+    """Rms of held-out misses over their predicted sd; NaN without any. Above 1 the correction does not explain everything, and
+    its uncertainty is multiplied by it."""
     plain_ratio: float = float("nan")
-    """The same of all pokes without a correction, over what the scene's noise and the hand make of a right rig."""
+    """The same of all pokes without a correction, over the sd that noise and hand cause on an exact rig."""
     noisier: float = 1.0
-    """How many times the scene's noise that of landmark pokes is taken for, by their own misses, one of `NOISIER`: what is
-    predicted for held-out pokes is as much wider, so that `ratio` tells little where this is large."""
+    """Factor on the scene's noise that the landmark pokes' own misses suggest, one of `NOISE_FACTORS`. It widens the
+    prediction of held-out pokes, so `ratio` tells little if it is large."""
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkAgreement:
-    """How landmarks are passed, over what is predicted."""
+    """Agreement of the landmark pokes with their prediction."""
 
     pokes: int
     ratio: float
-    """Root mean square of their misses, each over its predicted standard deviation."""
+    """Rms of their misses, each over its predicted standard deviation."""
     corrected: bool
-    """A correction of the rig is in use, made without the pokes that are judged; else the rig is judged as it reports."""
+    """Judged with the rig's correction in use, of pokes that were held out of it; else the rig as reported."""
     noisier: float = 1.0
-    """How many times the scene's noise is predicted for them (`RigAnswer.noisier`); 1 without a correction."""
+    """Factor on the scene's noise in the prediction (`RigAnswer.noisier`); 1 without a correction."""
 
     @property
     def agrees(self) -> bool:
-        """Whether they are passed as predicted."""
-        return self.ratio <= AS_PREDICTED
+        """Whether the misses are as predicted."""
+        return self.ratio <= MAX_MISS_RATIO
 
     @property
     def by_noise(self) -> bool:
-        """Whether what is predicted is so much wider than by the scene's noise that to agree says little."""
-        return self.noisier >= TOO_NOISY
+        """Whether the prediction is so wide that agreement says little."""
+        return self.noisier >= MAX_NOISE_FACTOR
 
 
 def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
-    """Return how landmarks are passed; None where too few were poked to say.
+    """Compare landmark pokes with their prediction; `None` with too few.
 
     Parameters
     ----------
-    rig : what landmark pokes say; None where nobody has looked
-    used : the correction of the rig that is in use
+    rig : fit to the landmark pokes; `None` if there was none
+    used : the rig's correction in use
     """
     if rig is not None and rig.correction is not None:
         if used is None:
@@ -313,7 +307,7 @@ def _nothing() -> None:
 
 
 def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> RigAnswer:
-    """Find what is wrong with a rig, as far as landmark pokes show it.
+    """Fit the correction of a rig to its landmark pokes.
 
     Parameters
     ----------
@@ -321,15 +315,15 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     """
     names = sorted({poke.pose for poke in (*request.contacts, *request.landmarks)})
     scales, points = request.prior.scales(len(names)), len({poke.name for poke in request.landmarks})
-    if len(request.landmarks) < FEWEST or points < FEWEST_POINTS:
+    if len(request.landmarks) < MIN_LANDMARK_POKES or points < MIN_LANDMARKS:
         trust, nothing = {poke.poke: 1.0 for poke in request.landmarks}, np.zeros(len(scales))
         return RigAnswer(None, False, float("nan"), float("nan"), points, trust, {}, nothing, nothing + 1.0)
     fit = _Fit(request, names, request.prior)
-    for _ in range(STEPS):
+    for _ in range(GAUSS_NEWTON_STEPS):
         between()
         fit.step()
-    other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC), fit)
-    for _ in range(STEPS_ON):
+    other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC_SHARE), fit)
+    for _ in range(NONLINEAR_STEPS):
         between()
         other.step()
     between()
@@ -337,16 +331,16 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
 
 
 def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
-    """Return the answer of both fits, each as likely as landmark pokes make it; of one alone where it is all but sure.
+    """Combine the linear and the nonlinear fit by their likelihood; use one alone if it is all but sure.
 
-    Before landmarks speak, either is as likely. Between them the unknowns are the mean, x = w x_1 + (1 - w) x_2, with the
-    covariance w C_1 + (1 - w) C_2 + w (1 - w) (x_1 - x_2)(x_1 - x_2)'. What was tried on held-out pokes is the likelier one.
+    Both have the same prior probability. Between them the unknowns are the mean, x = w x_1 + (1 - w) x_2, with the
+    covariance w C_1 + (1 - w) C_2 + w (1 - w) (x_1 - x_2)(x_1 - x_2)'. The likelier one was tested on held-out pokes.
     """
-    # A fit that doubts a poke does not explain it: likelihoods are compared over the pokes that count by both.
+    # A fit that doubts a poke does not explain it: likelihoods are compared over the pokes that both trust.
     counts = np.minimum(linear.trust, bent.trust)
     gap = bent.likelihood(counts) - linear.likelihood(counts)
     answer = (bent if gap > 0.0 else linear).answer(names)
-    if abs(gap) > SURE:
+    if abs(gap) > MODEL_LOG_ODDS:
         return answer
     chance = 1.0 / (1.0 + float(np.exp(-gap)))
     (one, root), (two, other) = linear.posterior(bent.columns), bent.posterior(bent.columns)
@@ -362,7 +356,7 @@ def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
 
 
 class _Fit:
-    """Steps of Gauss and Newton over the rig and the rigid groups."""
+    """Gauss-Newton fit of the rig and the rigid groups."""
 
     def __init__(self, request: RigRequest, names: list[str], prior: RigPrior, begin: _Fit | None = None) -> None:
         self.noise, self.scales = request.scene.noise, prior.scales(len(names))
@@ -379,7 +373,7 @@ class _Fit:
         self.state = RigState.at_prior(len(names), self.columns)
         self.trust = np.ones(len(self.landmarks))
         if begin is not None:
-            added = np.zeros((LINEAR, self.columns - begin.columns))
+            added = np.zeros((LINEAR_COLUMNS, self.columns - begin.columns))
             self.state = replace(begin.state, matrix=np.concatenate([begin.state.matrix, added], axis=1))
             self.trust = begin.trust
         points = sorted({poke.name for poke in self.landmarks})
@@ -388,10 +382,10 @@ class _Fit:
         self._last: tuple[RigRows, FloatArray] | None = None
 
     def step(self) -> None:
-        """Move the rig and the groups to the minimum of the rows as they are here."""
+        """Do one Gauss-Newton step of the rig and the groups."""
         base, tops = self._without_groups(self.state.unknowns(self.scales))
         rows = self._landmark_rows(self.state)
-        for _ in range(ROUNDS):
+        for _ in range(TRUST_ROUNDS):
             self.trust = _trusted(rows, self._shared, *_solved(base, rows, self._shared, self.trust), self.trust)
         self._shared, self._noisier, _ = self._likeliest(base, rows, self.trust)
         step, _ = _solved(base, rows, self._shared, self.trust)
@@ -401,36 +395,37 @@ class _Fit:
             self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
 
     def likelihood(self, trust: FloatArray) -> float:
-        """Return the logarithm of how likely landmark pokes are, (m,) by how far each counts, but for what all fits share."""
+        """Log likelihood of landmark pokes with the trust (m,), up to a constant that all fits share."""
         assert self._last is not None
         rows, base = self._last
         return self._likeliest(base, rows, trust)[2]
 
     def _likeliest(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> tuple[FloatArray, float, float]:
-        """Return what is added to the covariance of landmark pokes, the likeliest of `PLACES_OFF` and `NOISIER`.
+        """Choose the likeliest of `LANDMARK_OFFSETS_M` and `NOISE_FACTORS`.
 
         Returns
         -------
-        (2 m, 2 m), which of `NOISIER` is in it, and the logarithm of how likely the pokes are with it, but for a constant.
+        ------- What they add to the covariance of landmark pokes, (2 m, 2 m), the noise factor, and the log likelihood up to a
+        constant.
         """
         of_place = (rows.of_place[:, :, None] * self._at_landmark[:, None, :, None]).reshape(2 * len(self.landmarks), -1)
         alike = of_place @ of_place.T
         own, marginal = np.eye(len(alike)), _Marginal(base, rows, trust)
-        every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISIER for off in PLACES_OFF]
+        every = [off**2 * alike + (noisier**2 - 1.0) * own for noisier in NOISE_FACTORS for off in LANDMARK_OFFSETS_M]
         likelihoods = [marginal.log_likelihood(added) for added in every]
         best = int(np.argmax(likelihoods))
-        return every[best], NOISIER[best // len(PLACES_OFF)], likelihoods[best]
+        return every[best], NOISE_FACTORS[best // len(LANDMARK_OFFSETS_M)], likelihoods[best]
 
     def _landmark_rows(self, state: RigState) -> RigRows:
         return rig_rows(self._known, state, self._places, self._aim, self.noise, self.scales)
 
     def _without_groups(self, here: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """Return the factor (n + 1, n + 1) of all rows but the landmarks', and each group's own rows on top of its factor."""
+        """Factorize all rows but the landmarks': (n + 1, n + 1), and each group's own rows on top of its factor."""
         kept, tops = [np.column_stack([np.eye(len(here)), here])], list[FloatArray]()
         if self.groups is not None and self._skin is not None:
             placed = self.groups.placed()
             rows = rig_rows(self._skin, self.state, placed.places, placed.spread, self.noise, self.scales)
-            root = np.sqrt(SKIN * self.groups.trust)[:, None, None]
+            root = np.sqrt(SKIN_POKE_WEIGHT * self.groups.trust)[:, None, None]
             own = rows.of_place @ placed.gradients
             every = root * np.concatenate([own, rows.of_rig, rows.misses[:, :, None]], axis=2)
             for group in range(self.groups.count):
@@ -440,21 +435,21 @@ class _Fit:
         return qr_factor(np.concatenate(kept)), tops
 
     def answer(self, names: list[str]) -> RigAnswer:
-        """Return what came out, tried on held-out pokes where the rows stood last."""
+        """Make the answer, tested on held-out pokes at the last linearization."""
         assert self._last is not None
         rows, base = self._last
         reported = self._landmark_rows(RigState.at_prior(len(names), self.columns))
         held, predicted = self._held_out(rows, base)
         before, after = (np.average(np.sum(own**2, axis=1), weights=self.trust) for own in (reported.misses, held))
-        # Squared misses in their predicted standard deviations: two numbers a poke.
+        # Squared misses in predicted standard deviations: two numbers a poke.
         ratio = float(np.sqrt(np.average(_squares(held, predicted), weights=self.trust) / 2.0))
-        # Misses are in standard deviations; this is how many metres one of them is on average.
+        # Misses are in standard deviations; this converts them to metres on average.
         metre = np.sqrt(np.sum(reported.distances**2) / np.sum(reported.misses**2))
         unknowns, spread = self.posterior(self.columns)
         pokes = [poke.poke for poke in self.landmarks]
         return RigAnswer(
             correction=self.correction(unknowns, max(1.0, ratio) * spread, names),
-            used=bool(after < BETTER * before),
+            used=bool(after < REQUIRED_GAIN * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
             ratio=ratio,
@@ -468,10 +463,7 @@ class _Fit:
         )
 
     def posterior(self, columns: int) -> tuple[FloatArray, FloatArray]:
-        """Return (n,) the unknowns, SI, and (n, k) a root of their covariance.
-
-        `columns` are those of C, at least its own; what a sensor of more has besides is zero.
-        """
+        """Compute the unknowns (n,), SI, and a root (n, k) of their covariance. Columns of C that the fit lacks are 0."""
         assert self._last is not None
         rows, base = self._last
         root = _solved(base, rows, self._shared, self.trust)[1]
@@ -488,37 +480,32 @@ class _Fit:
         return unknowns, spread
 
     def share_of_prior(self, spread: FloatArray) -> FloatArray:
-        """Return (n,) the sd of each unknown, by a root (n, k) of their covariance, over that of its prior, at most 1."""
+        """Compute the sd (n,) of the unknowns, by a root (n, k) of their covariance, over the prior's, at most 1."""
         return np.minimum(np.linalg.norm(spread, axis=1) / self.scales, 1.0)
 
     def passed(self, unknowns: FloatArray) -> FloatArray:
-        """Return (m,) metres, how far each landmark is passed under (n,) unknowns, SI."""
+        """Distances (m,), metres, of the axes from their landmarks with the unknowns (n,), SI."""
         at_prior = RigState.at_prior(len(self.state.turns), self.columns)
         return self._landmark_rows(at_prior.moved(unknowns / self.scales, self.scales)).distances
 
     def correction(self, unknowns: FloatArray, spread: FloatArray, names: list[str]) -> Correction:
-        """Return the correction by (n,) unknowns, SI, whose covariance has the root `spread` (n, m)."""
+        """Make the correction from unknowns (n,), SI, whose covariance has the root `spread` (n, m)."""
         of_matrix = 6 * self.columns
         matrix, poses = unknowns[:of_matrix].reshape(6, -1), unknowns[of_matrix:].reshape(-1, 2, 3)
-        kept = len(unknowns) if len(names) <= POSES_KEPT else of_matrix
+        kept = len(unknowns) if len(names) <= MAX_KEPT_POSES else of_matrix
         return Correction(
-            np.eye(6) + matrix[:, :LINEAR],
+            np.eye(6) + matrix[:, :LINEAR_COLUMNS],
             motions={name: rigid_motion(*pose) for name, pose in zip(names, poses, strict=True)},
-            quadratic=matrix[:, LINEAR:],
+            quadratic=matrix[:, LINEAR_COLUMNS:],
             root=spread if spread.shape == (kept, kept) else _first_rows(spread, kept),
         )
 
     def _held_out(self, rows: RigRows, base: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how landmark pokes are missed, each under the correction made without its quarter of the landmarks.
-
-        Returns
-        -------
-        (m, 2) the misses, and (m, 2, 2) the covariance that is predicted for each.
-        """
+        """Misses (m, 2) of landmark pokes, each with a correction made without its quarter, and their covariances (m, 2, 2)."""
         held, predicted = np.empty_like(rows.misses), np.empty((len(rows.misses), 2, 2))
         names = sorted({poke.name for poke in self.landmarks})
-        quarter = np.array([names.index(poke.name) % HELD_OUT for poke in self.landmarks])
-        for out in range(HELD_OUT):
+        quarter = np.array([names.index(poke.name) % HELD_OUT_PARTS for poke in self.landmarks])
+        for out in range(HELD_OUT_PARTS):
             own = quarter == out
             step, root = _solved(base, rows, self._shared, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
@@ -527,7 +514,7 @@ class _Fit:
 
 
 def _rigid_groups(request: RigRequest) -> RigidGroups | None:
-    """Return what moves with the skin pokes, from where the rig as it reports itself puts it."""
+    """Collect the groups that the skin pokes move with, placed by the rig as reported."""
     scene, surface = request.scene, request.surface
     table = ContactTable(request.contacts)
     layout = scene.skin.layout
@@ -541,7 +528,7 @@ def _rigid_groups(request: RigRequest) -> RigidGroups | None:
 
 
 def readings_of(pokes: Sequence[Contact | LandmarkPoke], order: Mapping[str, int]) -> RigReadings:
-    """Return the readings of at least one poke; `order` is the index of each arm pose by its name."""
+    """Stack the readings of at least one poke; `order` is the index of each arm pose by its name."""
     return RigReadings(
         np.array([np.concatenate([poke.force, poke.moment]) for poke in pokes]),
         np.array([order[poke.pose] for poke in pokes]),
@@ -550,22 +537,22 @@ def readings_of(pokes: Sequence[Contact | LandmarkPoke], order: Mapping[str, int
 
 
 def qr_factor(rows: FloatArray) -> FloatArray:
-    """Return R of the QR of rows, square or with fewer rows than columns."""
+    """Compute R of the QR of rows, square or with fewer rows than columns."""
     factor: Any = np.linalg.qr(rows, mode="r")
     return np.asarray(factor, dtype=np.float64)
 
 
 def _first_rows(root: FloatArray, count: int) -> FloatArray:
-    """Return (count, count) upper triangular U, U U' the covariance of the first unknowns under that of all, root root'."""
+    """Upper triangular U (count, count): U U' is the covariance of the first unknowns, root root' that of all."""
     return np.ascontiguousarray(qr_factor(root[count - 1 :: -1].T).T[::-1, ::-1])
 
 
 def _solved(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the minimum of all rows, those of landmarks by their trust.
+    """Solve all rows, those of landmarks weighted by their trust.
 
     Parameters
     ----------
-    shared : (2 m, 2 m) what errors that pokes share add to the covariance of the rows, of which each has one by itself
+    shared : (2 m, 2 m) covariance of errors that pokes share, in addition to the rows' own unit covariance
 
     Returns
     -------
@@ -578,7 +565,7 @@ def _solved(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArr
 
 
 def _counting(rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (k, n + 1) the rows of pokes that count with their misses, and (k, k) what makes them independent."""
+    """Compute the rows (k, n + 1) of trusted pokes with their misses, and their whitening (k, k)."""
     counts = np.repeat(trust > 0.0, 2)
     own = np.concatenate([rows.of_rig, rows.misses[:, :, None]], axis=2).reshape(len(counts), -1)[counts]
     covariance = shared[np.ix_(counts, counts)] + np.diag(np.repeat(1.0 / trust[trust > 0.0], 2))
@@ -586,7 +573,7 @@ def _counting(rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[Flo
 
 
 class _Marginal:
-    """How likely the landmarks' misses are under the prior and the skin pokes, for what may be added to their covariance."""
+    """Marginal likelihood of the landmarks' misses under the prior and the skin pokes, for an added covariance."""
 
     def __init__(self, base: FloatArray, rows: RigRows, trust: FloatArray) -> None:
         self._counts = np.repeat(trust > 0.0, 2)
@@ -597,47 +584,45 @@ class _Marginal:
         self._known = spread.T @ spread + np.diag(np.repeat(1.0 / trust[trust > 0.0], 2))
 
     def log_likelihood(self, added: FloatArray) -> float:
-        """Return the logarithm of the density, but for a constant."""
         factor = np.linalg.cholesky(self._known + added[np.ix_(self._counts, self._counts)])
         return -float(np.sum(np.linalg.solve(factor, self._misses) ** 2) / 2.0 + np.sum(np.log(np.diag(factor))))
 
 
 def _own_blocks(shared: FloatArray) -> FloatArray:
-    """Return (m, 2, 2) the covariance of each poke's rows by themselves."""
+    """Compute the covariance (m, 2, 2) of each poke's own rows."""
     count = len(shared) // 2
     at = np.arange(count)
     return np.eye(2) + shared.reshape(count, 2, count, 2)[at, :, at]
 
 
 def _trusted(rows: RigRows, shared: FloatArray, step: FloatArray, root: FloatArray, trust: FloatArray) -> FloatArray:
-    """Return the trust of landmark pokes by what all others predict for each.
+    """Compute the trust of each landmark poke by the prediction of all others.
 
-    With H = A (root' root)^-1 A' of a poke that counts k, its miss r under the fit has the covariance 1/k - H where all is
-    noise: so r' (I - k H)^-1 r is chi-square for a poke that counts fully, and (I + H) takes the place for one that does not.
-    What pokes share stands beside the I.
+    With H = A (root' root)^-1 A' for a poke of weight k, its miss r in the fit has the covariance 1/k - H under noise alone. So
+    r' (I - k H)^-1 r is chi-square for a poke of full weight; (I + H) is used for one in doubt. Shared errors are added to I.
     """
     leverage = _leverage(rows.of_rig, root)
     counts = (trust > 0.5)[:, None, None]
     total = _own_blocks(shared) + np.where(counts, -trust[:, None, None] * leverage, leverage)
     # Rounding may leave a square below zero.
     found = trust_from_squares(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
-    return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
+    return found if found.sum() >= MIN_TRUSTED_SHARE * len(found) else np.ones(len(found))
 
 
 def _leverage(of_rig: FloatArray, root: FloatArray) -> FloatArray:
-    """Return (m, 2, 2) A (root' root)^-1 A' of the rows A (m, 2, n) of each poke."""
+    """Compute A (root' root)^-1 A', (m, 2, 2), for the rows A (m, 2, n) of each poke."""
     spread = np.asarray(np.linalg.solve(root.T, of_rig.reshape(-1, of_rig.shape[2]).T), dtype=np.float64)
     spread = spread.T.reshape(*of_rig.shape[:2], -1)
     return spread @ spread.transpose(0, 2, 1)
 
 
 def _squares(misses: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Return (m,) the squares of misses (m, 2) in standard deviations of their covariances (m, 2, 2)."""
+    """Squares (m,) of misses (m, 2) whitened by their covariances (m, 2, 2)."""
     return np.sum(misses * np.asarray(np.linalg.solve(covariances, misses[:, :, None])[:, :, 0]), axis=1)
 
 
 def _group_move(top: FloatArray, step: FloatArray) -> FloatArray:
-    """Return (d,) how a group moves where the rig takes a step; of the smallest norm where its pokes do not say."""
+    """Move (d,) of a group for a step of the rig; of the smallest norm if its pokes do not determine it."""
     unknowns = top.shape[1] - 1 - len(step)
     right = -(top[:, -1] + top[:, unknowns:-1] @ step)
     return np.asarray(np.linalg.lstsq(top[:, :unknowns], right, rcond=1e-9)[0], dtype=np.float64)

@@ -1,17 +1,16 @@
-"""Expected gain of landmark pokes: by how much a rig's errors move the taxels, now and after pokes that are not made yet.
+"""Expected gain of landmark pokes: how far a rig's errors move the taxels, now and after pokes that are only planned.
 
-All of it is linear and Gaussian about a rig that is as it reports. The rig's unknowns x, in standard deviations of their
+Everything is linear and Gaussian about a rig that is as it reports. The rig's unknowns x, in standard deviations of their
 prior, have the covariance (I + A'A)^-1 after landmark pokes with the whitened rows A of `skincal.rig.correction`. A depends on
-where pokes are and not on what they measure, so planned ones count as made ones do. A straight push at a taxel is read beside
-it, along the skin, by B x: the change of its axis with the rig. A taxel is taken to be poked alike in all arm poses in use,
-and to lie at the mean of what they say, so B is the mean of theirs. The error predicted is the root of the mean over taxels of
+where pokes are and not on what they measure, so planned pokes count as made ones do. A straight push at a taxel is displaced
+along the skin by B x, the change of its axis with the rig. A taxel is assumed to be poked equally in all arm poses in use, so
+B is their mean. The predicted error is the root of the mean over taxels of
 
     trace B (I + A'A)^-1 B'.
 
-It is the rig's part alone and along the skin alone. Noise of the pokes, which falls with their number, comes on top of it
-(0.5 mm for the modules of the forearm after 252), and the free method is off in depth too. That a landmark poke may be of
-another point is left out, and so is what pokes on the skin say of the rig (`correction_fit.SKIN`): with 588 of them in seven
-poses and 21 at landmarks 1.0 mm is predicted, and 0.7 to 0.8 mm comes out.
+It is the rig's part alone, along the skin alone. The noise of the pokes (0.5 mm for the modules of the forearm after 252) comes
+on top. A landmark poke at a wrong point is left out, and so is what skin pokes tell of the rig: with 588 of them in seven poses
+and 21 at landmarks 1.0 mm is predicted, and 0.7 to 0.8 mm comes out.
 """
 
 from __future__ import annotations
@@ -26,23 +25,29 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import RigPrior, RigReadings, RigRows, RigState, UsedCorrection, rig_rows
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, qr_factor, readings_of
+from skincal.rig.correction_fit import (
+    MIN_LANDMARK_POKES,
+    MIN_LANDMARKS,
+    LandmarkAgreement,
+    LandmarkPoke,
+    qr_factor,
+    readings_of,
+)
 from skincal.taxels.result import Estimate
 
-POSES = 7
-"""Arm poses that an error is predicted for, those with most contacts: streamed joints make more."""
-PUSH = 10.0
-"""N, of a planned poke: the middle of what a hand presses with on metal, 8 to 13 N."""
-TAXELS = 40
-"""Taxels that the mean is taken over, of more every n-th: neighbours are moved alike. On the forearm the mean over 28 is
-within a thousandth of that over all 84."""
-EXACT = NoiseSettings(force=0.0, moment=0.0)
-"""Of a push that is read without noise: what is left is the rig's."""
+MAX_POSES = 7
+"""Arm poses of a prediction, those with most contacts: streamed joints make more."""
+PLANNED_FORCE_N = 10.0
+"""N: hands press with 8 to 13 N on metal."""
+MAX_TAXELS = 40
+"""Of more taxels only every n-th is used: neighbours move alike. On the forearm the mean over 28 is within a thousandth of that
+over all 84."""
+NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedPoke:
-    """A poke at a landmark that is not made yet: `PUSH` straight into the part."""
+    """A landmark poke that is only planned: `PLANNED_FORCE_N` straight into the part."""
 
     place: FloatArray
     """(3,) float, metres, link frame: of the landmark."""
@@ -56,14 +61,14 @@ class PlannedPoke:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """By how much the rig's errors move the taxels."""
+    """How far the rig's errors move the taxels."""
 
     now: float
-    """m: expected distance, root mean square over taxels and rigs, corrected by the landmark pokes that are made."""
+    """m: expected rms distance over taxels and rigs, corrected by the landmark pokes that are made."""
     after: float
     """m: the same with the planned ones."""
     pokes: int
-    """How many are planned."""
+    """Number of planned pokes."""
 
 
 def expected_error(
@@ -75,14 +80,14 @@ def expected_error(
     normals: FloatArray,
     poses: Mapping[str, FloatArray],
 ) -> Gain:
-    """Predict by how much the rig's errors move the taxels, before and after planned pokes at landmarks.
+    """Predict how far the rig's errors move the taxels, before and after planned landmark pokes.
 
-    Fewer than `FEWEST` landmark pokes, or `FEWEST_POINTS` landmarks, correct nothing. 84 or 4,200 taxels in seven poses: a few
-    milliseconds.
+    Fewer than `MIN_LANDMARK_POKES` pokes or `MIN_LANDMARKS` landmarks correct nothing. It takes a few milliseconds for any
+    size.
 
     Parameters
     ----------
-    pokes : that are made
+    pokes : those that are made
     places, normals : (n, 3) float, metres and unit, outward, link frame: of the taxels, estimated or planned
     poses : by name (4, 4) float, link_from_sensor as reported: those in which the skin is poked
 
@@ -97,10 +102,10 @@ def expected_error(
     names = sorted({*poses, *(poke.pose for poke in every)})
     order, scales = {name: index for index, name in enumerate(names)}, prior.scales(len(names))
     rows = [np.empty((0, len(scales)))]
-    if pokes:
-        rows.append(_landmark_rows(pokes, readings_of(pokes, order), prior, noise, scales))
-    if planned:
-        rows.append(_landmark_rows(planned, _planned(planned, order), prior, noise, scales))
+    readings = [*([readings_of(pokes, order)] if pokes else []), *([_planned(planned, order)] if planned else [])]
+    for own, some in zip(readings, filter(None, (pokes, planned)), strict=True):
+        at = np.array([poke.place for poke in some])
+        rows.append(_rows(own, at, prior.landmark, noise, prior, scales).of_rig.reshape(-1, len(scales)))
     moved, points = _moved(places, normals, poses, order, prior, scales), [poke.place for poke in every]
     whole = np.concatenate(rows)
     now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
@@ -108,41 +113,12 @@ def expected_error(
 
 
 def expected_miss(poke: LandmarkPoke, noise: NoiseSettings) -> float:
-    """Return how far the axis of a poke may be expected to pass its landmark, root mean square, metres.
-
-    By a rig that is wrong as `RigPrior` has it, by the sensor's noise, and by the hand.
-    """
+    """Predict the rms distance between a poke's axis and its landmark, metres, from `RigPrior`, sensor noise and hand."""
     prior, lever = RigPrior(), float(np.linalg.norm(poke.place - poke.link_from_sensor[:3, 3]))
     force = float(np.linalg.norm(poke.force))
-    # Whitened by a spread of one metre the rows are in metres.
-    rows = _rows(readings_of([poke], {poke.pose: 0}), poke.place[None], 1.0, EXACT, prior, prior.scales(1))
+    rows = rows_in_metres(readings_of([poke], {poke.pose: 0}), poke.place[None], prior, prior.scales(1))
     own = prior.landmark**2 + (noise.moment / force) ** 2 + (noise.force * lever / force) ** 2
     return float(np.sqrt(np.sum(rows.of_rig**2) + 2.0 * own))
-
-
-def unchecked_error(
-    estimates: Sequence[Estimate], contacts: Sequence[Contact], pokes: Sequence[LandmarkPoke], noise: NoiseSettings
-) -> float | None:
-    """Return by how much a rig's errors may move the taxels that are in no covariance, root mean square, metres.
-
-    Parameters
-    ----------
-    estimates : of one method; those without a position or a normal tell nothing
-    contacts : in whose arm poses they were poked
-    pokes : at landmarks, where the rig passes them as predicted or is corrected by them; else they do not make it better
-
-    Returns
-    -------
-    None where no taxel is known.
-    """
-    known = [(estimate.position, estimate.normal) for estimate in estimates if estimate.position is not None]
-    pairs = [(place, normal) for place, normal in known if normal is not None]
-    often = {name for name, _ in Counter(contact.pose for contact in contacts).most_common(POSES)}
-    poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
-    if not pairs or not poses:
-        return None
-    places, normals = (np.array(values) for values in zip(*pairs, strict=True))
-    return expected_error(RigPrior(), noise, [poke for poke in pokes if poke.pose in poses], [], places, normals, poses).now
 
 
 def unchecked_of(
@@ -153,30 +129,32 @@ def unchecked_of(
     pokes: Sequence[LandmarkPoke],
     noise: NoiseSettings,
 ) -> float | None:
-    """Return by how much the rig's errors may move the taxels beside what is predicted, metres; None where all is predicted.
+    """Predict the rms movement of the taxels by the rig's errors that no covariance contains, metres.
 
     Parameters
     ----------
-    used : the correction of the rig that is in use
-    landmarks : how the rig passes them: where it does not as predicted, or nobody knows, it may be as wrong as any
-    estimates, contacts, pokes, noise : see `unchecked_error`
+    used : the rig's correction in use
+    landmarks : agreement of the landmark pokes. If it is bad or unknown, the rig may be as wrong as any
+    estimates : of one method; those without a position or a normal are left out
+    contacts : pokes on the skin; their arm poses count
+    pokes : landmark pokes
+
+    Returns
+    -------
+    `None` if the covariances contain everything, or no taxel is known.
     """
     if used is not None and not used.correction.exact:
         return None
-    known = used is not None or (landmarks is not None and landmarks.agrees)
-    return unchecked_error(estimates, contacts, pokes if known else (), noise)
-
-
-def _landmark_rows(
-    pokes: Sequence[LandmarkPoke | PlannedPoke],
-    readings: RigReadings,
-    prior: RigPrior,
-    noise: NoiseSettings,
-    scales: FloatArray,
-) -> FloatArray:
-    """Return (2 m, k) the whitened rows of pokes at landmarks, made or planned."""
-    places = np.array([poke.place for poke in pokes])
-    return _rows(readings, places, prior.landmark, noise, prior, scales).of_rig.reshape(-1, len(scales))
+    known = [(estimate.position, estimate.normal) for estimate in estimates if estimate.position is not None]
+    pairs = [(place, normal) for place, normal in known if normal is not None]
+    often = {name for name, _ in Counter(contact.pose for contact in contacts).most_common(MAX_POSES)}
+    poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
+    if not pairs or not poses:
+        return None
+    is_checked = used is not None or (landmarks is not None and landmarks.agrees)
+    made = [poke for poke in pokes if poke.pose in poses] if is_checked else []
+    places, normals = (np.array(values) for values in zip(*pairs, strict=True))
+    return expected_error(RigPrior(), noise, made, [], places, normals, poses).now
 
 
 def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadings:
@@ -193,31 +171,38 @@ def _moved(
     prior: RigPrior,
     scales: FloatArray,
 ) -> FloatArray:
-    """Return (n, 3, k) metres: how places are moved along the skin by each unknown of the rig, the mean of the poses."""
-    step = -(-len(places) // TAXELS)
+    """Compute (n, 3, k) metres: movement of places along the skin by each unknown of the rig, mean of the poses."""
+    step = -(-len(places) // MAX_TAXELS)
     some, out, many = places[::step], normals[::step], len(poses)
     count = len(some)
     reported = np.repeat(np.array(list(poses.values())), count, axis=0)
     of = np.repeat(np.array([order[name] for name in poses]), count)
     some, out = np.tile(some, (many, 1)), np.tile(out, (many, 1))
-    # Whitened by a spread of one metre the rows are in metres, and their change with the place has orthonormal rows.
-    rows = _rows(_pushed(some, out, reported, of), some, 1.0, EXACT, prior, scales)
+    rows = rows_in_metres(_pushed(some, out, reported, of), some, prior, scales)
     shifts = rows.of_place.transpose(0, 2, 1) @ rows.of_rig
     return shifts.reshape(many, count, 3, -1).mean(axis=0)
 
 
 def _pushed(places: FloatArray, normals: FloatArray, reported: FloatArray, of: IntArray) -> RigReadings:
-    """Return straight pushes at places (m, 3), in arm poses (m, 4, 4), as a rig that is as it reports reads them."""
+    """Make the readings of straight pushes at places (m, 3), in arm poses (m, 4, 4), of an exact rig."""
     turns = reported[:, :3, :3].transpose(0, 2, 1)
-    force = (turns @ (-PUSH * normals)[:, :, None])[:, :, 0]
+    force = (turns @ (-PLANNED_FORCE_N * normals)[:, :, None])[:, :, 0]
     here = (turns @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0]
     return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, reported)
+
+
+def rows_in_metres(readings: RigReadings, places: FloatArray, prior: RigPrior, scales: FloatArray) -> RigRows:
+    """Compute the rows of noiseless pokes at places (m, 3), in metres: they are whitened by a spread of one metre.
+
+    Their change with the place has orthonormal rows.
+    """
+    return _rows(readings, places, 1.0, NO_NOISE, prior, scales)
 
 
 def _rows(
     readings: RigReadings, places: FloatArray, spread: float, noise: NoiseSettings, prior: RigPrior, scales: FloatArray
 ) -> RigRows:
-    """Return the rows of pokes that lie beside their places (m, 3) by an sd of `spread`, metres, in each direction."""
+    """Compute the rows of pokes whose contacts scatter about places (m, 3) with the sd `spread`, metres, per axis."""
     around = np.broadcast_to(spread**2 * np.eye(3), (len(places), 3, 3))
     return rig_rows(
         readings, RigState.at_prior((len(scales) - 6 * prior.columns) // 6, prior.columns), places, around, noise, scales
@@ -225,9 +210,9 @@ def _rows(
 
 
 def _expected(rows: FloatArray, points: Sequence[FloatArray], moved: FloatArray) -> float:
-    """Return the rms over places of a movement (n, 3, k) by unknowns that rows (2 m, k) of pokes at m points determine."""
+    """Compute the rms movement (n, 3, k) of places by unknowns that rows (2 m, k) of pokes at m points determine."""
     size = moved.shape[2]
-    if len(points) < FEWEST or len({point.tobytes() for point in points}) < FEWEST_POINTS:
+    if len(points) < MIN_LANDMARK_POKES or len({point.tobytes() for point in points}) < MIN_LANDMARKS:
         rows = rows[:0]
     root = qr_factor(np.concatenate([np.eye(size), rows]))
     spread = np.asarray(np.linalg.solve(root.T, moved.reshape(-1, size).T), dtype=np.float64)

@@ -14,17 +14,17 @@ from typing import TypeAlias
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray
 from skincal.model.scene import NoiseSettings
-from skincal.rig.closing import PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
+from skincal.rig.closing import CHECKED_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 
-TRIES = 3
+MAX_POKES_PER_PLACE = 3
 """Pokes for each place of the closing check, after which nothing is asked for any more."""
-AGAIN = 10
+MIN_CONTACTS_BETWEEN_CHECKS = 10
 """Contacts since the last closing check, from which on another is due: for fewer its three pokes are not worth it."""
-ONCE_MORE = 2
+MAX_REPEATS = 2
 """How often a place is asked for once more, because one poke alone says that something moved: with it 68 to 81 of 100
 movements of 8 mm are told, without it 47 to 67."""
 
@@ -75,16 +75,16 @@ def _so_far(snapshot: Snapshot, number: int, early: _Places, every: _Places, noi
     """
     begun, (known, since) = snapshot.decisions.closings[number], _known_and_since(snapshot, number)
     size, whole = _first_part(known, since)
-    tried = size == TRIES * PLACES
+    tried = size == MAX_POKES_PER_PLACE * CHECKED_PLACES
     while True:
         made = frozenset(poke for poke, _ in since[:size])
         found = _found(begun, made, early, every, noise)
         asked = _asked_once_more(begun, found, made, every)
         if asked is None or not whole:
             break
-        tries = [place for _, place in since[size : size + TRIES]]
+        tries = [place for _, place in since[size : size + MAX_POKES_PER_PLACE]]
         if asked not in tries:
-            asked = asked if len(tries) < TRIES else None
+            asked = asked if len(tries) < MAX_POKES_PER_PLACE else None
             break
         size += tries.index(asked) + 1
     return ClosingSoFar(made, found, whole, asked, asked is None if whole else tried)
@@ -109,11 +109,11 @@ def _known_and_since(snapshot: Snapshot, number: int) -> tuple[set[ClosingPlace]
 def _first_part(known: set[ClosingPlace], since: Sequence[tuple[int, ClosingPlace | None]]) -> tuple[int, bool]:
     """Return how many pokes it took until so many places were poked once more, or tried often enough; whether they were."""
     again = set[ClosingPlace]()
-    for made, (_, place) in enumerate(since[: TRIES * PLACES], 1):
+    for made, (_, place) in enumerate(since[: MAX_POKES_PER_PLACE * CHECKED_PLACES], 1):
         again |= known & {place}
-        if max(sum(each.at is at for each in again) for at in ClosingPlaces) == PLACES:
+        if max(sum(each.at is at for each in again) for at in ClosingPlaces) == CHECKED_PLACES:
             return made, True
-    return len(since[: TRIES * PLACES]), False
+    return len(since[: MAX_POKES_PER_PLACE * CHECKED_PLACES]), False
 
 
 def _found(begun: ClosingRound, made: frozenset[int], early: _Places, every: _Places, noise: NoiseSettings) -> Closing | None:
@@ -130,12 +130,12 @@ def _found(begun: ClosingRound, made: frozenset[int], early: _Places, every: _Pl
 
 def _asked_once_more(begun: ClosingRound, found: Closing | None, made: frozenset[int], every: _Places) -> ClosingPlace | None:
     """Return the place of the one poke that says that something moved, so long as it is asked for."""
-    if found is None or not found.hangs_on_one or begun.ended:
+    if found is None or not found.single_poke_decides or begun.ended:
         return None
     place = ClosingPlace(found.at, found.place)
     again = sum(poke.poke in made and poke.name in found.names for poke in every[found.at])
-    asked = again - min(len(found.names), PLACES)
-    return place if asked < ONCE_MORE and place not in begun.skipped else None
+    asked = again - min(len(found.names), CHECKED_PLACES)
+    return place if asked < MAX_REPEATS and place not in begun.skipped else None
 
 
 def is_due(snapshot: Snapshot, rounds: Sequence[ClosingSoFar]) -> bool:
@@ -143,7 +143,7 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingSoFar]) -> bool:
     if not rounds:
         return True
     last = max(rounds[-1].made, default=snapshot.decisions.closings[-1].after)
-    return sum(contact.poke > last for contact in snapshot.contacts) >= AGAIN
+    return sum(contact.poke > last for contact in snapshot.contacts) >= MIN_CONTACTS_BETWEEN_CHECKS
 
 
 def at_landmarks(snapshot: Snapshot) -> list[LandmarkPoke]:

@@ -138,7 +138,7 @@ class GuidedSession:
             self.errors.follow(snapshot)
         if server is None:
             return False
-        measuring = is_recording and pipeline.measures(now_ns if seen_ns is None else seen_ns)
+        measuring = is_recording and pipeline.can_measure(now_ns if seen_ns is None else seen_ns)
         lines = self._robot.lines_to_send(self.guidance, snapshot, pose[0], now_ns * 1e-9, measuring=measuring)
         server.send(lines)
         return NoTarget.ENOUGH in lines

@@ -21,10 +21,10 @@ from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.rig.closing import FEWEST, PLACES, ClosingPlace, ClosingPlaces
+from skincal.rig.closing import CHECKED_PLACES, MIN_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, RigAnswer, landmark_agreement
-from skincal.rig.expected_gain import POSES, Gain, PlannedPoke, expected_error, unchecked_of
+from skincal.rig.expected_gain import MAX_POSES, Gain, PlannedPoke, expected_error, unchecked_of
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingSoFar,
@@ -285,7 +285,7 @@ class LandmarkGuide:
         if here is None or not len(self._taxels):
             return None
         contacts = snapshot.contacts
-        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(POSES)]
+        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(MAX_POSES)]
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
         poses[name] = here
         planned = [PlannedPoke(target.landmark.place, self.normal(target.landmark), here, name) for target in self._targets]
@@ -364,8 +364,8 @@ class ClosingGuide:
             (ClosingPlaces.TAXELS, at_taxels(snapshot), _taxel_targets(guidance, snapshot)),
         ):
             early = [poke for poke in pokes if poke.poke <= begun.after and poke.poke not in before]
-            names = [name for name in first_names(early, pose, PLACES) if name in targets]
-            if len(names) < FEWEST:
+            names = [name for name in first_names(early, pose, CHECKED_PLACES) if name in targets]
+            if len(names) < MIN_PLACES:
                 continue
             again = {poke.name for poke in pokes if poke.poke in now.made}
             places = [] if now.whole else [ClosingPlace(at, name) for name in names if name not in again]

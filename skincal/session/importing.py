@@ -22,7 +22,7 @@ from skincal.streams.links import LinkSpec
 from skincal.words.link_words import silent_links
 from skincal.words.poke_words import no_poke_sentence
 
-TOLD_CHUNKS = 20
+PROGRESS_CHUNKS = 20
 """Chunks from one word on how far it is to the next: a second of a recording, some hundredths of one of work."""
 STOPPED = "The import was stopped; nothing was left behind."
 
@@ -110,7 +110,7 @@ def play_recording(
             pipeline.act(SetPose(pose), START_NS)
         span_ns = max(recording.span_ns, 1)
         for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
-            if count % TOLD_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
+            if count % PROGRESS_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
                 raise StoppedError(STOPPED)
             pipeline.feed(chunk)
             if pipeline.journal_failure:

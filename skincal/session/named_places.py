@@ -15,7 +15,7 @@ from skincal.session.replay import load
 from skincal.taxels.result import Method
 
 PLAN, TRUTH = "plan", "truth"
-WORDS = (*(method.value for method in Method), PLAN, TRUTH)
+PLACE_WORDS = (*(method.value for method in Method), PLAN, TRUTH)
 """What may stand after the colon."""
 
 
@@ -34,8 +34,10 @@ def find_places(named: str) -> TaxelPositions:
     """
     head, _, last = named.rpartition(":")
     path, which = (Path(head), last) if head and not Path(named).exists() and Path(head).exists() else (Path(named), "")
-    if which and which not in WORDS:
-        raise InputError(f"{named}: {which!r} names no places of {head}; expected one of {', '.join(WORDS)} after the colon.")
+    if which and which not in PLACE_WORDS:
+        raise InputError(
+            f"{named}: {which!r} names no places of {head}; expected one of {', '.join(PLACE_WORDS)} after the colon."
+        )
     if path.is_dir():
         return session_places(path, which)
     if not path.exists():
@@ -46,7 +48,7 @@ def find_places(named: str) -> TaxelPositions:
 
 
 def session_places(folder: Path, which: str = "") -> TaxelPositions:
-    """Return places of a recorded session; `which` is one of `WORDS`, empty for the method that leads.
+    """Return places of a recorded session; `which` is one of `PLACE_WORDS`, empty for the method that leads.
 
     Raises InputError: it is no session, or does not have what is named.
     """

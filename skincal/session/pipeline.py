@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 T = TypeVar("T")
-AHEAD = 256
+READ_AHEAD_ITEMS = 256
 """Items of a recording that are read before the first is worked on: some four seconds."""
-DECODED_NS = 500_000_000
+DECODED_PERIOD_NS = 500_000_000
 """ns. Decoded wrenches go to the journal so often."""
-TOTALS_NS = 5_000_000_000
+TOTALS_PERIOD_NS = 5_000_000_000
 """ns. Counts of readings go to the journal so often, and at the end."""
-_BREAKS = (LinkState.LOST, LinkState.FAILED)
+_LOST_STATES = (LinkState.LOST, LinkState.FAILED)
 
 
 class Pipeline:
@@ -94,7 +94,7 @@ class Pipeline:
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)
         self._totals_ns: int | None = None
-        self._away = set[str]()
+        self._ended_links = set[str]()
         self._decoded_ns, self._decoded_s = 0, -np.inf
         self._current_pose(None)
 
@@ -105,23 +105,23 @@ class Pipeline:
         try:
             for sample in self._intake.feed(item):
                 outcomes += self._take(sample)
-            if self._breaks(item):
+            if self._interrupts_samples(item):
                 outcomes += self._detector.reset(item.host_ns * 1e-9)
         finally:
-            self._settle_item(item, outcomes)  # also where the work fails: these bytes are worth keeping
+            self._commit(item, outcomes)  # also where the work fails: these bytes are worth keeping
         self._decoded_wrenches(item.host_ns)
 
     def ahead(self, items: Iterable[T]) -> Iterator[T]:
         """Yield what is fed next, each to be fed before the next is asked for; chunks are decoded many at a time meanwhile."""
         items = iter(items)
-        while block := list(islice(items, AHEAD)):
+        while block := list(islice(items, READ_AHEAD_ITEMS)):
             for are_bytes, run in groupby(block, lambda item: isinstance(item, Chunk)):
                 found = list(run)
                 if are_bytes:
                     self._intake.read_ahead([item for item in found if isinstance(item, Chunk)])
                 yield from found
 
-    def take(self, note: Note) -> None:
+    def apply_note(self, note: Note) -> None:
         """Take what this or another pipeline's detector made of an item: its outcomes, the dead channels, and counts."""
         if isinstance(note, Totals):
             self._earlier = note
@@ -144,7 +144,7 @@ class Pipeline:
         self.note_skipped_pose(action)
         self._current_pose(None)
         self._detector.use_thresholds(self.session.decisions.thresholds)
-        self._settle_item(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
+        self._commit(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
         # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
         if not isinstance(action, AskLandmark | AskPoke):
             self._record(lambda journal: journal.sync())
@@ -193,7 +193,7 @@ class Pipeline:
         """What the samples until the first poke showed, since the devices began."""
         return self._detector.before_pokes
 
-    def measures(self, now_ns: int) -> bool:
+    def can_measure(self, now_ns: int) -> bool:
         """Return whether a poke would be measured now: samples of open links that live, in an arm pose that is known."""
         # A pose that was chosen holds without joints.
         unneeded = {Stream.JOINTS} if self.session.decisions.pose or self.scene.arm is None else set[Stream]()
@@ -208,7 +208,7 @@ class Pipeline:
         """Return how many readings the whole session has had, and lost."""
         return self._earlier.plus(self._intake.health(0), self._intake.unpaired)
 
-    def demand_record(self) -> None:
+    def require_intact_journal(self) -> None:
         """Raise InputError if the disk refused before: this pipeline holds what no segment does, and none may follow."""
         if self.journal_failure:
             raise InputError(
@@ -225,12 +225,12 @@ class Pipeline:
         Parameters
         ----------
         links : where the items come from now; as before if None
-        journal : the new segment, which is refused as by `demand_record`; None records nothing
+        journal : the new segment, which is refused as by `require_intact_journal`; None records nothing
         """
         # The new segment holds the folder's lock by now, and gives it back as it is closed.
         if journal is not None and self.journal_failure:
             journal.close()
-            self.demand_record()
+            self.require_intact_journal()
         # Before the new intake, which counts from zero.
         self._earlier = self.totals()
         self.session.finalize_outcomes()
@@ -253,15 +253,15 @@ class Pipeline:
         # In a session that was loaded the pose holds that was chosen last.
         self._current_pose(None)
 
-    def put_down(self, host_ns: int) -> None:
+    def end_session(self, host_ns: int) -> None:
         """Come to an end in good order: a poke in progress is over, and those that wait are final."""
-        self._settle_item(Ending(host_ns), self._detector.reset())
+        self._commit(Ending(host_ns), self._detector.reset())
 
     def close(self) -> None:
         """Finish the journal; the session stays."""
         # As if half a second had passed, so that what is left is due.
-        self._decoded_wrenches(self._decoded_ns + DECODED_NS)
-        self.put_down(self._now_ns)
+        self._decoded_wrenches(self._decoded_ns + DECODED_PERIOD_NS)
+        self.end_session(self._now_ns)
         self._record(lambda journal: journal.close())
         self.journal = None
 
@@ -279,11 +279,11 @@ class Pipeline:
             outcomes += self._detector.use_all_but(self.session.dead.keys())
         return outcomes
 
-    def _settle_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
+    def _commit(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         """Give the session what an item led to, and the journal both; then find which new pokes were at a landmark."""
         # Asked before the outcomes are taken: the second outcome of a poke is no new poke.
         last = self.session.last_poke
-        self._note(item, outcomes)
+        self._journal_item(item, outcomes)
         # In the order of their numbers: which one is taken can depend on those before it.
         new = sorted({outcome.poke for outcome in outcomes if outcome.poke > last})
         if new and self._landmarks.asked:
@@ -294,13 +294,13 @@ class Pipeline:
             for found in found_now:
                 self.act(found, item.host_ns)
 
-    def _note(self, item: Item, outcomes: Sequence[Outcome]) -> None:
+    def _journal_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         self._now_ns = max(self._now_ns, item.host_ns)
         notes: list[Note] = []
         if outcomes or self._found_dead:
             dead = self._dead if self._found_dead else None
             taken = Taken([(outcome, self._detector.doubt(outcome)) for outcome in outcomes], dead)
-            self.take(taken)
+            self.apply_note(taken)
             self._found_dead = False
             notes.append(taken)
         if self.journal is None:
@@ -326,12 +326,12 @@ class Pipeline:
     def _totals_due(self, item: Item) -> bool:
         if self._totals_ns is None:
             self._totals_ns = item.host_ns
-        if not isinstance(item, Ending) and item.host_ns - self._totals_ns < TOTALS_NS:
+        if not isinstance(item, Ending) and item.host_ns - self._totals_ns < TOTALS_PERIOD_NS:
             return False
         self._totals_ns = item.host_ns
         return True
 
-    def _breaks(self, item: Chunk | LinkEvent) -> bool:
+    def _interrupts_samples(self, item: Chunk | LinkEvent) -> bool:
         """Return whether an item interrupts the samples: a sensor froze or lives again, or an event says so."""
         before, self._frozen = self._frozen, self._intake.frozen
         return self._frozen != before or (isinstance(item, LinkEvent) and self._ends_samples(item))
@@ -342,17 +342,17 @@ class Pipeline:
         if event.link not in needed:
             return False
         if event.state is LinkState.OPEN:
-            self._away.discard(event.link)
+            self._ended_links.discard(event.link)
         if event.state is LinkState.ENDED:
-            self._away.add(event.link)
-        return event.state in _BREAKS or (event.state is LinkState.ENDED and self._away >= needed)
+            self._ended_links.add(event.link)
+        return event.state in _LOST_STATES or (event.state is LinkState.ENDED and self._ended_links >= needed)
 
     def _current_pose(self, angles: FloatArray | None) -> tuple[str, FloatArray | None]:
         return self.poses.at(self.session.decisions.pose, angles)
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
-        if not self._wants_decoded or host_ns - self._decoded_ns < DECODED_NS:
+        if not self._wants_decoded or host_ns - self._decoded_ns < DECODED_PERIOD_NS:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.wrench_after(self._decoded_s)

@@ -80,7 +80,7 @@ def _load_step(pipeline: Pipeline, item: LogState) -> None:
         pipeline.session.act(item.action, item.host_ns * 1e-9)
         pipeline.note_skipped_pose(item.action)
     elif isinstance(item, Taken | Totals):
-        pipeline.take(item)
+        pipeline.apply_note(item)
     elif isinstance(item, SegmentMark):
         step(pipeline, item)
 
@@ -122,7 +122,7 @@ def step(pipeline: Pipeline, item: LogItem) -> None:
         if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
             pipeline.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
-        pipeline.put_down(item.host_ns)
+        pipeline.end_session(item.host_ns)
     else:
         pipeline.feed(item)
 

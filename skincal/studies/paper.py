@@ -23,7 +23,7 @@ from skincal.methods import estimate_taxels
 from skincal.palette import BLACK
 from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.rig.correction_fit import DOUBTED, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import REPORT_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
 from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
@@ -211,7 +211,7 @@ def corrected(
         right = [answer.correction.corrected(contact) for contact in contacts]
     return {
         "landmarks": len(known), "used": answer.used, "held_before": 1e3 * answer.before, "held_after": 1e3 * answer.after,
-        "doubted": tuple(poke for poke, trust in answer.trust.items() if trust < DOUBTED),
+        "doubted": tuple(poke for poke, trust in answer.trust.items() if trust < REPORT_TRUST_BELOW),
         "errors": _errors(right, rig, methods), "seconds": seconds,
     }  # fmt: skip
 

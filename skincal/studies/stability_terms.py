@@ -35,17 +35,17 @@ from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.off_surface import SEEN, THICKEST, TOLD
 from skincal.modules.pose import LEVER, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_from_squares
-from skincal.rig.correction import LOAD, Correction, CorrectionErrors, RigPrior, products
+from skincal.rig.correction import HAND_LOAD_N, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
-    HELD_OUT,
-    LEFT,
-    NOISIER,
-    PLACES_OFF,
-    QUADRATIC,
-    ROUNDS,
-    STEPS,
-    STEPS_ON,
-    SURE,
+    GAUSS_NEWTON_STEPS,
+    HELD_OUT_PARTS,
+    LANDMARK_OFFSETS_M,
+    MIN_TRUSTED_SHARE,
+    MODEL_LOG_ODDS,
+    NOISE_FACTORS,
+    NONLINEAR_STEPS,
+    QUADRATIC_SHARE,
+    TRUST_ROUNDS,
     LandmarkPoke,
     RigAnswer,
     RigRequest,
@@ -246,7 +246,7 @@ class _Fit:
     """The program's steps from landmark pokes alone, in 80 digits; without `begin` from the prior's zero."""
 
     def __init__(self, pokes: Landmarked, quadratic: float, begin: _Fit | None, steps: int) -> None:
-        units, prior = LOAD * np.repeat([1.0, pokes.prior.arm], 3), pokes.prior
+        units, prior = HAND_LOAD_N * np.repeat([1.0, pokes.prior.arm], 3), pokes.prior
         columns = [exactly(prior.matrix) / exactly(units)]
         if quadratic:
             columns.append(exactly(quadratic) / exactly(products(units[None])[0]))
@@ -319,21 +319,21 @@ class _Fit:
         alike = places @ places.T * (of[:, None] == of).astype(int)
         self._last = _Equations(self._together(self._parts, self._parts), wanted, rows.noise, alike)
         rounded = self._last.rounded()
-        for _ in range(ROUNDS):
+        for _ in range(TRUST_ROUNDS):
             self.trust = self._trusted(rounded)
         self._chosen = self._likeliest(rounded, self.trust)
         self.state = self._moved(self._last.solved(self.trust, self._chosen))
 
     def _likeliest(self, rounded: _Equations, trust: FloatArray) -> tuple[float, float]:
         """Return how much noisier landmark pokes are and how far landmarks are off, as is likeliest."""
-        choices = [(noisier, off) for noisier in NOISIER for off in PLACES_OFF]
+        choices = [(noisier, off) for noisier in NOISE_FACTORS for off in LANDMARK_OFFSETS_M]
         return max(choices, key=lambda choice: rounded.solved(trust, choice).log)
 
     def _trusted(self, rounded: _Equations) -> FloatArray:
         left, leverage = rounded.left(rounded.solved(self.trust, self._chosen))
         counts = np.where(self.trust > 0.5, -self.trust, 1.0)[:, None, None]
         found = trust_from_squares(np.maximum(_squares(left, rounded.own(self._chosen) + counts * leverage), 0.0))
-        return found if found.sum() >= LEFT * len(found) else np.ones(len(found))
+        return found if found.sum() >= MIN_TRUSTED_SHARE * len(found) else np.ones(len(found))
 
     def _moved(self, found: _Posterior) -> _State:
         """Return P J' S^-1 (J x0 - r)."""
@@ -356,8 +356,8 @@ class _Fit:
         """Return misses of held-out landmark pokes over what is predicted for them."""
         named = [str(at) for at in self.pokes.at[self._own].tolist()]
         names, total = sorted(set(named)), MP.zero
-        quarter = np.array([names.index(name) % HELD_OUT for name in named])
-        for out in range(HELD_OUT):
+        quarter = np.array([names.index(name) % HELD_OUT_PARTS for name in named])
+        for out in range(HELD_OUT_PARTS):
             own = quarter == out
             left, known = self._last.left(self._last.solved(np.where(own, 0.0, self.trust), self._chosen))
             total = total + dot(_squares(left[own], (self._last.own(self._chosen) + known)[own]), self.trust[own])
@@ -413,13 +413,13 @@ def _squares(misses: Exact, covariances: Exact) -> Exact:
 
 def exact_rig(pokes: Landmarked) -> Said:
     """Return the unknowns of a rig's correction, and how uncertain it leaves the axes of the pokes on the skin."""
-    linear = _Fit(pokes, pokes.prior.quadratic, None, STEPS)
-    bent = _Fit(pokes, QUADRATIC, linear, STEPS_ON)
+    linear = _Fit(pokes, pokes.prior.quadratic, None, GAUSS_NEWTON_STEPS)
+    bent = _Fit(pokes, QUADRATIC_SHARE, linear, NONLINEAR_STEPS)
     counts = np.minimum(linear.trust, bent.trust)
     gap = bent.log_likelihood(counts) - linear.log_likelihood(counts)
     likelier = bent if gap > 0 else linear
     more, skin = max(MP.one, likelier.ratio()) ** 2, likelier.on_skin()
-    if abs(gap) > SURE:
+    if abs(gap) > MODEL_LOG_ODDS:
         return {"unknowns": likelier.unknowns(), "uncertainty": more * likelier.spread(skin)}
     chance = 1 / (1 + MP.exp(-gap))
     off = linear.axes(skin) - bent.axes(skin)
@@ -756,7 +756,7 @@ def landmarked(
     force = (pushes[:, None] @ turns)[:, 0] * rng.uniform(6.0, 12.0, (len(at), 1))
     moment = np.cross(((touched - shifts)[:, None] @ turns)[:, 0], force)
     wrenches = np.concatenate([force, moment], axis=1)
-    units = LOAD * np.repeat([1.0, prior.arm], 3)
+    units = HAND_LOAD_N * np.repeat([1.0, prior.arm], 3)
     own = wrenches / units
     off = own @ (wrong * rng.normal(size=(6, 6))) + products(own) @ (bent * rng.normal(size=(21, 6)))
     spread = np.repeat([noise.force, noise.moment], 3) * rng.normal(size=wrenches.shape)
@@ -765,7 +765,7 @@ def landmarked(
 
 def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
     """Return a root as a correction leaves it: a share of the prior's scales, and all of it correlated."""
-    quadratic = QUADRATIC if columns > _LINEAR else 0.0
+    quadratic = QUADRATIC_SHARE if columns > _LINEAR else 0.0
     scales = replace(RigPrior(), quadratic=quadratic).scales(poses)
     return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))
 

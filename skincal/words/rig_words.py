@@ -8,7 +8,7 @@ import numpy as np
 
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
-from skincal.rig.correction_fit import DOUBTED, FEWEST, FEWEST_POINTS, RigAnswer
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT_TRUST_BELOW, RigAnswer
 from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
 
 FRAME_MISS_NOTED_M = 0.005
@@ -18,10 +18,10 @@ FRAME_MISS_NOTED_M = 0.005
 def closing_sentence(closing: Closing) -> str:
     """Say whether anything moved between the first pokes of a session and their repetition at its end."""
     moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
-    across = "" if closing.seen == 3 else ", seen only across the press"
+    across = "" if closing.observable_directions == 3 else ", seen only across the press"
     where = f"{len(closing.names)} {closing.at.value} pressed again{across}"
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
-    if closing.hangs_on_one:
+    if closing.single_poke_decides:
         place = closing.place if closing.at is ClosingPlaces.LANDMARKS else f"taxel {closing.place}"
         return (
             f"Only poke {closing.poke} at {place} indicates that {what} moved by {moved} since the start ({where}; noise "
@@ -42,7 +42,7 @@ def earlier_closings(closings: Sequence[Closing]) -> list[str]:
 
 
 def _judged(closing: Closing) -> str:
-    if closing.hangs_on_one:
+    if closing.single_poke_decides:
         return f" (only poke {closing.poke})"
     return " (moved)" if closing.moved else ""
 
@@ -65,7 +65,7 @@ def correction_sentence(used: UsedCorrection) -> str:
 def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
     """Say whether sensor and arm can be corrected, then which landmark pokes count less."""
     if answer.correction is None:
-        needs = f"it needs {FEWEST} pokes at {FEWEST_POINTS} different landmarks"
+        needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"
         return (f"No correction of sensor and arm: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
     before, after = f"{answer.before * 1e3:.1f} mm", f"{answer.after * 1e3:.1f} mm"
     errors = f"the error at landmarks it was not fitted to is {after}, without a correction {before}"
@@ -78,7 +78,7 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         f"Landmark poke {poke} is {answer.distances[poke] * 1e3:.0f} mm from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")
         for poke, trust in answer.trust.items()
-        if trust < DOUBTED
+        if trust < REPORT_TRUST_BELOW
     ]
     return (first, *doubted)
 

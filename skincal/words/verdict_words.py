@@ -8,7 +8,7 @@ from skincal.guide.progress import GuideSettings, Need, Why
 from skincal.guide.verdict import Left, Verdict
 from skincal.model.errors import plural
 from skincal.rig.closing import Closing
-from skincal.rig.correction_fit import FEWEST, FEWEST_POINTS, LandmarkAgreement
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, LandmarkAgreement
 from skincal.taxels.result import Method
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.taxel_words import error_words
@@ -124,7 +124,7 @@ def check_words(verdict: Verdict) -> str:
 def agreement_words(landmarks: LandmarkAgreement | None) -> str:
     """Compare the errors at landmarks with their expected size."""
     if landmarks is None:
-        return f"not checked: needs {FEWEST} pokes at {FEWEST_POINTS} landmarks"
+        return f"not checked: needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} landmarks"
     how = "sensor and arm corrected without them" if landmarks.corrected else "sensor and arm not corrected"
     how += f", {_noise_words(landmarks)}" if landmarks.by_noise else ""
     words = f"errors of {plural(landmarks.pokes, 'check poke')} are {landmarks.ratio:.1f} x the expected size ({how})"

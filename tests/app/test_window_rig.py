@@ -246,7 +246,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
     assert changed is not snapshot
     touched = []
     for owner, names in (
-        (pipeline, ("feed", "act", "take", "begin_segment")),
+        (pipeline, ("feed", "act", "apply_note", "begin_segment")),
         (pipeline.session, ("act", "add", "set_detected_dead", "finalize_outcomes")),
         (view.guided.guide, ("next_target", "skip")),
         (view.guided.errors, ("follow", "choose")),

@@ -395,10 +395,10 @@ def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(
     bench.until(lambda: looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}, VERDICT_MS)
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     pipeline = bench.recording.pipeline
-    assert not pipeline.measures(time.monotonic_ns())
+    assert not pipeline.can_measure(time.monotonic_ns())
     wrench.made = noisy(6)
     bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
-    bench.until(lambda: pipeline.measures(time.monotonic_ns()), VERDICT_MS)
+    bench.until(lambda: pipeline.can_measure(time.monotonic_ns()), VERDICT_MS)
 
 
 def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_again(bench, device, qtbot):

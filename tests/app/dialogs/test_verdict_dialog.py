@@ -19,7 +19,14 @@ from skincal.guide.progress import Need, Why
 from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
-from skincal.rig.correction_fit import AS_PREDICTED, FEWEST, FEWEST_POINTS, LandmarkAgreement, LandmarkPoke, RigAnswer
+from skincal.rig.correction_fit import (
+    MAX_MISS_RATIO,
+    MIN_LANDMARK_POKES,
+    MIN_LANDMARKS,
+    LandmarkAgreement,
+    LandmarkPoke,
+    RigAnswer,
+)
 from skincal.session.corrections import correct_action
 from skincal.session.review import Review
 from skincal.taxels.result import Method
@@ -157,7 +164,7 @@ def test_what_moved_meanwhile_goes_before_all_else():
 
 
 def test_what_landmarks_say_and_what_nobody_checked_is_said():
-    assert agreement_words(None) == approved("verdict.landmarks_none", pokes=FEWEST, landmarks=FEWEST_POINTS)
+    assert agreement_words(None) == approved("verdict.landmarks_none", pokes=MIN_LANDMARK_POKES, landmarks=MIN_LANDMARKS)
     assert agreement_words(MISSED) == approved("verdict.landmarks_plain", pokes=21, ratio="4.2")
     assert agreement_words(NOISY) == approved("verdict.landmarks_with_noise", pokes=21, noise="2.8", ratio="0.9")
     assert dict(figures(verdict(landmarks=None, unchecked=0.0071)))["Expected error"] == approved(
@@ -173,8 +180,8 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
         (verdict(), True, False),
         (verdict(landmarks=None), False, False),
         (verdict(landmarks=MISSED), False, True),
-        (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED, corrected=True)), True, False),
-        (verdict(landmarks=LandmarkAgreement(21, AS_PREDICTED + 1e-9, corrected=True)), False, True),
+        (verdict(landmarks=LandmarkAgreement(21, MAX_MISS_RATIO, corrected=True)), True, False),
+        (verdict(landmarks=LandmarkAgreement(21, MAX_MISS_RATIO + 1e-9, corrected=True)), False, True),
         (verdict(landmarks=NOISY), False, False),
         (verdict(landmarks=replace(NOISY, noisier=1.4)), True, False),
         (verdict(checked=Check(4, 4)), False, False),

@@ -12,8 +12,8 @@ from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig import correction_fit
-from skincal.rig.correction import LOAD, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
-from skincal.rig.correction_fit import FEWEST, LandmarkPoke, RigRequest, _first_rows, correct_rig
+from skincal.rig.correction import HAND_LOAD_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.studies.physics import CASES, poke
@@ -25,7 +25,7 @@ from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = 3
 PRIOR = RigPrior()
-BENT = RigPrior(quadratic=correction_fit.QUADRATIC)
+BENT = RigPrior(quadratic=correction_fit.QUADRATIC_SHARE)
 
 
 def some_rows(rng):
@@ -134,14 +134,14 @@ def test_landmarks_that_are_misplaced_do_not_spoil_a_rig_that_is_right():
 def test_few_landmarks_correct_nothing_however_often_they_are_poked():
     rig, request, _ = trial(1, "paper", 1, 10)
     some = [landmark for landmark in request.landmarks if landmark.name in {mark.name for mark in rig.scene.landmarks[:3]}]
-    assert len(some) > FEWEST
+    assert len(some) > MIN_LANDMARK_POKES
     answer = correct_rig(replace(request, landmarks=some))
     assert (answer.used, answer.correction, answer.points) == (False, None, 3)
 
 
 def test_without_landmarks_nothing_of_the_rig_is_touched():
     _, request, _ = trial(1, "paper", 1, 3)
-    for some in ([], request.landmarks[: FEWEST - 1]):
+    for some in ([], request.landmarks[: MIN_LANDMARK_POKES - 1]):
         answer = correct_rig(replace(request, landmarks=some))
         assert answer.correction is None
         assert not answer.used
@@ -244,7 +244,7 @@ def quadratic_rig(seed, share):
     """A request whose sensor reads each component wrong by a share of each product of two, at a hand's load; else right."""
     rig, request, _ = trial(seed, "good", 1, 10)
     rng = np.random.default_rng([seed, 9])
-    units = LOAD * np.repeat([1.0, PRIOR.arm], 3)
+    units = HAND_LOAD_N * np.repeat([1.0, PRIOR.arm], 3)
     wrong = share * rng.standard_normal((6, 21)) * units[:, None] / products(units[None])
 
     def read(poke):
@@ -289,7 +289,7 @@ def test_where_landmarks_do_not_tell_whether_a_sensor_is_linear_both_count_as_li
     _, bent, chance, answer = weighed(monkeypatch, request)
     assert 0.01 < chance < 0.99
     straight = correction_fit._Fit(request, sorted(answer.correction.motions), replace(PRIOR, quadratic=1e-9))
-    for _ in range(correction_fit.STEPS):
+    for _ in range(correction_fit.GAUSS_NEWTON_STEPS):
         straight.step()
     moments, mean = 0.0, 0.0
     for fit, share in ((straight, 1.0 - chance), (bent, chance)):
@@ -400,7 +400,7 @@ def test_the_root_is_that_of_the_unknowns_and_a_part_of_it_that_of_the_first(rng
 def test_of_more_arm_poses_than_are_kept_the_sensor_alone_is_known(monkeypatch, per_pose, size):
     """Its own spread is the same as with all of them; motions stay."""
     _, request, answer = trial(1, "paper", 1, per_pose)
-    monkeypatch.setattr(correction_fit, "POSES_KEPT", 6)
+    monkeypatch.setattr(correction_fit, "MAX_KEPT_POSES", 6)
     found = correct_rig(request).correction
     assert found.root.shape == (size, size)
     assert found.motions.keys() == answer.correction.motions.keys()
@@ -423,8 +423,8 @@ def test_how_much_noisier_landmark_pokes_are_than_the_scene_says_is_told():
     promised = replace(request.scene.noise, force=0.0, moment=request.scene.noise.moment / 6)
     quiet = replace(request, scene=replace(request.scene, noise=promised), prior=replace(PRIOR, landmark=1e-4))
     noisy = correct_rig(quiet)
-    assert noisy.noisier >= correction_fit.TOO_NOISY
-    assert noisy.ratio < correction_fit.AS_PREDICTED
+    assert noisy.noisier >= correction_fit.MAX_NOISE_FACTOR
+    assert noisy.ratio < correction_fit.MAX_MISS_RATIO
 
 
 def test_misses_are_as_predicted_after_a_correction_and_of_a_right_rig():

@@ -8,7 +8,7 @@ import pytest
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import RigPrior
-from skincal.rig.correction_fit import FEWEST, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, correct_rig
 from skincal.rig.expected_gain import PlannedPoke, expected_error
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
@@ -131,8 +131,10 @@ def test_more_pokes_gain_more_and_too_few_nothing():
     rig = make_rig(RigErrors.noise(), 1)
     plan = planned(rig, 3)
     errors = [gain_of(rig, plan=plan[:count]).after for count in range(len(plan) + 1)]
-    assert errors[:FEWEST] == [errors[0]] * FEWEST
-    assert all(after < before for before, after in zip(errors[FEWEST - 1 :], errors[FEWEST:], strict=False))
+    assert errors[:MIN_LANDMARK_POKES] == [errors[0]] * MIN_LANDMARK_POKES
+    assert all(
+        after < before for before, after in zip(errors[MIN_LANDMARK_POKES - 1 :], errors[MIN_LANDMARK_POKES:], strict=False)
+    )
     pokes = poke_landmarks(rig, rig.scene.landmarks, 3, np.random.default_rng(1))
     half = gain_of(rig, pokes[:9], plan[9:])
     assert half.now == gain_of(rig, pokes[:9]).after

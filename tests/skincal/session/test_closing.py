@@ -16,7 +16,14 @@ from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Red
 from skincal.model.errors import InputError
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
-from skincal.session.closing_pokes import AGAIN, ONCE_MORE, TRIES, at_taxels, closing_rounds, closings_of
+from skincal.session.closing_pokes import (
+    MAX_POKES_PER_PLACE,
+    MAX_REPEATS,
+    MIN_CONTACTS_BETWEEN_CHECKS,
+    at_taxels,
+    closing_rounds,
+    closings_of,
+)
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.pipeline import Pipeline
@@ -162,33 +169,33 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
     it, first = with_one_far_off()
     slipped = it.number - 2
     (closing,) = it.verdict().closings
-    assert (closing.poke, closing.place, closing.moved, closing.hangs_on_one) == (slipped, first, False, True)
+    assert (closing.poke, closing.place, closing.moved, closing.single_poke_decides) == (slipped, first, False, True)
     assert closing_sentence(closing) == approved(
         "closing.lone", poke=slipped, place=first, shift=f"{closing.shift * 1e3:.1f}", limit=f"{closing.limit * 1e3:.1f}"
     )
     assert earlier_closings([closing, closing])[0].endswith(f"(only poke {slipped} says so).")
     written = json.loads(json_text(it.session.calibration()))["closing_check"]
     assert (written["moved"], written["poke_left_out"], written["place_left_out"]) == (False, slipped, first)
-    assert written["chance_without_poke"] == closing.without
+    assert written["chance_without_poke"] == closing.chance_without_worst
     guidance = it.look()
     assert (guidance.phase, guidance.closing.lone, guidance.landmark.landmark.name) == (GuidePhase.CLOSING, slipped, first)
     asked = 0
     while it.look().phase is GuidePhase.CLOSING:
         it.poke_landmark(it.look().landmark.landmark.name)
         asked += 1
-    assert 1 <= asked <= ONCE_MORE
+    assert 1 <= asked <= MAX_REPEATS
     assert not it.verdict().doubted
     # Where the operator says that it was not there, nothing hangs on it.
     it.session.act(AtLandmark(slipped, ""))
-    assert not it.verdict().closings[-1].hangs_on_one
+    assert not it.verdict().closings[-1].single_poke_decides
 
 
 def test_where_an_early_poke_was_far_off_its_place_is_asked_for_twice_at_most():
     it = Sessions(RigErrors.noise(), slips=0.03)
     first = next(iter(it.session.landmark_pokes)).name
-    assert it.close().count(first) == 1 + ONCE_MORE
+    assert it.close().count(first) == 1 + MAX_REPEATS
     (closing,) = it.verdict().closings
-    assert (closing.hangs_on_one, closing.place, closing.poke) == (True, first, 1)
+    assert (closing.single_poke_decides, closing.place, closing.poke) == (True, first, 1)
 
 
 def test_the_place_of_one_poke_is_asked_for_no_more_where_it_is_skipped():
@@ -204,7 +211,7 @@ def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_inste
     other = next(reversed(it.session.landmark_pokes)).name
     assert other != first
     made = it.number
-    for _ in range(TRIES):
+    for _ in range(MAX_POKES_PER_PLACE):
         assert it.look().phase is GuidePhase.CLOSING
         it.poke_landmark(other)
     assert it.look().phase is GuidePhase.ENOUGH
@@ -234,14 +241,14 @@ def test_one_poke_far_off_moves_nothing_wherever_it_is():
             closing = landmark_check(pokes)
             before.append(closing.chance < 0.01)
             now.append(closing.moved)
-            assert not closing.hangs_on_one or closing.place == pokes[position].name
+            assert not closing.single_poke_decides or closing.place == pokes[position].name
     assert (np.mean(before) > 0.4, np.mean(now) < 0.07) == (True, True)
 
 
 def test_a_movement_shows_whichever_poke_is_left_out():
     found = [landmark_check(nine_pokes(seed, moved=0.016)) for seed in range(20)]
     assert np.mean([each.moved for each in found]) > 0.85
-    assert all(each.without >= each.chance for each in found)
+    assert all(each.chance_without_worst >= each.chance for each in found)
 
 
 def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
@@ -249,7 +256,7 @@ def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
     pokes[4] = off_by(pokes[4], np.array([0.0, 0.0, 0.2]))
     assert landmark_check(pokes).poke == 5
     alone = closing_check([*pokes[:4], pokes[5]], pokes[6:], ClosingPlaces.LANDMARKS, NOISE)
-    assert landmark_check(pokes).without == pytest.approx(alone.chance, rel=1e-6)
+    assert landmark_check(pokes).chance_without_worst == pytest.approx(alone.chance, rel=1e-6)
 
 
 def test_a_rig_that_is_wrong_all_along_has_not_moved():
@@ -322,12 +329,12 @@ def test_nothing_is_told_of_a_movement_along_pushes_that_are_all_alike():
     noise, found = make_rig(RigErrors.noise(), 1).scene.noise, []
     for seed in range(60):
         found.append(closing_check(*pushed_down(np.random.default_rng(seed)), ClosingPlaces.LANDMARKS, noise))
-    assert {each.seen for each in found} == {2}
+    assert {each.observable_directions for each in found} == {2}
     assert max(each.shift for each in found) < 0.012
     assert sum(each.moved for each in found) <= 2
     assert closing_sentence(found[0]).endswith(approved("closing.across", limit=f"{found[0].limit * 1e3:.1f}"))
     along = closing_check(*pushed_down(np.random.default_rng(0), (0.0, 0.0, 0.03)), ClosingPlaces.LANDMARKS, noise)
-    assert (along.seen, along.moved) == (2, False)
+    assert (along.observable_directions, along.moved) == (2, False)
     across = closing_check(*pushed_down(np.random.default_rng(0), (0.02, 0.0, 0.0)), ClosingPlaces.LANDMARKS, noise)
     assert across.moved
     assert across.shift == pytest.approx(0.02, abs=0.008)
@@ -419,10 +426,10 @@ def test_after_more_work_it_is_asked_for_again():
     it = Sessions(RigErrors.noise())
     it.close()
     pokes = simulate_contacts(it.rig, unguided(it.rig, 1, it.rng), it.rng, first_poke=it.session.last_poke + 1)
-    for contact in pokes[: AGAIN - 1]:
+    for contact in pokes[: MIN_CONTACTS_BETWEEN_CHECKS - 1]:
         it.session.add(contact)
     assert it.look().phase is GuidePhase.ENOUGH
-    it.session.add(pokes[AGAIN - 1])
+    it.session.add(pokes[MIN_CONTACTS_BETWEEN_CHECKS - 1])
     assert it.look().closing.number == 2
     it.close()
     assert [each.moved for each in it.verdict().closings] == [False, False]

@@ -17,7 +17,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.actions import AddLandmark, AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.rig.correction import FRAME, POSES_KEPT, RIG, Correction, CorrectionErrors
+from skincal.rig.correction import FRAME, MAX_KEPT_POSES, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.corrections import correct_action, corrected_progress, used_of
@@ -238,7 +238,7 @@ def test_what_is_no_correction_is_refused(change):
 def some_correction(poses, rng, quadratic=True):
     """A correction with all that one can have."""
     names, size = [f"pose {i}" for i in range(poses)], 36 + (126 if quadratic else 0)
-    size += 6 * poses if poses <= POSES_KEPT else 0
+    size += 6 * poses if poses <= MAX_KEPT_POSES else 0
     return Correction(
         np.eye(6) + 0.01 * rng.standard_normal((6, 6)),
         motions={name: np.eye(4) for name in names},
@@ -247,7 +247,7 @@ def some_correction(poses, rng, quadratic=True):
     )
 
 
-@pytest.mark.parametrize("poses", [0, 2, POSES_KEPT, POSES_KEPT + 1, 300])
+@pytest.mark.parametrize("poses", [0, 2, MAX_KEPT_POSES, MAX_KEPT_POSES + 1, 300])
 @pytest.mark.parametrize("quadratic", [True, False])
 def test_an_action_is_the_correction_again(rng, poses, quadratic):
     """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""
@@ -418,7 +418,7 @@ def recorded(poked, tmp_path_factory):
     pipeline = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
     outcomes = [*contacts, *(rejected(landmark) for landmark in landmarks)]
     taken = Taken([(record, None) for record in outcomes], None)
-    pipeline.take(taken)
+    pipeline.apply_note(taken)
     pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
     for poke in landmarks:
         pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)

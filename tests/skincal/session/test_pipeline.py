@@ -125,15 +125,15 @@ def test_the_end_of_the_last_recording_settles_the_last_poke():
 def test_a_poke_is_measured_while_samples_come_from_a_sensor_that_lives():
     items = as_chunks(Script(small_scene()).quiet().samples)
     pipeline, now_ns = played(items), items[-1].host_ns
-    assert not Pipeline(small_scene(), LINKS, None).measures(now_ns)
-    assert pipeline.measures(now_ns)
+    assert not Pipeline(small_scene(), LINKS, None).can_measure(now_ns)
+    assert pipeline.can_measure(now_ns)
     for link in LINKS:
         played_on = played(items)
         played_on.feed(LinkEvent(link.name, now_ns, LinkState.LOST))
-        assert not played_on.measures(now_ns), link.name
+        assert not played_on.can_measure(now_ns), link.name
     items = as_chunks(Script(small_scene(), force_noise=0.1).quiet(5.0).samples, per_frame=1)
     end_ns = items[-1].host_ns
-    assert played(items).measures(end_ns)
+    assert played(items).can_measure(end_ns)
     assert not played(repeating(items, end_ns - 2_000_000_000, end_ns)).measures(end_ns), "frozen"
     assert not played(repeating(items, 0, end_ns)).measures(end_ns), "never changed"
 
@@ -167,8 +167,8 @@ def test_a_chosen_pose_goes_into_the_contact():
     items = as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples)
     for item in items:
         pipeline.feed(item)
-    assert pipeline.measures(items[-1].host_ns)
-    assert not played(items, scene).measures(items[-1].host_ns), "where no pose is known a poke is of no use"
+    assert pipeline.can_measure(items[-1].host_ns)
+    assert not played(items, scene).can_measure(items[-1].host_ns), "where no pose is known a poke is of no use"
     (contact,) = outcomes_of(pipeline)
     assert contact.pose == "down"
     np.testing.assert_array_equal(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4, 0.6])))

@@ -9,7 +9,7 @@ import pytest
 
 from skincal.guide.verdict import Check, is_believed
 from skincal.plotting import render
-from skincal.rig.correction_fit import NOISIER, LandmarkAgreement
+from skincal.rig.correction_fit import NOISE_FACTORS, LandmarkAgreement
 from skincal.studies import unmodelled as study
 from skincal.studies.benchmarking import check_limits
 from skincal.studies.unmodelled import (
@@ -121,7 +121,7 @@ def test_the_noise_that_landmarks_agree_with_is_kept():
     quiet, noisy = session("nothing"), session("bad")
     assert {each.noisier for own in quiet.values() for each in own.values()} == {1.0}
     assert noisy[0]["modules"].noisier == 1.0
-    assert noisy[21]["modules"].noisier in NOISIER[1:]
+    assert noisy[21]["modules"].noisier in NOISE_FACTORS[1:]
 
 
 def test_the_verdict_decides_what_is_believed(monkeypatch):
