@@ -14,7 +14,6 @@ from skincal.geometry import FloatArray
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
 from skincal.streams.intake import LinkIntake
-from skincal.streams.link_diagnosis import values_of
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 
 CURVE_POINTS = 80
@@ -60,15 +59,13 @@ class _Preview:
         self._now.clear()
         while not self._inbox.empty() and time.perf_counter() < end_s:
             item: Chunk | LinkEvent = self._inbox.get()
-            taken = self._intake.take_chunk(item) if isinstance(item, Chunk) else self._intake.take_event(item)
-            for dated in taken:
-                self._take(dated.batch)
+            for arrived in self._intake.feed(item):
+                self._take(arrived.batch)
         for stream, value in self._now.items():
             self._curves[stream].append(value)
 
     def _take(self, batch: Batch) -> None:
-        stream, values = values_of(batch)
-        newest = values[-1]
+        stream, newest = batch.stream, batch.values[-1]
         if stream is Stream.WRENCH:
             self._now[stream] = float(np.linalg.norm(newest[:3]))
             return

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from skincal.model.readings import Stream
-from skincal.streams.intake import BEHIND_S, WINDOW_S, ConvexHullClock, IndexClock, Timestamper, lower_hull, supporting_line
+from skincal.model.readings import Batch, Stream
+from skincal.streams.clocks import BEHIND_S, WINDOW_S, ConvexHullClock, IndexClock, Timestamper, lower_hull, supporting_line
 
 SETTLED_S = 10.0
 
@@ -96,7 +96,7 @@ def test_reported_loss_is_taken_up_at_once():
     mapped = []
     for i, y in enumerate((made + 0.002).tolist()):
         if i == 900:
-            clock.lost()
+            clock.note_loss()
         mapped.append(clock.map(y))
     np.testing.assert_allclose(mapped[200:], made[200:] + 0.002, atol=1e-3)
 
@@ -108,6 +108,11 @@ def test_device_that_keeps_no_pace_is_dated_by_arrival():
     mapped = np.array([clock.map(y) for y in (made + 0.001).tolist()])
     assert np.quantile(np.abs(mapped - made - 0.001), 0.9) < 0.25
     assert (mapped <= made + 0.001 + 1e-9).all()
+
+
+def stamped(stream, device):
+    none = np.zeros(len(device), bool)
+    return Batch(stream, np.full(len(device), -1), device, np.zeros((len(device), 1)), none, none)
 
 
 def run(clock, device, arrival):
@@ -186,8 +191,8 @@ def test_stamps_of_a_stream_always_rise():
     for i in range(2000):
         device = i * 0.02 + np.array([0.0, 0.005, 0.004])
         if i % 500 == 499:
-            stamper.reopened()
-        stamps = stamper.stamp(Stream.SKIN, device, i * 0.02 + rng.exponential(0.05))
+            stamper.reset_clocks()
+        stamps = stamper.stamp(stamped(Stream.SKIN, device), i * 0.02 + rng.exponential(0.05))
         assert stamps[0] > last
         assert (np.diff(stamps) > 0).all()
         last = stamps[-1]
@@ -198,8 +203,8 @@ def test_streams_of_one_board_share_its_clock():
     stamper = Timestamper()
     for i in range(2000):
         t = i * 0.01
-        (wrench,) = stamper.stamp(Stream.WRENCH, np.array([t]), t + 0.001)
-        (skin,) = stamper.stamp(Stream.SKIN, np.array([t]), t + 0.031)
+        (wrench,) = stamper.stamp(stamped(Stream.WRENCH, np.array([t])), t + 0.001)
+        (skin,) = stamper.stamp(stamped(Stream.SKIN, np.array([t])), t + 0.031)
     assert wrench == pytest.approx(t + 0.001, abs=1e-9)
     assert skin == pytest.approx(t + 0.001, abs=1e-9)
 
@@ -216,47 +221,6 @@ def test_a_device_that_was_silent_for_longer_than_the_window_is_dated_on(pause, 
     for k in range(1, 200):
         made = clock.map(later + k * 0.02, 10.0 + later + k * 0.02)
     assert made == pytest.approx(10.0 + later + 199 * 0.02, abs=1e-6)
-
-
-STEPS = st.sampled_from([1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.1, 0.3, -0.002, -0.3, -0.7, 0.9, 5.0])
-"""s, from one device stamp to the next: mostly the pace, now and then a pause, a small step back, or a clock that jumps."""
-DELAYS = st.sampled_from([0.0, 1e-4, 2e-3, 0.016, 0.2, 0.45, 1.5])
-
-
-@given(st.lists(st.tuples(st.lists(STEPS, min_size=1, max_size=40), DELAYS), min_size=1, max_size=25))
-def test_readings_that_arrive_together_are_mapped_as_one_by_one_to_the_last_bit(batches):
-    """Whatever the clock did before, and whatever it does within a batch, `map_steady` takes a part that `map` need not."""
-    together, alone = ConvexHullClock(), ConvexHullClock()
-    device, arrival = 7.0, 1000.0
-    steady = 0
-    for steps, delay in batches:
-        stamps = (device + np.cumsum(steps)).tolist()
-        arrival += max(sum(steps), 1e-3) + delay
-        expected = [alone.map(stamp, arrival) for stamp in stamps]
-        made: list[float] = []
-        while len(made) < len(stamps):
-            some = together.map_steady(stamps, [arrival] * len(stamps), len(made))
-            steady += len(some)
-            made += some or [together.map(stamps[len(made)], arrival)]
-        assert made == expected
-        device = stamps[-1]
-    assert vars(together) == vars(alone), "and what comes after finds the same clock"
-
-
-def test_a_steady_stream_is_mapped_together_but_for_the_ends_of_buckets():
-    rng, clock, alone = np.random.default_rng(5), ConvexHullClock(), 0
-    device = 3.0 + np.arange(20_000) * 1e-3
-    for batch in np.split(device, 1250):
-        arrival = 500.0 + batch[-1] + rng.exponential(2e-3)
-        stamps = batch.tolist()
-        while stamps:
-            made = clock.map_steady(stamps, [arrival] * len(stamps))
-            if not made:
-                clock.map(stamps[0], arrival)
-                alone += 1
-            stamps = stamps[len(made) or 1 :]
-    # One a bucket of a quarter of a second.
-    assert alone <= 20.0 / 0.25 + 2
 
 
 def test_numbered_device_tells_a_late_reading_from_a_lost_one():

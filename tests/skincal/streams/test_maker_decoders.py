@@ -13,7 +13,7 @@ from skincal.devices.bota import BotaDecoder, crc_x25
 from skincal.devices.decoding import pack
 from skincal.devices.netft import given_page, read_page
 from skincal.devices.robotiq import FRAME, HEAD, SATURATED_COUNT, START, START_ANSWER, crc_modbus
-from skincal.model.readings import TEMPERATURE, JointsBatch, Loss, SideReading, Stream, WrenchBatch
+from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
 from skincal.simulate.device import SkbEncoder, SktEncoder
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
 from tests.skincal.streams import maker_records as records
@@ -55,17 +55,9 @@ CHANNELS = {"xela": 3, "papillarray": 2}
 
 def rows(batches):
     return [
-        (type(batch).__name__, values.tolist(), None if np.isnan(stamp) else stamp)
+        (batch.stream, values.tolist(), None if np.isnan(stamp) else stamp)
         for batch in batches
-        for values, stamp in zip(
-            batch.wrench
-            if isinstance(batch, WrenchBatch)
-            else batch.angles
-            if isinstance(batch, JointsBatch)
-            else batch.values,
-            batch.device_s.tolist(),
-            strict=True,
-        )
+        for values, stamp in zip(batch.values, batch.device_s.tolist(), strict=True)
     ]
 
 
@@ -74,7 +66,7 @@ def decode(name, data, cuts=(), carries=None, channels=None):
     edges = [0, *sorted(cuts), len(data)]
     found = [row for a, b in pairwise(edges) for row in rows(decoder.feed(data[a:b]))]
     # Two streams of one chunk come one after the other: the order between streams is the chunks' affair.
-    return sorted(found, key=lambda row: row[0]), decoder
+    return sorted(found, key=lambda row: row[0].value), decoder
 
 
 @pytest.mark.parametrize("name", STREAMS)
@@ -127,7 +119,7 @@ def test_frames_after_garbage_are_found_again(name):
 
 def test_bota_vectors():
     (row,), decoder = decode("bota", records.BOTA)
-    assert row == ("WrenchBatch", list(records.WRENCH), 0.123456)
+    assert row == (Stream.WRENCH, list(records.WRENCH), 0.123456)
     assert decoder.side_readings == {TEMPERATURE: SideReading(36.5, 36.5, 36.5)}
     assert decoder.device_message == ""
     assert crc_x25(b"123456789") == 0x906E
@@ -160,7 +152,7 @@ def test_each_status_bit_of_bota_is_a_sentence_and_what_it_says_is_heeded(status
 
 def test_robotiq_vectors():
     (row,), _ = decode("robotiq", records.ROBOTIQ)
-    assert row == ("WrenchBatch", list(records.RDT_WRENCH), None)
+    assert row == (Stream.WRENCH, list(records.RDT_WRENCH), None)
     (row,), _ = decode("robotiq-text", b"0 , 0.0625)" + records.ROBOTIQ_TEXT)
     assert row[1] == list(records.WRENCH)
     assert crc_modbus(b"123456789") == 0x4B37
@@ -192,7 +184,7 @@ def test_rdt_vectors():
     assert found[0][1] == pytest.approx(records.RDT_WRENCH)
     decoder = make_decoder("rdt", None, WRENCH)
     (batch,) = decoder.feed(records.rdt_packets([records.RDT_SATURATED]))
-    assert batch.wrench[0].tolist() == pytest.approx([-1e-6, 2e-6, -3e-6, 4e-6, -5e-6, 6e-6])
+    assert batch.values[0].tolist() == pytest.approx([-1e-6, 2e-6, -3e-6, 4e-6, -5e-6, 6e-6])
     assert batch.saturated.tolist() == [True]
     assert "saturated" in decoder.device_message
     assert "80020000" in decoder.device_message
@@ -257,7 +249,7 @@ def test_rtde_vector():
     joints, wrench = found
     assert joints[1] == pytest.approx(records.RTDE_Q)
     assert joints[2] == 12.5
-    assert wrench == ("WrenchBatch", list(records.WRENCH), 12.5)
+    assert wrench == (Stream.WRENCH, list(records.WRENCH), 12.5)
     assert decoder.counts.total() == 0
     _, decoder = decode("rtde", records.RTDE_DATA, carries=WRENCH)
     assert decoder.counts == {Loss.BAD_WIDTH: 1}
@@ -265,7 +257,7 @@ def test_rtde_vector():
 
 def test_papillarray_vector():
     (row,), _ = decode("papillarray", records.PAPILLARRAY)
-    assert row == ("SkinBatch", [3.0, 6.0], 987.654321)
+    assert row == (Stream.SKIN, [3.0, 6.0], 987.654321)
     (row,), _ = decode("papillarray", records.PAPILLARRAY, channels=6)
     assert row[1] == [1, 2, 3, -4, 5, 6]
 
@@ -326,7 +318,7 @@ def test_a_serial_stream_is_told_apart_by_itself(name):
     link = LinkDecoder("auto", CHANNELS.get(name), STREAMS[name][0])
     data = STREAMS[name][1]
     found = [batch for at in range(0, len(data), 10) for batch in link.feed(data[at : at + 10], at * 1_000_000)]
-    assert link.name == make_decoder(name, None, WRENCH).name
+    assert link.current.name == make_decoder(name, None, WRENCH).name
     assert sum(len(batch.seq) for _, batch in found) == 6
 
 
