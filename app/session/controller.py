@@ -698,12 +698,12 @@ class Controller(QObject):
         lines: list[str] = []
 
         def send() -> str:
-            from skincal.robot.skin_manager import ANSWER_S, applied_words, apply_positions, calibrated_positions
+            from skincal.robot.skin_manager import ANSWER_MAX_S, apply_positions, calibrated_positions, result_text
 
             positions = calibrated_positions(calibration, method, None)
             _make_folder(folder)
             before = folder / f"before-{positions.part}.txt"
-            words = applied_words(apply_positions(address, positions, before, ANSWER_S, lines.append), positions.part)
+            words = result_text(apply_positions(address, positions, before, ANSWER_MAX_S, lines.append), positions.part)
             return f"{words[:1].upper()}{words[1:]}."
 
         self._applying.submit(
