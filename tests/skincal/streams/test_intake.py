@@ -66,12 +66,6 @@ def test_mean_over_the_interval_that_ends_at_the_frame():
         assert not sample.saturated
 
 
-def test_means_of_neighbouring_frames_share_no_reading_and_leave_none_out():
-    wrench_s = START + np.arange(1000) * 0.001 + 0.00037
-    _, samples = paired(wrench_s, START + 0.1 + np.arange(40) * 0.02)
-    assert sum(sample.readings for sample in samples) == 40 * 20
-
-
 def test_lost_frame_does_not_stretch_the_interval():
     frames = np.delete(START + 0.1 + np.arange(40) * 0.02, [20, 21])
     _, samples = paired(START + np.arange(1000) * 0.001, frames)
@@ -294,24 +288,6 @@ def test_health_counts_rates_and_losses():
     assert intake.health(now + 10_000_000_000)[0].rate == 0
 
 
-def test_frame_of_the_wrong_width_is_said_with_both_numbers():
-    intake = Intake(5, LINKS)
-    assert feed_all(intake, rig(1)) == []
-    _, skin = intake.health(0)
-    assert skin.losses[Loss.BAD_WIDTH] == 49
-    assert "4 values" in skin.text
-    assert "5 are expected" in skin.text
-
-
-def test_skin_alone_is_counted_as_unpaired():
-    intake = Intake(4, LINKS)
-    items = [item for item in rig(2) if item.link == "skin"]
-    assert feed_all(intake, items) == []
-    assert 80 <= intake.unpaired < 100
-    assert intake.health(0)[1].losses[Loss.UNPAIRED] == intake.unpaired
-    assert intake.health(0)[1].readings == 100
-
-
 def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
     items = rig(4, broken=True)
     half = len(items) // 2
@@ -329,23 +305,6 @@ def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
     assert skin.losses[Loss.MISSING] >= counted[1].losses[Loss.MISSING] > 0
     assert after[0].host_s > before[-1].host_s
     assert len(after) > 90
-
-
-def test_board_with_wrench_and_skin_on_one_link():
-    intake = Intake(4, (LinkSpec("board", "a", (Stream.WRENCH, Stream.SKIN)),))
-    items = []
-    for k in range(100):
-        t_us = 1000 + k * 20_000
-        data = b"".join(
-            frame(2, 20 * k + i, t_us + 1000 * i, struct.pack("<6fI", *ramp((t_us + 1000 * i) * 1e-6), 0)) for i in range(20)
-        )
-        items.append(Chunk("board", t_us * 1000 + 25_000_000, data + frame(1, k, t_us + 19_000, bytes(8))))
-    samples = feed_all(intake, items)
-    assert len(samples) == 100
-    for k, sample in enumerate(samples[2:], 2):
-        assert sample.readings == 20
-        middle_s = (1000 + k * 20_000 + 9_500) * 1e-6
-        np.testing.assert_allclose(sample.wrench, ramp(middle_s), rtol=1e-6)
 
 
 def test_memory_stays_flat():

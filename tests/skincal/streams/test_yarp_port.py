@@ -12,6 +12,11 @@ from tests.skincal.streams import maker_records as records
 from tests.skincal.streams.maker_records import yarp_doubles, yarp_list, yarp_measures, yarp_message
 
 NUMBER = records.YARP_NUMBER
+MIXED = records.YARP_HEAD + bytes.fromhex(
+    "0201ffffffffffffffff080000004000000000000000 000000007e440001 0001000006000000"
+    "0a000000000000000000e03f 01000000feffffff 0100000003000000 0100000004000000 0a0000000000000000001540 0100000006000000"
+)
+"""Sent by a port of YARP 3.12.3: integers among the doubles, no envelope."""
 HELLO = bytes.fromhex("5941641e0000525008000000736b696e63616c00")
 BECOME_READER = bytes.fromhex("59410a00000052500101ffffffffffffffff0800000000000000000000007e720001")
 
@@ -40,14 +45,14 @@ def test_names_as_a_real_server_writes_them():
 
 def test_captured_vector_with_an_envelope():
     (batch,), decoder = fed(records.YARP_VECTOR)
-    assert batch.values.tolist() == [list(records.YARP_VALUES)]
+    assert batch.values.tolist() == [list(records.VECTORS["yarp-port"].values[0])]
     assert batch.seq.tolist() == [236]
     assert batch.device_s.tolist() == [1795353452.30061]
     assert decoder.device_message == ""
 
 
 def test_captured_bottle_with_integers_among_the_doubles():
-    (batch,), _ = fed(records.YARP_MIXED)
+    (batch,), _ = fed(MIXED)
     assert batch.values.tolist() == [[0.5, -2, 3, 4, 5.25, 6]]
     assert batch.seq.tolist() == [-1]
     assert np.isnan(batch.device_s).all()
