@@ -46,10 +46,10 @@ class Geodesics:
         `ways` are (n, 2) float, metres: how far along the start's x, and along normal x x.
         """
         with self.machine.call() as call:
-            points, x = call.changed(start.points), call.changed(start.x)
-            triangles = call.changed(start.triangles, INTEGER)
-            call.run("walk", [self.ground, len(ways), call.give(ways), points, x, triangles])
-            return MeshPoints(call.taken(triangles).astype(np.int64), call.taken(points), call.taken(x))
+            points, x = call.put_inout(start.points), call.put_inout(start.x)
+            triangles = call.put_inout(start.triangles, INTEGER)
+            call.run("walk", [self.ground, len(ways), call.put(ways), points, x, triangles])
+            return MeshPoints(call.get(triangles).astype(np.int64), call.get(points), call.get(x))
 
 
 @cached_per_surface
@@ -57,4 +57,6 @@ def geodesics_of(surface: Surface) -> Geodesics:
     """Return the surface ready to be walked on."""
     machine, place = surface_in_solver(surface)
     over = neighbours(surface.triangles) // 3
-    return Geodesics(machine, machine.keep(np.array([place, machine.keep(over.astype(np.int32))], dtype=WORD)))
+    return Geodesics(
+        machine, machine.put_permanent(np.array([place, machine.put_permanent(over.astype(np.int32))], dtype=WORD))
+    )

@@ -77,15 +77,15 @@ def nearest_in_metric(
     count = len(roots)
     machine, place = surface_in_solver(surface)
     with machine.call() as call:
-        given = 0 if pushes is None else call.give(pushes)
+        given = 0 if pushes is None else call.put(pushes)
         nowhere = np.full(count, -1)
-        points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
-        found = call.changed(nowhere, INTEGER)
-        asked = [place, count, int(every), call.give(roots), call.give(offsets), given]
+        points, values, tried = call.reserve((count, 3)), call.reserve((count,)), call.reserve((count,), INTEGER)
+        found = call.put_inout(nowhere, INTEGER)
+        asked = [place, count, int(every), call.put(roots), call.put(offsets), given]
         # The words of `Search` in `skincal/solver/source/solver.c`; no start is likely, and no second minimum is asked for.
-        call.run("nearest", [*asked, call.give(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
-        numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
-        return NearestPoints(call.taken(points), numbers[0], call.taken(values), numbers[1])
+        call.run("nearest", [*asked, call.put(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
+        numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
+        return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -136,17 +136,17 @@ def surface_in_solver(surface: Surface) -> tuple[Machine, int]:
         origin=tuple(tree.origin),
     )
     for i, level in enumerate(tree.levels):
-        table.levels[i], table.node_counts[i] = machine.keep(level), level.size // 8
+        table.levels[i], table.node_counts[i] = machine.put_permanent(level), level.size // 8
     whole = {"order": tree.order, "places": tree.places, "triangles": surface.triangles, "fan_starts": starts, "fans": fans}
     for name, numbers in whole.items():
-        setattr(table, name, machine.keep(numbers.astype(np.int32)))
+        setattr(table, name, machine.put_permanent(numbers.astype(np.int32)))
     for name, lengths in (("corners", tree.corners), ("vertices", surface.vertices), ("normals", surface.normals)):
-        setattr(table, name, machine.keep(lengths))
-    table.slim = machine.keep(surface.slim.astype(np.uint8))
-    table.walked = machine.keep(np.zeros(len(surface.triangles), dtype=np.int32))
-    table.lowest = machine.keep(np.zeros(len(surface.vertices)))
-    table.lowest_stamp = machine.keep(np.zeros(len(surface.vertices), dtype=np.int32))
-    return machine, machine.keep(np.frombuffer(bytes(table), dtype=np.uint8))
+        setattr(table, name, machine.put_permanent(lengths))
+    table.slim = machine.put_permanent(surface.slim.astype(np.uint8))
+    table.walked = machine.put_permanent(np.zeros(len(surface.triangles), dtype=np.int32))
+    table.lowest = machine.put_permanent(np.zeros(len(surface.vertices)))
+    table.lowest_stamp = machine.put_permanent(np.zeros(len(surface.vertices), dtype=np.int32))
+    return machine, machine.put_permanent(np.frombuffer(bytes(table), dtype=np.uint8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

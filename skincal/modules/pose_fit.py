@@ -170,11 +170,11 @@ def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleR
     count, unknowns = len(touches.of), pads.gradients.shape[2]
     with shared().call() as call:
         asked = _asked(call, touches, noise, unknowns)
-        laid = [call.give(pads.points), call.give(pads.gradients), call.give(pads.normals)]
+        laid = [call.put(pads.points), call.put(pads.gradients), call.put(pads.normals)]
         shapes = ((count, 2, unknowns), (count, 2), (count, 2, 2), (count, 3), (count, unknowns, unknowns))
-        places = [call.room(shape) for shape in shapes]
+        places = [call.reserve(shape) for shape in shapes]
         call.run("module_rows", [*asked, *laid, *places])
-        return ModuleRows(*map(call.taken, places))
+        return ModuleRows(*map(call.get, places))
 
 
 def _asked(call: Call, touches: Touches, noise: NoiseSettings, unknowns: int) -> list[int]:
@@ -187,14 +187,14 @@ def _asked(call: Call, touches: Touches, noise: NoiseSettings, unknowns: int) ->
     return [
         len(at),
         unknowns,
-        call.give(np.append(touches.starts, len(touches.answers)), INTEGER),
-        call.give(touches.answers, INTEGER),
-        call.give(touches.shares),
-        call.give(evidence.columns.take(at, axis=1)),
-        call.give(evidence.poses[at], INTEGER),
-        call.give(touches.offsets),
-        call.give(np.array([noise.force, noise.moment, noise.pose_turn, noise.pose_shift])),
-        call.give(np.array(rules)),
+        call.put(np.append(touches.starts, len(touches.answers)), INTEGER),
+        call.put(touches.answers, INTEGER),
+        call.put(touches.shares),
+        call.put(evidence.columns.take(at, axis=1)),
+        call.put(evidence.poses[at], INTEGER),
+        call.put(touches.offsets),
+        call.put(np.array([noise.force, noise.moment, noise.pose_turn, noise.pose_shift])),
+        call.put(np.array(rules)),
     ]
 
 
@@ -389,26 +389,26 @@ def fit_modules(
     machine, ground = _machine(model.ground)
     with machine.call() as call:
         asked = _asked(call, touches, noise, unknowns)
-        pads = [call.room(shape) for shape in ((sum(sizes), 3), (sum(sizes), 3, unknowns), (sum(sizes), 3))]
+        pads = [call.reserve(shape) for shape in ((sum(sizes), 3), (sum(sizes), 3, unknowns), (sum(sizes), 3))]
         spans = np.searchsorted(touches.of, np.arange(count + 1))
-        cut = [call.give(spans, INTEGER), call.give(np.cumsum([0, *sizes]), INTEGER), call.give(np.concatenate(own)), ground]
-        trust = call.changed(np.ones(len(touches.of)))
-        poses = [call.changed(vectors) for vectors in (start.points, start.x, start.normals)]
-        poses.append(call.changed(start.triangles, INTEGER))
-        under, of_unknowns = call.room((sum(sizes),), INTEGER), (count, unknowns, unknowns)
-        held = [call.room(shape) for shape in (of_unknowns, of_unknowns, (count,), (count,))]
+        cut = [call.put(spans, INTEGER), call.put(np.cumsum([0, *sizes]), INTEGER), call.put(np.concatenate(own)), ground]
+        trust = call.put_inout(np.ones(len(touches.of)))
+        poses = [call.put_inout(vectors) for vectors in (start.points, start.x, start.normals)]
+        poses.append(call.put_inout(start.triangles, INTEGER))
+        under, of_unknowns = call.reserve((sum(sizes),), INTEGER), (count, unknowns, unknowns)
+        held = [call.reserve(shape) for shape in (of_unknowns, of_unknowns, (count,), (count,))]
         call.run("place_modules", [*asked, *pads, count, int(doubting), *cut, trust, *poses, under, *held])
-        points, gradients, normals = map(call.taken, pads)
-        at, x, outward, triangles = map(call.taken, poses)
-        covariances, blind, misses, moving = map(call.taken, held)
+        points, gradients, normals = map(call.get, pads)
+        at, x, outward, triangles = map(call.get, poses)
+        covariances, blind, misses, moving = map(call.get, held)
         return Fitted(
             poses=ModulePoses(at, x, outward, triangles.astype(np.int64)),
-            pads=Pads(points, gradients, normals, call.taken(under).astype(np.int64)),
+            pads=Pads(points, gradients, normals, call.get(under).astype(np.int64)),
             of=np.repeat(np.arange(count), sizes),
             covariances=covariances,
             blind=blind,
             misses=misses,
-            trust=call.taken(trust),
+            trust=call.get(trust),
             moving=moving,
         )
 

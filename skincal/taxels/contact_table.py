@@ -360,12 +360,12 @@ def _carried(contacts: Sequence[Contact]) -> FloatArray:
     """Return (17, n): the columns of contacts, link frame (eq. 6)."""
     count = len(contacts)
     with shared().call() as call:
-        forces = call.give(np.array([contact.force for contact in contacts]))
-        moments = call.give(np.array([contact.moment for contact in contacts]))
-        poses = call.give(np.concatenate([contact.link_from_sensor for contact in contacts]))
-        place = call.room((_COLUMNS, count))
+        forces = call.put(np.array([contact.force for contact in contacts]))
+        moments = call.put(np.array([contact.moment for contact in contacts]))
+        poses = call.put(np.concatenate([contact.link_from_sensor for contact in contacts]))
+        place = call.reserve((_COLUMNS, count))
         call.run("carry", [count, forces, moments, poses, place])
-        columns = call.taken(place)
+        columns = call.get(place)
     # A zero force has no direction.
     good = np.isfinite(columns).all(axis=0)
     if not good.all():

@@ -69,12 +69,12 @@ def factor(a: FloatArray, b: FloatArray, starts: IntArray) -> Factors:
     """
     count = len(starts) - 1
     with shared().call() as call:
-        asked = [count, len(b), call.give(starts, INTEGER), call.give(np.concatenate([a.T, b[None]]))]
-        roots, rest = call.room((count, 3, 3)), [call.room((count, 3)) for _ in range(3)]
-        ranks = call.room((count,), INTEGER)
+        asked = [count, len(b), call.put(starts, INTEGER), call.put(np.concatenate([a.T, b[None]]))]
+        roots, rest = call.reserve((count, 3, 3)), [call.reserve((count, 3)) for _ in range(3)]
+        ranks = call.reserve((count,), INTEGER)
         call.run("factor", [*asked, roots, *rest, ranks])
-        offsets, solutions, blind = (call.taken(place) for place in rest)
-        return Factors(call.taken(roots), offsets, call.taken(ranks).astype(np.int64), solutions, blind)
+        offsets, solutions, blind = (call.get(place) for place in rest)
+        return Factors(call.get(roots), offsets, call.get(ranks).astype(np.int64), solutions, blind)
 
 
 RIVAL_ODDS = 20.0
@@ -163,14 +163,14 @@ def solve(
         from skincal.mesh.search import surface_in_solver
 
         machine, place = surface_in_solver(surface)
-    machine = machine.twin() if second else machine
+    machine = machine.clone_for_thread() if second else machine
     with machine.call() as call:
         asked = _asked(call, evidence, noise)
-        trust = call.changed(evidence.trust)
-        starting = call.give(np.full(count, -1) if last is None else last, INTEGER)
-        said = call.room((count,), ANSWER)
+        trust = call.put_inout(evidence.trust)
+        starting = call.put(np.full(count, -1) if last is None else last, INTEGER)
+        said = call.reserve((count,), ANSWER)
         call.run("solve", [count, answers, *asked, trust, int(not doubting), int(free), place, starting, said])
-        answer, evidence = call.taken(said), evidence.trusted(call.taken(trust))
+        answer, evidence = call.get(said), evidence.trusted(call.get(trust))
     return Solution(
         evidence=evidence,
         doubted=evidence.doubted(),
@@ -199,12 +199,12 @@ def _asked(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
     """Return what `Task` in `skincal/solver/source/solver.c` begins with, after the counts."""
     sizes = (noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift)
     return [
-        call.give(evidence.starts, INTEGER),
-        call.give(evidence.columns),
-        call.give(evidence.weights),
-        call.give(evidence.poses, INTEGER),
-        call.give(np.array(sizes)),
-        call.give(np.array([RIVAL_ODDS, RIVAL_APART])),
+        call.put(evidence.starts, INTEGER),
+        call.put(evidence.columns),
+        call.put(evidence.weights),
+        call.put(evidence.poses, INTEGER),
+        call.put(np.array(sizes)),
+        call.put(np.array([RIVAL_ODDS, RIVAL_APART])),
     ]
 
 
