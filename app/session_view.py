@@ -49,7 +49,7 @@ from app.text.rig_text import corrected_words, offer_news, offer_text, rig_state
 from app.text_size import scaled
 from app.theme import GAP
 from skincal.files.reference import Origin
-from skincal.guide.guidance import max_angle_error
+from skincal.guide.press_coaching import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import (
     Action,

@@ -118,7 +118,7 @@ class Measure(QObject):
 
     def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.guidance import PRESSING
+        from skincal.guide.press_coaching import PRESSING
 
         now = time.monotonic()
         pressing = tick.live.progress.phase in PRESSING

@@ -16,7 +16,7 @@ from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import max_angle_error
+from skincal.guide.press_coaching import max_angle_error
 from skincal.session.snapshot import Snapshot
 from skincal.words.units import degrees, millimetres, newtons
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from app.scene3d.camera import CameraPose
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.guidance import Guidance, PokeError, Target
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
 

@@ -11,7 +11,7 @@ from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segment
 from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.guidance import PRESSING
+from skincal.guide.press_coaching import PRESSING
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 

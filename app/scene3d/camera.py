@@ -14,7 +14,8 @@ import numpy as np
 
 from app.scene3d.scene_state import BALL_DIAMETER, View3DState
 from skincal.geometry import FloatArray, cross_matrix
-from skincal.guide.guidance import PRESSING, Target
+from skincal.guide.guidance import Target
+from skincal.guide.press_coaching import PRESSING
 from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:

@@ -27,7 +27,8 @@ from app.state.view_state import FAULTS, ViewState
 from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.press_coaching import PRESSING
 from skincal.session.snapshot import Snapshot
 from skincal.words.poke_words import REASON_WORDS
 

@@ -16,7 +16,8 @@ import numpy as np
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import PressPhase
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, PokeError, Target, max_angle_error
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError, max_angle_error
 
 STRAIGHT = float(np.radians(5.0))
 """rad. A hand does not hold a smaller tilt: it is asked to push straight."""

@@ -9,7 +9,8 @@ from enum import Enum
 from app.scene3d.camera import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
-from skincal.guide.guidance import Guidance, PokeError, Target
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene

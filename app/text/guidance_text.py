@@ -8,7 +8,8 @@ import numpy as np
 
 from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
 from app.state.view_state import ViewState
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, PokeError, Target
+from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, Target
+from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
@@ -60,8 +61,8 @@ def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
     if guidance.closing is not None:
         at = guidance.closing
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
-        if at.lone is not None:
-            why = f"Only poke {at.lone} indicates a movement: press this point again to see if the tip slipped"
+        if at.suspect_poke is not None:
+            why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slipped"
         return f"{why}{BETWEEN}Shift+N skips"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
@@ -81,8 +82,8 @@ def _reason(guidance: Guidance, target: Target) -> str:
     what = WHAT[guidance.method]
     if not np.isfinite(guidance.rms[row]):
         return f"{what.capitalize()} not known yet"
-    before = number(in_millimetres(target.before), 1)
-    return f"This poke should reduce the {what} error from {before} to {millimetres(target.after)}"
+    before = number(in_millimetres(target.rms_now), 1)
+    return f"This poke should reduce the {what} error from {before} to {millimetres(target.rms_after)}"
 
 
 def progress_words(guidance: Guidance, dead: Collection[int]) -> str:

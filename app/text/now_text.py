@@ -33,7 +33,8 @@ from app.text.outcomes import (
     verdict_words,
 )
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
-from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.press_coaching import PRESSING
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot

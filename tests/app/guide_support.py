@@ -9,7 +9,8 @@ import numpy as np
 
 from app.scene3d.camera import CameraPose
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.guide.guidance import Guidance, GuidePhase, PokeError, Target, compare_to_target, smooth_wrench
+from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.press_coaching import PokeError, compare_to_target, smooth_wrench
 from skincal.guide.progress import Need
 from skincal.session.part import Part
 from skincal.session.snapshot import LiveView

@@ -19,7 +19,7 @@ from app.session.opening import OpenRequest
 from app.text.guidance_text import FOLLOWS, WHAT, diversity_words
 from app.text.outcomes import METHOD_NAMES
 from app.theme import DARK, LIGHT
-from skincal.guide.candidates import push_directions
+from skincal.guide.candidates import candidate_pushes
 from skincal.guide.progress import AxisDiversity
 from skincal.taxels.result import Method
 from tests.app.window_support import show_in
@@ -40,7 +40,7 @@ def diversity(
 ) -> AxisDiversity:
     """Contacts; what is worth most is a push from `best` degrees, None where nothing is worth anything."""
     count = len(pushes)
-    tried = push_directions(UP[None], USABLE)[0]
+    tried = candidate_pushes(UP[None], USABLE)[0]
     worth = np.zeros(len(tried)) if best is None else 1e-3 * (1.2 + tried @ push(28.0, best))
     return AxisDiversity(
         channel=3, normal=UP, pushes=np.array(pushes).reshape(-1, 3),

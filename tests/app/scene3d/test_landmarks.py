@@ -16,7 +16,6 @@ from app.scene3d.canvas import Canvas
 from app.scene3d.landmarks import MAX_NAMES, normals_of, poked_here
 from app.scene3d.scene_state import View3DState
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import first_visible_point, make_surface
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
@@ -282,18 +281,3 @@ def test_a_scene_without_a_part_to_click_on_cannot_be_picked(qtbot):
     view = make_view(qtbot, surface=False)
     assert not view.can_pick
     assert renderer_of(view).pick_surface(320.0, 240.0) is None
-
-
-def test_an_inner_side_in_front_is_no_place_to_poke():
-    """Two facing squares, open around: through the near one's back one does not pick what lies behind it."""
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.02
-    low, high = (np.column_stack([corners, np.full(4, z)]) for z in (0.0, 0.05))
-    facing_up, facing_down = [(0, 1, 2), (0, 2, 3)], [(4, 6, 5), (4, 7, 6)]
-    eye, down = np.array([0.001, 0.002, 0.3]), -UP
-    alone = make_surface(low, np.array(facing_up))
-    np.testing.assert_allclose(first_visible_point(alone, eye, down), [0.001, 0.002, 0.0], atol=1e-15)
-    both = make_surface(np.concatenate([low, high]), np.array(facing_up + facing_down))
-    assert first_visible_point(both, eye, down) is None
-    assert first_visible_point(both, eye + np.array([0.03, 0.0, 0.0]), down) is None, "beside both"
-    np.testing.assert_allclose(first_visible_point(both, np.array([0.001, 0.002, 0.03]), down), [0.001, 0.002, 0.0], atol=1e-15)
-    assert first_visible_point(alone, np.array([0.001, 0.002, -0.1]), down) is None, "behind the eye"

@@ -13,7 +13,7 @@ from window_support import PLAN, SCENE, frame, reading, session
 from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
-from skincal.guide.guidance import max_angle_error
+from skincal.guide.press_coaching import max_angle_error
 from skincal.session.guided_session import PressCoach
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part

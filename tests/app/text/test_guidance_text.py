@@ -73,7 +73,7 @@ def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
 
 def test_a_place_that_is_asked_for_because_of_one_poke_says_so():
     asked = replace(target(3), landmark="wrist, top")
-    step = ClosingStep(ClosingPlace(ClosingPlaces.LANDMARKS, "wrist, top"), 3, 3, 1, lone=41)
+    step = ClosingStep(ClosingPlace(ClosingPlaces.LANDMARKS, "wrist, top"), 3, 3, 1, suspect_poke=41)
     says = replace(guidance(asked), phase=GuidePhase.CLOSING, closing=step)
     assert why_words(says, asked, ()) == approved("closing.once_more", poke=41)
 

@@ -14,8 +14,8 @@ from app.text.guidance_text import gain_words, landmark_words, target_words, why
 from app.text.now_text import NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import guidance as landmarks_module
+from skincal.guide.believed_positions import PlannedPlaces
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
-from skincal.guide.knowledge import PlannedPlaces
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain

@@ -7,8 +7,8 @@ import pytest
 
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
+from skincal.guide.believed_positions import plan_from_layout
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import plan_from_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError

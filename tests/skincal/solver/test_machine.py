@@ -126,7 +126,8 @@ def number(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "here"), [("GRAZING", GRAZING), ("ROUND", search.ROUND), ("WIDTH", search.WIDTH), ("LEVELS", search.LEVELS)]
+    ("name", "here"),
+    [("GRAZING", GRAZING), ("ROUND", search.RADIUS_MARGIN), ("WIDTH", search.WIDTH), ("LEVELS", search.MAX_LEVELS)],
 )
 def test_constants_in_c_and_python_are_equal(name, here):
     assert number(name) == here
