@@ -26,21 +26,21 @@ HELP = ("-h", "--help", "--version")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command or the window and return the exit code: 0 done, 2 the user's input is at fault, 1 ours."""
+    """Run a command or the window; return the exit code: 0 success, 2 wrong input, 1 fault of the program."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == [PROBE_OPTION]:
         from app.scene3d.drawing_probe import draw_probe_picture
 
         return draw_probe_picture("".join(arguments[1:]))
     if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(MESHES):
-        # As where a file is dropped onto the program.
+        # For example a file that is dropped onto the program.
         arguments.insert(0, "--scene")
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         return _command(arguments)
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as end:
-        # argparse ends the program itself, after --help as after a mistake.
+        # argparse ends the program itself, after --help and after errors.
         return int(end.code or 0)
     try:
         return _run(options)
@@ -55,12 +55,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _command(arguments: list[str]) -> int:
-    """Run a command, or show its help or the version; the window's help follows that of all commands."""
+    """Run a command, or show help or version; the window's help follows that of the commands."""
     try:
         from skincal.cli import main as run_command
 
         code = run_command(arguments)
-    except KeyboardInterrupt:  # while its modules were imported: a command that runs ends by itself
+    except KeyboardInterrupt:  # while modules are imported; a running command handles it
         return INTERRUPTED
     if arguments[0] in HELP[:2]:
         sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
@@ -68,7 +68,7 @@ def _command(arguments: list[str]) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Open the window; where there is no display and no device was named, run the simulated session without it."""
+    """Open the window; without a display and without devices, run the simulated session without it."""
     _check_session(options)
     devices = [f"--{name}" for name in ("wrench", "skin", "joints", "targets") if getattr(options, name)]
     if options.headless and devices:
@@ -97,7 +97,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _check_session(options: argparse.Namespace) -> None:
-    """Refuse options that a recorded session would silently ignore."""
+    """Refuse options that a recorded session would ignore."""
     seen = [f"--{name}" for name in ("scene", "new", "headless") if getattr(options, name)]
     if options.session is not None and seen:
         raise InputError(
@@ -107,7 +107,7 @@ def _check_session(options: argparse.Namespace) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says what is wrong with options in one sentence, as the commands do."""
+    """Reports wrong options in one sentence, as the commands do."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"skincal: {message}; `skincal --help` shows what is possible.\n")

@@ -13,10 +13,10 @@ from skincal.session.checked import checked_calibration
 from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
 
-POKES = 168
+POKE_COUNT = 168
 """Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
-SEED = 1
-FOLDER = "skincal-headless"
+RIG_SEED = 1
+DEFAULT_FOLDER = "skincal-headless"
 
 
 def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
@@ -27,10 +27,10 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     InputError
         The scene, the folder or the graphics are at fault.
     """
-    out = folder or _unused(Path(FOLDER))
-    _say(f"{why}\nThe same session runs without it: {POKES} pokes on the simulated {scene_path.parent.name}, in {out}")
+    out = folder or _unused(Path(DEFAULT_FOLDER))
+    _say(f"{why}\nThe same session runs without it: {POKE_COUNT} pokes on the simulated {scene_path.parent.name}, in {out}")
     pipeline = _simulate(scene_path, out)
-    # Nobody poked a landmark.
+    # No landmark was poked.
     calibration = checked_calibration(pipeline.session, rig=None)
     method = leading_method(calibration.estimates) or Method.FREE
     positions = out / "positions.txt"
@@ -56,7 +56,7 @@ def _simulate(scene_path: Path, out: Path) -> Pipeline:
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
-    return simulate_session(scene, surface, out, POKES, SEED, RigErrors.noise(), progress=_show_progress)
+    return simulate_session(scene, surface, out, POKE_COUNT, RIG_SEED, RigErrors.noise(), progress=_show_progress)
 
 
 def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
@@ -86,7 +86,7 @@ def _unused(folder: Path) -> Path:
 
 def _show_progress(pokes: int) -> None:
     if pokes % 42 == 0:
-        _say(f"{pokes} of {POKES} pokes")
+        _say(f"{pokes} of {POKE_COUNT} pokes")
 
 
 def _say(text: str) -> None:

@@ -1,4 +1,4 @@
-"""Say what a window needs and this machine lacks, before Qt or OpenGL can crash on it.
+"""Requirements of a window that this machine lacks, checked before Qt or OpenGL can crash.
 
 Qt aborts the process where its display or a shared library is missing, and VTK's first picture without OpenGL ends in a
 segmentation fault; both leave the user without a sentence. Nothing here imports Qt.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
-LIBRARIES: Mapping[str, str] = {
+QT_LIBRARIES: Mapping[str, str] = {
     "libglib-2.0.so.0": "libglib2.0-0",
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -32,7 +32,9 @@ X_LIBRARIES: Mapping[str, str] = {
 """The same for a window on an X server."""
 WITHOUT_DISPLAY = ("offscreen", "minimal", "vnc", "linuxfb", "eglfs")
 """Platforms of Qt that need no display; the user asks for them by `QT_QPA_PLATFORM`."""
-HEADLESS = "Without one, `skincal simulate`, `skincal record` and `skincal solve` do the same work (see `skincal --help`)."
+HEADLESS_ADVICE = (
+    "Without one, `skincal simulate`, `skincal record` and `skincal solve` do the same work (see `skincal --help`)."
+)
 
 
 def loads(name: str) -> bool:
@@ -48,7 +50,7 @@ def loads(name: str) -> bool:
 def x_answers() -> bool:
     """Return whether the X server that `DISPLAY` names takes a connection, with this user's rights.
 
-    Asked once: a server without other clients starts anew when the asker leaves, and refuses for that moment.
+    Cached: a server without other clients restarts after the connection, and refuses for a moment.
     """
     try:
         xcb = ctypes.CDLL("libxcb.so.1")
@@ -78,14 +80,14 @@ def objection(
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
     """Return why no window can be opened here and what to do, or an empty text."""
-    # Elsewhere pip brings all that is needed.
+    # On other systems pip installs everything.
     if not platform.startswith("linux"):
         return ""
     reason = no_display(environment, platform, x_is_there)
     if reason:
-        return f"{reason} {HEADLESS}"
+        return f"{reason} {HEADLESS_ADVICE}"
     x = bool(environment.get("DISPLAY")) and not _asked_without(environment)
-    wanted = {**LIBRARIES, **X_LIBRARIES} if x else LIBRARIES
+    wanted = {**QT_LIBRARIES, **X_LIBRARIES} if x else QT_LIBRARIES
     packages = [package for name, package in wanted.items() if not can_load(name)]
     if not packages:
         return ""

@@ -1,4 +1,4 @@
-"""The application around the window: settings, log, and what happens to an exception that nobody caught."""
+"""The application around the window: settings, log, uncaught exceptions."""
 
 from __future__ import annotations
 
@@ -35,32 +35,29 @@ from app.window import Theme, Window
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")
-LOG_BYTES = 1_000_000
-"""A log file grows to this size; one older is kept."""
-GARBAGE = (10_000, 20, 20)
-"""When cyclic garbage is looked for, as for `gc.set_threshold`. A full look stops every thread: 50 ms once VTK and pyqtgraph
-are imported, and by default the imports themselves bring several about. So it takes four million new objects; what pokes leave
-is a thousand."""
-COLLECT_MS = 200
-"""How often it is seen whether that is due."""
-SWITCH_S = 0.0005
-"""s. Python's thread switch: at its default of 5 ms background work delays the picture seven times as much (measured)."""
+MAX_LOG_BYTES = 1_000_000  # Size of the log file; one older file is kept
+GC_THRESHOLDS = (10_000, 20, 20)
+"""As for `gc.set_threshold`. A full collection stops every thread for 50 ms once VTK and pyqtgraph are imported, and with the
+default values the imports alone cause several. With these it needs four million new objects; a poke leaves a thousand."""
+GC_PERIOD_MS = 200
+THREAD_SWITCH_S = 0.0005
+"""With Python's default of 5 ms, background work delays the picture seven times as much (measured)."""
 
 
 def documents_folder() -> Path:
-    """Return the folder under which sessions are kept."""
+    """Return the folder for sessions."""
     place = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
-    # Qt returns an empty text where the system names no such place.
+    # Qt returns an empty text if the system has no such folder.
     return Path(place or Path.home()) / "skincal"
 
 
 def request_of(options: argparse.Namespace) -> OpenRequest:
-    """Return what to open for the options of the command line.
+    """Make the request for the options of the command line.
 
     Raises
     ------
     InputError
-        They contradict each other, or what they name is no scene or no session.
+        They contradict each other, or name something that is no scene or no session.
     """
     from skincal.journal.reader import find_segments
     from skincal.model.scene import load_scene
@@ -78,10 +75,10 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
         return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
     if options.scene is not None and options.scene.suffix.lower() in MESHES:
         return _mesh_request(options)
-    # The usual scene is looked up later, beside the window: that takes longer than the window itself.
+    # The default scene is found later, in the background: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None:
-        # Refused before there is a window that could show nothing.
+        # Refused before a window opens.
         load_scene(scene)
     folder = options.new
     if folder is None and addresses:
@@ -92,7 +89,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
 
 
 def _mesh_request(options: argparse.Namespace) -> OpenRequest:
-    """Return what to open for a mesh in place of a scene; InputError where it is to be recorded already."""
+    """Make the request for a mesh in place of a scene; `InputError` if devices or a folder are named with it."""
     seen = [f"--{name}" for name in ("wrench", "skin", "joints", "targets", "new") if getattr(options, name)]
     if seen:
         raise InputError(
@@ -105,7 +102,7 @@ def _mesh_request(options: argparse.Namespace) -> OpenRequest:
 
 
 class Faults(QObject):
-    """Brings an exception that nobody caught to the operator, from any thread; the program goes on."""
+    """Shows uncaught exceptions of any thread to the operator; the program continues."""
 
     happened = Signal(str)
 
@@ -114,7 +111,7 @@ class Faults(QObject):
         self.count = 0
 
     def install(self) -> Callable[[], None]:
-        """Take the place of Python's hooks; return what puts them back."""
+        """Replace Python's hooks; return a function that restores them."""
         before = sys.excepthook, threading.excepthook
         sys.excepthook = self._caught
         threading.excepthook = self._caught_in_thread
@@ -138,13 +135,13 @@ class Faults(QObject):
 
 
 def start_log() -> str:
-    """Log to a file in the user's data and to stderr; return why there is no file, empty where there is."""
+    """Log to a file in the user's data and to stderr; return why there is no file, or an empty text."""
     path = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.AppLocalDataLocation)) / "skincal.log"
     handlers: list[logging.Handler] = [logging.StreamHandler()]
     failure = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1, encoding="utf-8"))
+        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=MAX_LOG_BYTES, backupCount=1, encoding="utf-8"))
     except OSError as error:
         failure = f"{path}: the log cannot be written ({error.strerror}). Everything else works."
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=handlers)
@@ -152,38 +149,38 @@ def start_log() -> str:
 
 
 def collect_in_window(application: QApplication) -> QTimer:
-    """Look for cyclic garbage in the window's thread alone, from now on; return the timer that does.
+    """Collect cyclic garbage in the window's thread only, from now on; return its timer.
 
-    Python looks for it in whichever thread makes objects: a worker would end widgets that Qt still uses, and the program dies.
+    Python collects in any thread that makes objects: a worker would delete widgets that Qt still uses, which ends the program.
     """
     gc.disable()
     timer = QTimer(application)
-    timer.timeout.connect(_collect_what_is_due)
-    timer.start(COLLECT_MS)
+    timer.timeout.connect(_collect_garbage)
+    timer.start(GC_PERIOD_MS)
     return timer
 
 
-def _collect_what_is_due() -> None:
-    # Python goes on counting while its own looks are off.
+def _collect_garbage() -> None:
+    # Python counts objects while its own collection is off.
     counts = gc.get_count()
-    due = [generation for generation, most in enumerate(GARBAGE) if counts[generation] > most]
+    due = [generation for generation, most in enumerate(GC_THRESHOLDS) if counts[generation] > most]
     if due:
-        # The oldest that is due: the younger ones go with it.
+        # The younger generations are collected with the oldest.
         gc.collect(due[-1])
 
 
 def run_window(request: OpenRequest, player: Player | None = None) -> int:
-    """Open the window and return the exit code once it is closed: 1 where a fault of the program happened.
+    """Open the window; return the exit code when it is closed: 1 after an uncaught exception.
 
     Parameters
     ----------
-    player : plays the sounds; on the desktop's sound device if None
+    player : plays the sounds; default: the desktop's sound device
     """
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(THREAD_SWITCH_S)
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)
-    # Qt names the folder of the log by it.
+    # The folder of the log has this name.
     application.setApplicationName("skincal")
     faults = Faults()
     remove = faults.install()
@@ -195,10 +192,9 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     window = Window(controller, theme, settings, documents, player)
     faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Python runs a handler between any two steps of the program, in the middle of a write, too: it only asks for the end.
+        # Python runs a handler at any moment, also in the middle of a write: it only requests the end.
         signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "leave", Qt.ConnectionType.QueuedConnection))
     window.show()
-    # Everything else waits until the window is on the screen.
     QTimer.singleShot(0, lambda: begin(window, request))
     try:
         application.exec()
@@ -209,10 +205,10 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
 
 
 def begin(window: Window, request: OpenRequest) -> None:
-    """Start the log and open what was asked for, once the window is on the screen; a log is no reason to open nothing."""
+    """Start the log and open the request, after the window is on the screen. A failing log does not prevent it."""
     failure = start_log()
     window.open(request)
     if failure:
         window.tell(Message(failure, error=True))
-    # While the scene is read beside it the window has nothing else to do; later it would stand still for this.
+    # Now the window is idle, since the scene is loading; later this would block it.
     best_canvas()

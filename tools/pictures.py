@@ -59,7 +59,7 @@ class Photographed:
         self.until(lambda: self.window.session_view is not None and self.window.session_view.state is not None)
         assert self.window.session_view is not None
         self.view = self.window.session_view
-        self.until(lambda: self.view.workspace.view.list_layers() != () and self.view.workspace.readings.curves is not None)
+        self.until(lambda: self.view.workspace.view.list_layers() != ())
         self.view.workspace.show_tab(tab)
 
     def until(self, there: Callable[[], bool]) -> None:
@@ -128,7 +128,7 @@ def draw_rig() -> None:
     wrong.theme.choose(Choice.DARK)
     wrong.view.show_method(Method.MODULES)
     wrong.until(lambda: wrong.view.ends)
-    wrong.view.ask_verdict(wrong.window)
+    wrong.view.ask_verdict()
     wrong.grab("guide-verdict", 1.0)
     wrong.window.leave()
 

@@ -8,7 +8,7 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QHeaderView, QTreeWidgetItem, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, put_rows, quiet, table
+from app.panels.widgets import plain_buttons, put_rows, secondary_label, table
 from app.state.view_state import ViewState
 from app.text.history_text import HistoryLine, history_lines
 
@@ -35,7 +35,7 @@ class HistoryDialog(QDialog):
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
         column.addWidget(self.list, 1)
-        column.addWidget(quiet(about, wrap=True))
+        column.addWidget(secondary_label(about, wrap=True))
         column.addWidget(self.buttons)
         self.resize(*SIZE)
         self._state: ViewState | None = None

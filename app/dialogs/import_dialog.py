@@ -33,12 +33,12 @@ from app.panels.widgets import (
     Painted,
     choose_scene,
     choose_session_folder,
+    escape_tooltip,
     fit_rows,
     fit_to_screen,
     plain_buttons,
-    plain_tip,
     put_rows,
-    quiet,
+    secondary_label,
     table,
 )
 from app.text.import_text import (
@@ -106,7 +106,7 @@ class ForceCurve(Painted):
         self._preview = preview
         words = "" if preview is None else curve_words(preview)
         self.setAccessibleDescription(words)
-        self.setToolTip(plain_tip(words))
+        self.setToolTip(escape_tooltip(words))
         self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
@@ -167,7 +167,7 @@ class ImportDialog(QDialog):
         self.fields = {stream: QLineEdit() for stream in TITLES}
         self.form = QWidget()
         self.scene, self.pose, self.folder = QComboBox(), QComboBox(), QLineEdit(str(folder))
-        self.kind = quiet(wrap=True)
+        self.kind = secondary_label(wrap=True)
         self.streams = table("streams of the recording", HEADINGS)
         self.curve = ForceCurve()
         self.findings = QListWidget()
@@ -198,7 +198,7 @@ class ImportDialog(QDialog):
     def _fill_form(self) -> None:
         form = QFormLayout(self.form)
         form.setContentsMargins(0, 0, 0, 0)
-        form.addRow("Recording", _row(self.take_folder, self.take_files, quiet("or drop it here")))
+        form.addRow("Recording", _row(self.take_folder, self.take_files, secondary_label("or drop it here")))
         for stream, field in self.fields.items():
             field.setPlaceholderText(HINTS[stream])
             form.addRow(*self._with_choice(TITLES[stream], field, lambda field=field: self._choose_file(field)))

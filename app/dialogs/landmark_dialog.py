@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import plain_buttons, quiet
+from app.panels.widgets import plain_buttons, secondary_label
 from app.scene3d.view import View3D
 from app.text.message import Message
 from app.theme import GAP
@@ -76,7 +76,7 @@ class LandmarkDialog(QDialog):
         label = QLabel("&Place")
         label.setBuddy(self.coordinates[0])
         form.addRow(label, row)
-        form.addRow("", quiet(about, wrap=True))
+        form.addRow("", secondary_label(about, wrap=True))
         self.buttons.button(QDialogButtonBox.StandardButton.Ok).setText("Add")
         self.buttons.button(QDialogButtonBox.StandardButton.Ok).setDefault(True)
         plain_buttons(self.buttons)

@@ -27,11 +27,19 @@ from PySide6.QtWidgets import (
 )
 
 from app.panels.devices import link_sign
-from app.panels.widgets import Painted, choose_scene, choose_session_folder, digits_font, plain_buttons, quiet, short_box
+from app.panels.widgets import (
+    Painted,
+    choose_scene,
+    choose_session_folder,
+    compact_combo,
+    digits_font,
+    plain_buttons,
+    secondary_label,
+)
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
 from app.session.previews import CURVE_POINTS, Preview, Previews, places_here
 from app.session.recording import stop_all
-from app.state.view_state import LinkLook, link_look
+from app.state.view_state import LinkStatus, link_status
 from app.text.outcomes import preview_words
 from app.text_size import scaled, set_font
 from app.theme import GAP, Colours
@@ -113,7 +121,7 @@ class StreamRow(QWidget):
         super().__init__()
         self.stream = stream
         self.label = QLabel(LABELS[stream])
-        self.box = short_box(f"address of the {stream.value}")
+        self.box = compact_combo(f"address of the {stream.value}")
         self.box.setEditable(True)
         self.box.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)
         self.box.setMaxVisibleItems(PLACES_SHOWN)
@@ -162,7 +170,7 @@ class StreamRow(QWidget):
         self.box.setEditText(text)
         self.field.setCursorPosition(at)
 
-    def show_words(self, look: LinkLook | None, words: str) -> None:
+    def show_words(self, look: LinkStatus | None, words: str) -> None:
         """Show what is found, in words and by a sign."""
         self.sign.setText("" if look is None else link_sign(look))
         if words != self.verdict.text():
@@ -173,7 +181,7 @@ class StreamRow(QWidget):
     def show_preview(self, preview: Preview, now_ns: int) -> None:
         """Show what a link brings."""
         health = preview.health
-        self.show_words(link_look(health, now_ns), preview_words(health))
+        self.show_words(link_status(health, now_ns), preview_words(health))
         self.rate.setText(rate(health.rate))
         self.curve.set(preview.curve)
 
@@ -233,7 +241,7 @@ class NewSessionDialog(QDialog):
         self.setWindowTitle("New session" if present is None else "Device addresses")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self._known, self._present = tuple(known), present
-        self._waits, self._note = waits, quiet(wrap=True)
+        self._waits, self._note = waits, secondary_label(wrap=True)
         self.scene = QComboBox()
         self.scene.setEditable(True)
         self.scene.setAccessibleName("scene")
@@ -245,7 +253,7 @@ class NewSessionDialog(QDialog):
         self.rows = {stream: StreamRow(stream) for stream in Stream}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label = QLabel("Arm &pose")
-        self.pose = short_box("arm pose")
+        self.pose = compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)
         self.folder = QLineEdit(str(folder))
         self.browse_scene, self.browse_folder = (QPushButton("Choose\N{HORIZONTAL ELLIPSIS}") for _ in range(2))

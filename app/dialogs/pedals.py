@@ -14,7 +14,7 @@ from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, Q
 from PySide6.QtGui import QAction, QHideEvent, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import embolden, plain_buttons, quiet
+from app.panels.widgets import plain_buttons, secondary_label, set_bold
 
 Key = Qt.Key
 
@@ -214,7 +214,7 @@ class PedalsDialog(QDialog):
         self.keys = {pedal.name: QLabel() for pedal in PEDALS}
         self.learn = {pedal.name: QPushButton("Learn") for pedal in PEDALS}
         self.forget = {pedal.name: QPushButton("Forget") for pedal in PEDALS}
-        self.outcome = quiet(wrap=True)
+        self.outcome = secondary_label(wrap=True)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.buttons.rejected.connect(self.reject)
         self._arrange()
@@ -230,13 +230,15 @@ class PedalsDialog(QDialog):
             self.learn[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._ask(pedal))
             self.forget[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._forget(pedal))
             title = QLabel(pedal.title)
-            embolden(title)
-            widgets = (title, quiet(pedal.what), self.keys[pedal.name])
+            set_bold(title)
+            widgets = (title, secondary_label(pedal.what), self.keys[pedal.name])
             for column, widget in enumerate((*widgets, self.learn[pedal.name], self.forget[pedal.name])):
                 grid.addWidget(widget, row, column)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
-        column.addWidget(quiet("A foot pedal is a keyboard of one key. It may have any key that means nothing yet.", wrap=True))
+        column.addWidget(
+            secondary_label("A foot pedal is a keyboard of one key. It may have any key that means nothing yet.", wrap=True)
+        )
         column.addLayout(grid)
         column.addWidget(self.outcome)
         column.addWidget(self.buttons)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, quiet
+from app.panels.widgets import plain_buttons, secondary_label
 from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
@@ -27,7 +27,7 @@ class TaskDialog(QDialog):
             self.method.addItem(METHOD_NAMES[method], method)
         self.method.setCurrentIndex(self.method.findData(shown))
         self.form = QFormLayout()
-        self.outcome = quiet(wrap=True)
+        self.outcome = secondary_label(wrap=True)
         self.remarks = QListWidget()
         self.remarks.setWordWrap(True)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import embolden, fit_to_screen, on_panel, plain_buttons, quiet
+from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, secondary_label, set_bold
 from app.state.view_state import ViewState
 from app.theme import GAP
 from skincal.contacts.outcome import Outcome
@@ -49,13 +49,13 @@ class ThresholdRow:
         self.objection = QLabel()
         self.objection.setWordWrap(True)
         self.objection.hide()
-        self.used = quiet(wrap=True)
+        self.used = secondary_label(wrap=True)
         title = QLabel(words.title)
         title.setBuddy(self.field)
         at = grid.rowCount()
-        for column, widget in enumerate((title, self.field, QLabel(words.unit.text), quiet(f"scene: {of_scene}"))):
+        for column, widget in enumerate((title, self.field, QLabel(words.unit.text), secondary_label(f"scene: {of_scene}"))):
             grid.addWidget(widget, at, column)
-        for below, widget in enumerate((self.objection, quiet(words.reason, wrap=True), self.used), start=1):
+        for below, widget in enumerate((self.objection, secondary_label(words.reason, wrap=True), self.used), start=1):
             grid.addWidget(widget, at + below, 0, 1, 4)
         grid.setRowMinimumHeight(at + 4, GAP)
 
@@ -87,7 +87,7 @@ class ThresholdsDialog(QDialog):
         self.area = QScrollArea()
         # It follows the focus of its fields.
         self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        inner = on_panel(self.area)
+        inner = panel_scroll_area(self.area)
         self._grid = QGridLayout(inner)
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
@@ -98,7 +98,7 @@ class ThresholdsDialog(QDialog):
         self.back = self.buttons.addButton("Use the scene's", QDialogButtonBox.ButtonRole.ResetRole)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
-        column.addWidget(quiet(ABOUT, wrap=True))
+        column.addWidget(secondary_label(ABOUT, wrap=True))
         column.addWidget(self.area, 1)
         column.addWidget(self.buttons)
         self.use.setDefault(True)
@@ -110,7 +110,7 @@ class ThresholdsDialog(QDialog):
     def _fill(self) -> None:
         for title, group in GROUPS.items():
             heading = QLabel(title)
-            embolden(heading)
+            set_bold(heading)
             self._grid.addWidget(heading, self._grid.rowCount(), 0, 1, 4)
             for name, words in group.items():
                 row = self.rows[name] = ThresholdRow(words, with_unit(name, self._scene[name]), self._grid)

@@ -19,8 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.copying import make_copyable
-from app.panels.widgets import embolden, fit_to_screen, plain_buttons, quiet
+from app.panels.widgets import fit_to_screen, make_copyable, plain_buttons, secondary_label, set_bold
 from app.text_size import scaled
 from app.theme import GAP, HEADLINE_PT
 from skincal.guide.verdict import Verdict
@@ -63,7 +62,7 @@ class VerdictDialog(QDialog):
         self.sentence = QLabel(verdict_sentence(verdict))
         shown = (*figures(verdict), *((("Rig", rig),) if rig else ()))
         self.figures = [(name, QLabel(value)) for name, value in shown]
-        self.heading = quiet(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
+        self.heading = secondary_label(f"{count(len(verdict.left), 'taxel')} not done; Enter selects one in the views.")
         self.area, self.words = QScrollArea(), QWidget()
         self.left = QTableWidget(len(verdict.left), len(HEADINGS))
         self._channels = [left.channel for left in verdict.left]
@@ -88,12 +87,12 @@ class VerdictDialog(QDialog):
 
     def _arrange(self) -> None:
         self._arrange_list()
-        embolden(self.sentence, HEADLINE_PT)
+        set_bold(self.sentence, HEADLINE_PT)
         self.sentence.setAccessibleName("verdict")
         form = QFormLayout()
         for name, value in self.figures:
             value.setWordWrap(True)
-            form.addRow(quiet(name), value)
+            form.addRow(secondary_label(name), value)
         words = QVBoxLayout(self.words)
         words.setSpacing(2 * GAP)
         words.addWidget(self.sentence)

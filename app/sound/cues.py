@@ -23,7 +23,7 @@ import numpy as np
 
 from app.state.policies import is_news, newest_outcome
 from app.state.running import Running
-from app.state.view_state import FAULTS, ViewState
+from app.state.view_state import LINK_FAULTS, ViewState
 from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
@@ -135,7 +135,7 @@ class CueMemory:
 def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]:
     """Return the sound that is due now, None where none is, and what has to be remembered."""
     phase = at.live.progress.phase
-    lost = frozenset(link.link for link in at.live.links if at.look(link) in FAULTS)
+    lost = frozenset(link.link for link in at.live.links if at.look(link) in LINK_FAULTS)
     newest = newest_outcome(at.snapshot) or memory.outcome
     following = CueMemory(
         outcome=newest,

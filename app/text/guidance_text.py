@@ -6,7 +6,17 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
+from app.state.press_coach import (
+    OTHER_TAXEL_DISTANCE,
+    UPRIGHT_MAX_TILT,
+    CoachMemory,
+    ForceLevel,
+    HintKind,
+    LeanDirection,
+    PressHint,
+    is_on_other_taxel,
+    lean_of,
+)
 from app.state.view_state import ViewState
 from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, Target
 from skincal.guide.press_coaching import PokeError
@@ -36,7 +46,7 @@ def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str
     if target.channel is None:
         return "Press inside the ring, tool upright"
     press = f"Press {names.taxel(target.channel)}"
-    if target.tilt < STRAIGHT:
+    if target.tilt < UPRIGHT_MAX_TILT:
         return f"{press}, tool upright"
     lean = lean_of(guidance, target)
     side = "" if lean is None else f" {lean_words(lean, names)}"
@@ -177,17 +187,17 @@ def contacts_words(axes: AxisDiversity) -> str:
     return f"{count(len(axes.own), 'poke')}, {int(axes.own.sum())} strongest here" if len(axes.own) else ""
 
 
-def lean_words(lean: Lean, names: ChannelNames) -> str:
+def lean_words(lean: LeanDirection, names: ChannelNames) -> str:
     """Name the direction to lean to: `"toward 17-05"`."""
     return f"{'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
 
 
-def hint_words(hint: Hint, target: Target, names: ChannelNames) -> str:
+def hint_words(hint: PressHint, target: Target, names: ChannelNames) -> str:
     """Say how to press better: `"Lean 8° more toward 17-05"`."""
-    if hint.ask is Ask.AIM:
+    if hint.ask is HintKind.AIM:
         where = "the ring" if target.channel is None else names.short(target.channel)
         return f"Move the tip {millimetres(hint.amount, 0)} toward {where}"
-    if hint.ask is Ask.LESS:
+    if hint.ask is HintKind.LESS:
         return f"Lean {degrees(hint.amount)} less"
     side = "" if hint.toward is None else f" {lean_words(hint.toward, names)}"
     return f"Lean {degrees(hint.amount)} more{side}"
@@ -197,11 +207,11 @@ def pressing_words(coaching: PokeError | None, target: Target | None, names: Cha
     """Compare the press with the requested poke: `"1.4 mm off target · lean 26° (wanted 28°)"`; or empty."""
     if coaching is None or target is None:
         return ""
-    if coaching.away > ELSEWHERE:
+    if coaching.away > OTHER_TAXEL_DISTANCE:
         return "" if coaching.landed is None else _landed_words(coaching.landed, names)
-    wanted = "" if target.tilt < STRAIGHT else f" (wanted {degrees(target.tilt)})"
+    wanted = "" if target.tilt < UPRIGHT_MAX_TILT else f" (wanted {degrees(target.tilt)})"
     lean = f"lean {degrees(coaching.tilt)}{wanted}"
-    if coaching.landed is not None and beside(coaching, target):
+    if coaching.landed is not None and is_on_other_taxel(coaching, target):
         return f"{_landed_words(coaching.landed, names)}{BETWEEN}{lean}"
     return f"{millimetres(coaching.away)} off target{BETWEEN}{lean}"
 
@@ -213,8 +223,8 @@ def _landed_words(channel: int, names: ChannelNames) -> str:
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:
     """Say how to change the force, and the force with its limit; the first is empty if the force is right."""
     force, limits = newtons(float(np.linalg.norm(at.live.progress.force))), at.scene.contacts
-    if memory.force is Force.LOW:
+    if memory.force is ForceLevel.LOW:
         return "Press harder", f"{force}, needs {newtons(limits.force_min)}"
-    if memory.force is Force.HIGH:
+    if memory.force is ForceLevel.HIGH:
         return "Press softer", f"{force}, limit {newtons(limits.force_max)}"
     return "", force

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from app.state.policies import is_news, newest_outcome
-from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
+from app.state.press_coach import NO_HINT, CoachMemory, ForceLevel, follow_press
 from app.state.running import Running
-from app.state.view_state import FAULTS, LinkLook, ViewState
+from app.state.view_state import LINK_FAULTS, LinkStatus, ViewState
 from app.text.guidance_text import (
     BETWEEN,
     done_words,
@@ -113,7 +113,7 @@ class NowMemory:
     """Guidance of the tick before."""
     done: tuple[int, ...] = ()
     """Channels finished by the newest poke, ascending."""
-    coach: CoachMemory = SILENT
+    coach: CoachMemory = NO_HINT
     deed: LastOperation | None = None
     """Last action of the operator."""
     deed_until_s: float = -math.inf
@@ -217,10 +217,10 @@ def _trouble(at: ViewState) -> Now | None:
         return Now(Tone.CALM, "Paused", "Not recording. Space: continue")
     if at.running is Running.OFFLINE:
         return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
-    fault = next((link for link in at.live.links if at.look(link) in FAULTS), None)
+    fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)
-        how = "disconnected" if at.look(fault) is LinkLook.LOST else "stuck"
+        how = "disconnected" if at.look(fault) is LinkStatus.LOST else "stuck"
         detail = link_detail(fault, at) or "Reconnecting automatically"
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", f"{detail[:1].upper()}{detail[1:]}")
     return None
@@ -234,7 +234,7 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
     asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
     force, detail = force_words(memory.coach, at)
     if force:
-        tone = Tone.HOLD if memory.coach.force is Force.LOW else Tone.BAD
+        tone = Tone.HOLD if memory.coach.force is ForceLevel.LOW else Tone.BAD
         return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
     return Now(Tone.HOLD, asked or "Hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
 
@@ -316,18 +316,18 @@ def _ask_pose(at: ViewState) -> Now:
 
 def _no_data(at: ViewState) -> Now:
     links = at.live.links
-    wrong = next((link for link in links if at.look(link) is LinkLook.WRONG), None)
+    wrong = next((link for link in links if at.look(link) is LinkStatus.WRONG), None)
     if wrong is not None:
         name, verdict = link_name(wrong), _SHORT_VERDICTS[wrong.verdict.answer]
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]}: {verdict}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
-    missing = [link for link in links if at.look(link) in (LinkLook.WAITING, LinkLook.SILENT)]
+    missing = [link for link in links if at.look(link) in (LinkStatus.WAITING, LinkStatus.SILENT)]
     if missing:
         return Now(
             Tone.WAIT,
             f"Waiting for {', '.join(_SHORT_NAMES.get(link.link, link.link) for link in missing)}",
             link_detail(missing[0], at),
         )
-    if links and all(at.look(link) is LinkLook.ENDED for link in links):
+    if links and all(at.look(link) is LinkStatus.ENDED for link in links):
         return Now(Tone.CALM, "Recording ended", "All of it has been read")
     return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.state.policies import GOOD_RMS, Mark
-from app.state.view_state import LinkLook, ViewState, link_look
+from app.state.view_state import LinkStatus, ViewState, link_status
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
@@ -157,7 +157,7 @@ class LinkWords:
     """Texts for one link."""
 
     name: str
-    look: LinkLook
+    look: LinkStatus
     short: str
     """For the status line: `"force/torque sensor 1000 Hz"`."""
     rate: str
@@ -172,11 +172,11 @@ def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, co
     """Make the texts for a link.
 
     A silent link shows the time of its last bytes rather than their age, so that the screen stays still while nothing streams.
-    `now_ns` is the host's monotonic clock, `clock_offset`, s, converts it to the time of day; `connected` as for `link_look`.
+    `now_ns` is the host's monotonic clock, `clock_offset`, s, converts it to the time of day; `connected` as for `link_status`.
     """
-    look = link_look(health, now_ns, connected=connected)
+    look = link_status(health, now_ns, connected=connected)
     shown_rate, last = look.value, _last_words(health, clock_offset)
-    if look is LinkLook.STREAMING:
+    if look is LinkStatus.STREAMING:
         shown_rate, last = rate(health.rate), age((now_ns - health.last_host_ns) * 1e-9)
     losses = sorted(((loss.value, n) for loss, n in health.losses.items() if n), key=lambda item: -item[1])
     detail = _link_detail(health, look, last)
@@ -206,11 +206,11 @@ def _last_words(health: LinkHealth, clock_offset: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(health.last_host_ns * 1e-9 + clock_offset))
 
 
-def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:
-    if look is LinkLook.SILENT:
+def _link_detail(health: LinkHealth, look: LinkStatus, last: str) -> str:
+    if look is LinkStatus.SILENT:
         return f"Connected, but no data since {last}. Check that the device sends."
-    if look is LinkLook.WAITING and health.last_host_ns == 0:
+    if look is LinkStatus.WAITING and health.last_host_ns == 0:
         return health.text or "Connected, no data yet. Check the address, the baud rate and that the device sends."
-    if look in (LinkLook.WRONG, LinkLook.FROZEN):
+    if look in (LinkStatus.WRONG, LinkStatus.FROZEN):
         return link_verdict_words(health.verdict)
-    return "" if look in (LinkLook.STREAMING, LinkLook.AWAY) else health.text
+    return "" if look in (LinkStatus.STREAMING, LinkStatus.AWAY) else health.text

@@ -24,7 +24,7 @@ def offer_text(offer: Offer) -> str:
     """Label the button of an available correction."""
     if offer.frame is not None:
         return "Correct the sensor frame"
-    return "Update the correction of sensor and arm" if offer.anew else "Correct sensor and arm"
+    return "Update the correction of sensor and arm" if offer.replaces else "Correct sensor and arm"
 
 
 def offer_words(offer: Offer) -> str:

@@ -70,7 +70,7 @@ class Poked:
 
     @property
     def panel(self):
-        return self.bench.window.session_view.workspace.rig
+        return self.bench.window.session_view.workspace.panels["Rig"]
 
     @property
     def now(self):

@@ -183,7 +183,7 @@ def first_look(keys: Keys) -> None:
     keys.back_in_the_window()
     keys.tap(Key.Key_F13)
     assert bench.controller.running is Running.STREAMING
-    if any(command.keys == ("M",) for command in COMMANDS):
+    if any(command.keys == "M" for command in COMMANDS):
         keys.tap(Key.Key_M)
 
 
@@ -260,7 +260,7 @@ def test_a_tab_is_found_by_its_place_whatever_a_style_adds_to_its_text(bench, re
         tabs.setTabText(index, f"&{tabs.tabText(index)}")
     bench.key(Qt.Key.Key_3)
     bench.window.session_view.show()
-    bench.window.session_view.save(QSettings("skincal", "test"))
+    bench.window.session_view.save()
     assert QSettings("skincal", "test").value("window/tab") == "Taxel"
 
 

@@ -13,7 +13,7 @@ from PySide6.QtCore import QStandardPaths
 
 from app import run
 from app.__main__ import main
-from app.preflight import LIBRARIES, X_LIBRARIES, objection
+from app.preflight import QT_LIBRARIES, X_LIBRARIES, objection
 from app.session.opening import OpenRequest
 from app.state.running import Running
 from tests.approved import approved
@@ -130,7 +130,7 @@ def test_only_a_window_on_x_needs_the_libraries_of_x():
     assert said == ""
     said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in X_LIBRARIES, lambda: True)
     assert all(package in said for package in X_LIBRARIES.values())
-    assert not any(package in said.split() for package in LIBRARIES.values())
+    assert not any(package in said.split() for package in QT_LIBRARIES.values())
 
 
 def test_a_display_that_does_not_answer_is_not_a_display():

@@ -21,6 +21,7 @@ from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, contact, decided, live, snapshot
 from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, renderer_of, settle, turn
+from tests.app.window_support import luminance
 
 UP = np.array([0.0, 0.0, 1.0])
 HEAD = Landmark("head", np.array([0.020, -0.022, 0.0]), UP)
@@ -115,13 +116,6 @@ def test_few_landmarks_have_names_and_many_have_none(view):
     np.testing.assert_array_equal(pixels(view), with_names)
 
 
-def luminance(colours: np.ndarray) -> np.ndarray:
-    """Relative, by WCAG 2."""
-    share = colours / 255.0
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return linear @ [0.2126, 0.7152, 0.0722]
-
-
 @pytest.mark.parametrize("dark", [True, False])
 def test_names_are_read_upon_the_part_and_beside_it_poked_or_not(view, dark):
     view.set_dark(dark)
@@ -187,21 +181,14 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
     renderer_of(view).auto_camera.wanted = False
     assert changed(before, pixels(view), seen(view, wanted.place), 30) > 60
     np.testing.assert_array_equal(renderer_of(view).target.at, wanted.place)
-    for place in (HEAD.place, CORNER.place):
-        x, y = seen(view, place)
-        assert 0 < x < view.width()
-        assert 0 < y < view.height()
-
-
-def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
-    view = make_view(qtbot, surface=False, plan=False)
-    far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
-    show(view, session(1, far))
-    settle()
-    for landmark in far:
-        x, y = seen(view, landmark.place)
-        assert 0 < x < view.width()
-        assert 0 < y < view.height()
+    if not surface:
+        far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
+        show(view, session(2, far))
+        settle()
+        for landmark in far:
+            x, y = seen(view, landmark.place)
+            assert 0 < x < view.width()
+            assert 0 < y < view.height()
 
 
 # The point of the part that a click means

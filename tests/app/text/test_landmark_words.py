@@ -25,9 +25,9 @@ from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 from skincal.words.poke_words import REASON_WORDS
-from tests.app.guide_support import guidance, part, target
+from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import decided, laid
-from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
+from tests.app.window_support import NAMES, PLAN, arm_scene, frame, part, session, slip, touch
 from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -12,13 +12,11 @@ import time
 
 import pytest
 from PySide6.QtCore import QEvent, QObject
-from PySide6.QtWidgets import QApplication, QLabel, QWidget
+from PySide6.QtWidgets import QApplication
 
-from app.panels.plot_panels import PlotPanel
 from app.workers.processes import ProcessLostError, ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
-from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
 from tests.approved import approved, approved_pattern
 
@@ -141,49 +139,6 @@ def test_nothing_is_called_once_the_owner_is_gone(qtbot):
     qtbot.waitUntil(lambda: not names(), timeout=5000)
     qtbot.wait(20)
     assert heard == []
-
-
-class Plots(PlotPanel):
-    """Counts what it makes."""
-
-    def __init__(self):
-        super().__init__()
-        self.made = 0
-
-    def make(self):
-        self.made += 1
-        return QWidget()
-
-    def draw_state(self, state):
-        pass
-
-
-def test_plots_are_made_when_their_panel_is_seen(qtbot):
-    panel = Plots()
-    qtbot.addWidget(panel)
-    panel.show_state(None)
-    assert panel.findChild(ThreadService) is None, "nothing is imported for a panel that nobody sees"
-    panel.show()
-    panel.show_state(None)
-    panel.hide()
-    qtbot.waitUntil(lambda: panel._imported, timeout=OPEN_MS)
-    assert (panel.made, panel.ready) == (0, False)
-    panel.show()
-    panel.show_state(None)
-    panel.show_state(None)
-    assert (panel.made, panel.ready) == (1, True)
-
-
-def test_that_there_are_no_plots_is_said(qtbot, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyqtgraph", None)
-    panel = Plots()
-    qtbot.addWidget(panel)
-    panel.show()
-    for _ in range(3):
-        panel.show_state(None)
-    qtbot.waitUntil(lambda: panel.findChild(QLabel).text().startswith("There are no curves: "), timeout=5000)
-    panel.show_state(None)
-    assert (panel.made, panel.ready) == (0, False)
 
 
 # In a process
