@@ -1,4 +1,4 @@
-"""Files that are dropped onto the window."""
+"""A window that takes files which are dropped onto it."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from skincal.model.errors import InputError
 
 
 class DropTarget(QObject):
-    """Accepts files that are dropped onto a widget or its children."""
+    """Takes what is dropped onto a widget and what stands in it."""
 
     request_made = Signal(object)
-    """`OpenRequest`."""
+    """`OpenRequest` of what was dropped."""
     recording_dropped = Signal(object)
-    """Paths of a recording to import."""
+    """Paths of a recording that is to be imported."""
     refused = Signal(str)
-    """Why the files cannot be opened, and what to do."""
+    """Why it cannot be opened, and what to do with it."""
 
     def __init__(self, over: QWidget) -> None:
         super().__init__(over)
@@ -28,17 +28,18 @@ class DropTarget(QObject):
         over.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        # Both events are of one class.
+        """Take files, and leave anything else to whoever wants it."""
+        # A drop is told by its type: both events are of one class.
         if isinstance(event, QDragEnterEvent) and event.mimeData().hasUrls():
             event.acceptProposedAction()
             return True
         if event.type() is QEvent.Type.Drop and isinstance(event, QDropEvent):
             event.acceptProposedAction()
-            self._open_dropped([Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()])
+            self._take([Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()])
             return True
         return super().eventFilter(watched, event)
 
-    def _open_dropped(self, paths: list[Path]) -> None:
+    def _take(self, paths: list[Path]) -> None:
         try:
             request = request_of(paths)
         except InputError as error:

@@ -1,4 +1,4 @@
-"""State of the devices. In a module of its own, since the window imports it before numpy."""
+"""What the program does with its devices. By itself: the window has it before numpy, and all that stands on it, is imported."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Running(Enum):
-    """State of the devices; the value is its name."""
+    """What the program does with its devices."""
 
     OPENING = "opening"
     STREAMING = "streaming"
