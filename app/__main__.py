@@ -1,4 +1,7 @@
-"""`skincal`: runs the named command, or without one the window. Commands import no Qt."""
+"""`skincal`: a command where one is named, else the window.
+
+Commands import no Qt. The window is on the screen before anything heavy is imported or read.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import os
 import sys
 
 if __name__ == "__main__" and not sys.flags.safe_path:
-    # `python -m app` puts the working folder first on the path: a `typer.py` there would be imported.
+    # `python -m app` has put the working folder first on the path: a `typer.py` that lies there is not the program's.
     sys.path[:] = [*sys.path[1:], os.path.dirname(os.path.dirname(__file__))]  # noqa: PTH120 - a pathlib.py may lie there
 
 import argparse
@@ -14,30 +17,30 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from app.preflight import no_display, window_problem
+from app.preflight import no_display, objection
 from app.scene3d.drawing_probe import PROBE_OPTION
 from app.session.opening import MESHES
 from skincal.model.errors import INTERRUPTED, InputError
 
-HELP_OPTIONS = ("-h", "--help", "--version")
+HELP = ("-h", "--help", "--version")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command or the window; return the exit code: 0 for success, 2 for wrong input, 1 for an error of the program."""
+    """Run a command or the window; return the exit code: 0 success, 2 wrong input, 1 fault of the program."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == [PROBE_OPTION]:
         from app.scene3d.drawing_probe import draw_probe_picture
 
         return draw_probe_picture("".join(arguments[1:]))
     if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(MESHES):
-        # As if the file is dropped onto the program.
+        # For example a file that is dropped onto the program.
         arguments.insert(0, "--scene")
-    if arguments and (arguments[0] in HELP_OPTIONS or not arguments[0].startswith("-")):
+    if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         return _command(arguments)
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as end:
-        # argparse exits after --help and after an error.
+        # argparse ends the program itself, after --help and after errors.
         return int(end.code or 0)
     try:
         return _run(options)
@@ -52,37 +55,39 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _command(arguments: list[str]) -> int:
-    """Run a command, or show help or the version; the window's help follows that of the commands."""
+    """Run a command, or show help or version; the window's help follows that of the commands."""
     try:
         from skincal.cli import main as run_command
 
         code = run_command(arguments)
-    except KeyboardInterrupt:  # during the imports; a running command handles it
+    except KeyboardInterrupt:  # while modules are imported; a running command handles it
         return INTERRUPTED
-    if arguments[0] in HELP_OPTIONS[:2]:
+    if arguments[0] in HELP[:2]:
         sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
     return code
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Open the window, or without a display and devices run the simulated session."""
+    """Open the window; without a display and without devices, run the simulated session without it."""
     _check_session(options)
     devices = [f"--{name}" for name in ("wrench", "skin", "joints", "targets") if getattr(options, name)]
     if options.headless and devices:
         raise InputError(
-            f"--headless simulates its devices, so {' and '.join(devices)} cannot be used with it. "
+            f"--headless was given together with {' and '.join(devices)}; it pokes a simulated rig alone: "
             "`skincal record` records devices without a window."
         )
     named = options.wrench or options.skin or options.joints or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:
         if options.scene is not None and options.scene.suffix.lower() in MESHES:
-            raise InputError(f"{options.scene}: is a mesh; only the window makes a scene of it. Expected a scene (*.toml).")
+            raise InputError(
+                f"{options.scene}: is a mesh, and the window alone makes a scene of it; expected a scene (*.toml)."
+            )
         from app.headless import run_headless
         from app.session.opening import find_scene
 
         return run_headless(find_scene(options.scene), options.new, no_window)
-    reason = window_problem()
+    reason = objection()
     if reason:
         sys.stderr.write(reason + "\n")
         return 2
@@ -105,18 +110,18 @@ class _Parser(argparse.ArgumentParser):
     """Reports wrong options in one sentence, as the commands do."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"skincal: {message}; `skincal --help` lists the options.\n")
+        self.exit(2, f"skincal: {message}; `skincal --help` shows what is possible.\n")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser("skincal", description="Open the window, by default on a simulated forearm.")
+    parser = _Parser("skincal", description="Open the window: on a simulated forearm, if no option says otherwise.")
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, or a mesh")
-    parser.add_argument("--session", type=Path, help="folder of a recorded session to continue")
+    parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
     parser.add_argument(
-        "--targets", default="", metavar="[HOST:]PORT", help="send poke targets to a robot, by lines over TCP (docs/wire.md)"
+        "--targets", default="", metavar="[HOST:]PORT", help="ask a robot to poke, by lines over TCP (docs/wire.md)"
     )
     parser.add_argument("--new", type=Path, help="folder of the new session")
     parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files in --new")
@@ -127,5 +132,5 @@ if __name__ == "__main__":
     if getattr(sys, "frozen", False):
         from multiprocessing import freeze_support
 
-        freeze_support()  # child processes of the frozen program start here
+        freeze_support()  # a process of the frozen program starts here, too
     sys.exit(main())

@@ -1,253 +1,259 @@
-"""Every action of the window with its key and its place in the menus.
+"""Every action of the window. A new command, key or menu entry is one `Command` in `COMMANDS`.
 
-Keys are given explicitly, so that one hand, a pedal or a test can do everything; each menu entry prints its own.
+Keys are explicit, so that one hand, a pedal or a test can do everything. Each menu entry shows its own key.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from PySide6.QtCore import QObject
-from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QMenuBar
+from PySide6.QtCore import QObject, QSettings
+from PySide6.QtGui import QAction, QKeySequence
+from PySide6.QtWidgets import QWhatsThis
 
+from app.text.demo_text import pace_words
+from app.text_size import STEPS
 from app.theme import Choice
 
 if TYPE_CHECKING:
+    from app.session_view import SessionView
     from app.state.policies import Allowed
+    from app.window import Window
+
+Enabled: TypeAlias = "Callable[[Window], bool | str]"
+
+
+def always(_window: Window) -> bool:
+    """Enable a command in every state."""
+    return True
+
+
+def view(run: Callable[[SessionView], object]) -> Callable[[Window], object]:
+    """Run something on the session view; do nothing while no session is open."""
+    return lambda window: None if window.session_view is None else run(window.session_view)
+
+
+def may(field: Callable[[Allowed], bool | str]) -> Enabled:
+    """Follow a field of `Allowed`. Nothing is allowed before the first picture of a session."""
+    return lambda window: window.may is not None and field(window.may)
+
+
+def _correction_label(allowed: Allowed) -> str:
+    from app.text.rig_text import offer_text  # needs numpy
+
+    return "" if allowed.correct is None else offer_text(allowed.correct)
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One entry of a menu."""
+    """One menu entry."""
 
     name: str
-    """By which the window finds it."""
+    """Unique; the window finds the action by it."""
     menu: str
     text: str
-    keys: tuple[str, ...]
+    keys: str
+    """Separated by spaces."""
     hint: str
-    checkable: bool
+    run: Callable[[Window], object]
+    enabled: Enabled = always
+    """Whether the command can be used now. A text means yes, and replaces `text`."""
+    switch: bool | None = None
+    """State of a switch for a new user; `None` if the entry is no switch."""
+    setting: str = ""
+    """Setting that keeps a switch; empty if none does."""
+    why_disabled: str = ""
+    """Shown after `text` while the command is disabled."""
 
 
-SOUNDS = "Sounds"
-CORRECT = "Correct the rig"
-OBVIOUS = "Do the obvious thing"
+# fmt: off
+COMMANDS = (
+    Command("new", "Session", "New session…", "Ctrl+N", "Choose a scene, the devices and a folder", lambda w: w.ask_new()),
+    Command("open", "Session", "Open session…", "Ctrl+O", "Continue a recorded session", lambda w: w.ask_session()),
+    Command("import", "Session", "Import a recording…", "Ctrl+I", "Make a session from logs of yarpdatadumper or CSV files",
+            lambda w: w.ask_import()),
+    Command("addresses", "Session", "Device addresses…", "A", "Another port or host for a device of this session",
+            lambda w: w.ask_addresses()),
+    Command("keep", "Session", "Keep this session", "Ctrl+S", "Keep this session; otherwise the window asks when it closes",
+            lambda w: w.controller.keep(), lambda w: w.controller.can_keep),
+    Command("export", "Session", "Export calibration…", "Ctrl+E", "Write the file that the robot loads",
+            view(lambda v: v.ask_export()), may(lambda m: m.export)),
+    Command("apply", "Session", "Apply to the robot…", "Ctrl+Shift+A",
+            "Send the positions to a running skinManager; asks first",
+            view(lambda v: v.ask_apply()), may(lambda m: m.export)),
+    Command("reference", "Session", "Compare with…", "Ctrl+R",
+            "Show the error against a calibration (JSON, CSV, iCub) or truth.json",
+            view(lambda v: v.ask_reference())),
+    Command("verdict", "Session", "Verdict…", "F", "Show what is finished, what is not and why; then export",
+            view(lambda v: v.ask_verdict()), may(lambda m: m.verdict)),
+    Command("report", "Session", "Report…", "Ctrl+Shift+E", "Write the results as one file for the browser and for paper",
+            view(lambda v: v.ask_report()), may(lambda m: m.export)),
+    Command("picture", "Session", "Save 3D picture…", "Ctrl+P", "Write the 3D view to an image file",
+            view(lambda v: v.ask_picture())),
+    Command("pace", "Session", "Pace of the simulated operator", "Shift+P", "One, two or four times as fast as a careful hand",
+            lambda w: w.change_pace(), lambda w: w.controller.served and pace_words(w.controller.pace)),
+    Command("quit", "Session", "Quit", "Ctrl+Q", "Everything recorded is on the disk already", lambda w: w.close()),
 
-_MENUS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
-    "Session": (
-        ("new", "New session...", "Ctrl+N", "Choose a scene, the devices and a folder"),
-        ("open", "Open session...", "Ctrl+O", "Go on with a recorded session"),
-        ("import", "Import a recording...", "Ctrl+I", "Make a session of logs of yarpdatadumper or of CSV files"),
-        ("addresses", "Device addresses...", "A", "Another port or host for a device of this session"),
-        ("keep", "Keep this session", "Ctrl+S", "Keep this session; without it the window asks when it closes"),
-        ("export", "Export calibration...", "Ctrl+E", "Write the file that the robot loads"),
-        ("apply", "Apply to the robot...", "Ctrl+Shift+A", "Send the positions to a running skinManager; asks first"),
-        ("reference", "Compare with...", "Ctrl+R", "Show the error against a calibration (JSON, CSV, iCub) or a truth.json"),
-        ("verdict", "Verdict...", "F", "What is done, what is not and why; then export"),
-        ("report", "Report...", "Ctrl+Shift+E", "Write what the session came to as one file for the browser and for paper"),
-        ("picture", "Save 3D picture...", "Ctrl+P", "Write the 3D view as it stands"),
-        ("pace", "Pace of the simulated operator", "Shift+P", "Once, twice or four times as quick as a careful hand"),
-        ("quit", "Quit", "Ctrl+Q", "Everything recorded is on the disk already"),
-    ),
-    "Poke": (
-        ("space", OBVIOUS, "Space", "Pause, go on, or show the verdict once it is enough"),
-        ("pause", "Pause", "P", "Pause or go on, whatever the guide says"),
-        ("another", "Another target", "N", "Ask for another poke; a side that is skipped twice is left out"),
-        ("no landmarks", "No landmarks in this pose", "Shift+N", "Go on with the skin, or end the closing check; N skips one"),
-        (
-            "closing",
-            "Closing check again",
-            "Shift+F",
-            "Once it is enough: poke some of the first places once more; whether anything moved",
-        ),
-        ("correct", CORRECT, "C", "Use the correction that landmark pokes offer; it can be undone"),
-        ("undo", "Undo", "Backspace Ctrl+Z", "Take back the last poke or action"),
-        ("redo", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Bring again what was taken back last"),
-        ("history", "History...", "H", "What was done and when; Enter takes back everything down to a line"),
-        ("exclude", "Exclude selected pokes", "E", "Selected pokes count no more, or count again"),
-        ("last", "Select last poke", "L", "Show the newest poke in the list"),
-        ("dead", "Do not use selected taxel", "D", "Leave a taxel out that is stuck or always on, or use it again"),
-        ("thresholds", "Thresholds...", "Shift+H", "What a poke must pass to count; a change holds for pokes from then on"),
-        (
-            "landmark",
-            "Add landmark...",
-            "K",
-            "Name a known point of the part: a screw's head; click it, or K again types its place",
-        ),
-        ("pedals", "Pedals...", "F3", "Learn the keys of foot pedals for Space, Backspace and N"),
-    ),
-    "View": (
-        ("method", "Next method", "V", "Show the next method's estimates; the guide follows it"),
-        (
-            "difference",
-            "Lines to another method",
-            "X",
-            "Join each estimate to the surface method's, or where that is shown to the free method's",
-        ),
-        ("guide", "Guide", "G", "Say and show what to poke next"),
-        ("sounds", SOUNDS, "M", "Hear contact, enough, verdict, taxel done, device lost"),
-        ("speech", "Say why a poke is rejected", "Shift+M", "With the voice of the system"),
-        ("turn", "Turn to the target", "T", "Turn the 3D view between pokes where it hides the target"),
-        ("camera", "Whole part", "Home", "Bring the whole part into the 3D view"),
-        ("larger", "Larger text", "Ctrl++ Ctrl+=", "Up to 200 % in the whole window"),
-        ("smaller", "Smaller text", "Ctrl+-", "Down to 75 % in the whole window"),
-        ("usual", "Text as usual", "Ctrl+0", "As large as the desktop's"),
-        ("none", "Select nothing", "Esc", "Dismiss the message, or the selection"),
-        ("full", "Full screen", "F11", ""),
-    ),
-    "Layers": (
-        ("modules", "Plan of the skin", "Ctrl+1", "Outlines, numbers and places as the layout has them"),
-        ("estimates", "Estimates", "Ctrl+2", "A ball for each taxel, with a hole where it lies below the skin"),
-        ("axes", "Force axes", "Ctrl+3", "Of the poke in progress, and of the selected taxel's pokes"),
-        ("uncertainty", "Ellipses", "Ctrl+4", "Where the worst taxel and the selected one may lie, at 95 %"),
-        ("landmarks", "Landmarks", "Ctrl+5", "Known points of the part, with their names"),
-        ("cone", "Cone of the target", "Ctrl+6", "How far a push may be off the arrow"),
-    ),
-    "Help": (
-        ("what", "What is this?", "F1", "Then click what you want explained"),
-        ("keys", "Keys", "F2", "Every key in one list"),
-        ("about", "About skincal", "Shift+F2", "Version and licence"),
-    ),
-}
-"""For each menu: name, text, keys and hint of each entry."""
-LAYERS = tuple(name for name, *_ in _MENUS["Layers"])
-"""What the 3D view can leave out, by the names that it knows."""
-_CHECKABLE = ("difference", "guide", "sounds", "speech", "turn", "full", *LAYERS)
-COMMANDS = tuple(
-    Command(name, menu, text.replace("...", "\N{HORIZONTAL ELLIPSIS}"), tuple(keys.split()), hint, name in _CHECKABLE)
-    for menu, entries in _MENUS.items()
-    for name, text, keys, hint in entries
+    Command("space", "Poke", "Pause or continue", "Space", "Pause or continue; show the verdict when all taxels are finished",
+            lambda w: w.pause_or_show_verdict(), may(lambda m: m.space)),
+    Command("pause", "Poke", "Pause", "P", "Pause or continue, without the verdict", lambda w: w.controller.toggle(),
+            may(lambda m: m.pause)),
+    Command("another", "Poke", "Another target", "N", "Ask for another poke; a direction that is skipped twice is left out",
+            view(lambda v: v.skip_target()), may(lambda m: m.another)),
+    Command("no landmarks", "Poke", "No landmarks in this pose", "Shift+N",
+            "Continue with the skin, or end the final check; N skips one",
+            view(lambda v: v.skip_landmarks()), may(lambda m: m.skip_landmarks)),
+    Command("closing", "Poke", "Repeat the final check", "Shift+F",
+            "Poke some of the first points again, to see if anything moved",
+            view(lambda v: v.check_again()), may(lambda m: m.ends)),
+    Command("correct", "Poke", "Correct sensor and arm", "C",
+            "Apply the correction that landmark pokes offer; it can be undone",
+            view(lambda v: v.correct()), may(lambda m: _correction_label(m))),
+    Command("undo", "Poke", "Undo", "Backspace Ctrl+Z", "Undo the last poke or action",
+            view(lambda v: v.undo()), may(lambda m: m.undo and f"Undo {m.undo}")),
+    Command("redo", "Poke", "Redo", "Ctrl+Y Ctrl+Shift+Z", "Redo what was undone last",
+            view(lambda v: v.redo()), may(lambda m: m.redo and f"Redo {m.redo}")),
+    Command("history", "Poke", "History…", "H", "All actions with their times; Enter undoes everything down to a line",
+            view(lambda v: v.show_history())),
+    Command("exclude", "Poke", "Exclude selected pokes", "E", "Do not use the selected pokes, or use them again",
+            view(lambda v: v.exclude_or_restore()), may(lambda m: m.exclude_text)),
+    Command("last", "Poke", "Select last poke", "L", "Show the newest poke in the list", view(lambda v: v.select_last())),
+    Command("dead", "Poke", "Do not use selected taxel", "D", "Leave out a taxel that is stuck or always on, or use it again",
+            view(lambda v: v.mark_or_revive()), may(lambda m: m.taxel_text)),
+    Command("thresholds", "Poke", "Thresholds…", "Shift+H", "Limits that a poke must meet; a change applies to later pokes",
+            view(lambda v: v.show_thresholds())),
+    Command("landmark", "Poke", "Add landmark…", "K",
+            "Name a known point of the part, for example a screw: click it, or K again to type",
+            view(lambda v: v.ask_landmark())),
+    Command("pedals", "Poke", "Pedals…", "F3", "Assign foot pedals to Space, Backspace and N", lambda w: w.ask_pedals()),
+
+    Command("method", "View", "Next method", "V", "Show the next method's estimates; the guide follows it",
+            view(lambda v: v.next_method()), may(lambda m: m.switch_method)),
+    Command("difference", "View", "Lines to another method", "X", "Join each estimate to that of another method",
+            view(lambda v: v.follow_switches()), may(lambda m: m.switch_method), switch=False),
+    Command("guide", "View", "Guide", "G", "Tell and show where to poke next",
+            view(lambda v: v.follow_switches()), switch=True, setting="window/guide"),
+    Command("sounds", "View", "Sounds", "M", "Hear contact, finished session, verdict, finished taxel, lost device",
+            lambda w: w.switch_sounds(), lambda w: w.has_sound, switch=True, setting="window/sounds",
+            why_disabled="no sound device"),
+    Command("speech", "View", "Say why a poke is rejected", "Shift+M", "With the voice of the system",
+            lambda w: w.switch_sounds(), lambda w: w.has_sound and w.player.can_speak, switch=False, setting="window/speech"),
+    Command("turn", "View", "Turn to the target", "T", "Turn the 3D view between pokes if the target is hidden",
+            view(lambda v: v.follow_switches()), switch=True, setting="window/turn"),
+    Command("camera", "View", "Whole part", "Home", "Show the whole part in the 3D view",
+            view(lambda v: v.workspace.view.reset_camera())),
+    Command("larger", "View", "Larger text", "Ctrl++ Ctrl+=", f"Up to {STEPS[-1]} % in the whole window",
+            lambda w: w.text_size.larger(), lambda w: w.text_size.percent < STEPS[-1]),
+    Command("smaller", "View", "Smaller text", "Ctrl+-", f"Down to {STEPS[0]} % in the whole window",
+            lambda w: w.text_size.smaller(), lambda w: w.text_size.percent > STEPS[0]),
+    Command("usual", "View", "Normal text", "Ctrl+0", "The text size of the desktop",
+            lambda w: w.text_size.choose(), lambda w: f"Normal text (now {w.text_size.percent} %)"),
+    Command("none", "View", "Select nothing", "Esc", "Close the message, or clear the selection", lambda w: w.escape()),
+    Command("full", "View", "Full screen", "F11", "", lambda w: w.toggle_full_screen(), switch=False),
+    *(Command(choice.value, "View", text, key, "", lambda w, choice=choice: w.choose_theme(choice), switch=False)
+      for choice, text, key in ((Choice.SYSTEM, "Colours of the desktop", "F7"), (Choice.LIGHT, "Light colours", "F8"),
+                                (Choice.DARK, "Dark colours", "F9"))),
+
+    *(Command(name, "Layers", text, f"Ctrl+{number}", hint, view(lambda v: v.follow_switches()), switch=True,
+            setting=f"layers/{name}")
+      for number, (name, text, hint) in enumerate((
+          ("modules", "Planned skin", "Outlines, numbers and planned taxels of the layout"),
+          ("estimates", "Estimates", "A ball for each taxel"),
+          ("axes", "Force axes", "Of the current poke, and of the selected taxel's pokes"),
+          ("uncertainty", "Ellipses", "95 % regions of the worst taxel and the selected one"),
+          ("landmarks", "Landmarks", "Known points of the part, with their names"),
+          ("cone", "Cone of the target", "Accepted directions of the next push")), 1)),
+
+    Command("what", "Help", "What is this?", "F1", "Then click something to see its explanation",
+            lambda _: QWhatsThis.enterWhatsThisMode()),
+    Command("keys", "Help", "Keys", "F2", "Every key in one list", lambda w: w.show_keys()),
+    Command("documents", "Help", "Documents", "Shift+F1", "Open the manual and the other pages", lambda w: w.open_documents()),
+    Command("about", "Help", "About skincal", "Shift+F2", "Version and licence", lambda w: w.show_about()),
 )
-
-
-_THEMES = {
-    Choice.SYSTEM: ("Colours of the desktop", "F7"),
-    Choice.LIGHT: ("Light colours", "F8"),
-    Choice.DARK: ("Dark colours", "F9"),
-}
+# fmt: on
+LAYERS = tuple(command.name for command in COMMANDS if command.menu == "Layers")
+"""Layers of the 3D view that can be hidden."""
 
 
 class Commands(QObject):
-    """The actions, made once and enabled by policy."""
+    """The menus of a window and their actions."""
 
-    def __init__(self, bar: QMenuBar, slots: dict[str, Callable[[], object]], parent: QObject | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, window: Window) -> None:
+        super().__init__(window)
+        self._window = window
         self.actions: dict[str, QAction] = {}
-        self.menus = {name: bar.addMenu(f"&{name}") for name in dict.fromkeys(c.menu for c in COMMANDS)}
+        self.menus = {name: window.menuBar().addMenu(f"&{name}") for name in dict.fromkeys(c.menu for c in COMMANDS)}
         for command in COMMANDS:
             action = QAction(command.text, self)
-            action.setShortcuts([QKeySequence(key) for key in command.keys])
+            action.setShortcuts([QKeySequence(key) for key in command.keys.split()])
             action.setStatusTip(command.hint)
-            action.setCheckable(command.checkable)
-            # A key that is held down would take back one poke after another.
+            action.setCheckable(command.switch is not None)
+            # A key that is held down would undo one poke after another.
             action.setAutoRepeat(False)
-            # Lambdas drop the `checked` argument that Qt would pass.
-            action.triggered.connect(lambda _checked=False, slot=slots[command.name]: slot())
+            action.triggered.connect(lambda _checked=False, run=command.run: run(window))
             self.menus[command.menu].addAction(action)
             self.actions[command.name] = action
 
-    def add_themes(self, chosen: Choice, choose: Callable[[Choice], None]) -> None:
-        """Add the choice of the theme to the view menu."""
-        self.menus["View"].addSeparator()
-        group = QActionGroup(self)
-        for choice in Choice:
-            words, key = _THEMES[choice]
-            action = self.menus["View"].addAction(words)
-            action.setShortcut(QKeySequence(key))
-            action.setCheckable(True)
-            action.setChecked(choice is chosen)
-            action.triggered.connect(lambda _checked=False, choice=choice: choose(choice))
-            group.addAction(action)
+    def update_actions(self) -> None:
+        """Enable the commands that can be used now, and label them."""
+        for command in COMMANDS:
+            enabled, action = command.enabled(self._window), self.actions[command.name]
+            note = f" ({command.why_disabled})" if command.why_disabled and not enabled else ""
+            action.setEnabled(bool(enabled))
+            action.setText(enabled if enabled and isinstance(enabled, str) else command.text + note)
+
+    def is_on(self, name: str) -> bool:
+        return self.actions[name].isChecked()
+
+    def restore(self, settings: QSettings) -> None:
+        """Set the switches from the settings."""
+        for command in COMMANDS:
+            if command.setting:
+                # A settings file holds words: "false" would be true without its type.
+                self.actions[command.name].setChecked(bool(settings.value(command.setting, command.switch, type=bool)))
+
+    def save(self, settings: QSettings) -> None:
+        """Keep the switches."""
+        for command in COMMANDS:
+            if command.setting:
+                settings.setValue(command.setting, self.is_on(command.name))
 
     def add_tabs(self, titles: Iterable[str], show: Callable[[int], object]) -> list[QAction]:
-        """Add an entry for each tab, with its number as the key; return the actions, to be removed with the tabs."""
-        menu = self.menus["View"]
-        added = [menu.addSeparator()]
+        """Add an entry for each tab, with its number as the key; return the actions, which go with the tabs."""
+        added = [self.menus["View"].addSeparator()]
         for index, title in enumerate(titles):
-            action = menu.addAction(title)
+            action = self.menus["View"].addAction(title)
             action.setShortcut(QKeySequence(str(index + 1)))
             action.triggered.connect(lambda _checked=False, index=index: show(index))
             added.append(action)
         return added
 
-    def follow_sound(self, *, found: bool, can_speak: bool) -> None:
-        """Enable sounds and speech where there is a device for them, and say where there is none."""
-        self.actions["sounds"].setEnabled(found)
-        self.actions["sounds"].setText(SOUNDS if found else f"{SOUNDS} (no sound device)")
-        self.actions["speech"].setEnabled(found and can_speak)
-
     def taken(self) -> dict[str, str]:
-        """Return what each key of the menus means, by its portable name."""
+        """Return the meaning of each key of the menus, by the key's portable name."""
         portable = QKeySequence.SequenceFormat.PortableText
-        return {
-            key.toString(portable): action.text().rstrip("\N{HORIZONTAL ELLIPSIS}")
-            for menu in self.menus.values()
-            for action in menu.actions()
-            for key in action.shortcuts()
-        }
-
-    def follow_text(self, percent: int, steps: Sequence[int]) -> None:
-        """Name the size of the text, and enable what still changes it."""
-        self.actions["larger"].setEnabled(percent < steps[-1])
-        self.actions["smaller"].setEnabled(percent > steps[0])
-        self.actions["usual"].setText(f"Text as usual (now {percent} %)")
-
-    def follow_pace(self, words: str, *, served: bool) -> None:
-        """Name the pace of a simulated operator, where there is one."""
-        self.actions["pace"].setEnabled(served)
-        self.actions["pace"].setText(words)
-
-    def follow(self, may: Allowed, correct: str, *, can_keep: bool) -> None:
-        """Enable what may be done, and name it."""
-        excludes = bool(may.exclude or may.unname)
-        exclude = "Restore selected pokes" if may.restore and not excludes else "Exclude selected pokes"
-        for name, enabled, text in (
-            ("undo", bool(may.undo), f"Undo {may.undo}".strip()),
-            ("redo", bool(may.redo), f"Redo {may.redo}".strip()),
-            ("exclude", excludes or bool(may.restore), exclude),
-            ("dead", may.mark_dead or may.revive, "Use selected taxel again" if may.revive else "Do not use selected taxel"),
-            ("correct", bool(correct), correct or CORRECT),
-            ("space", bool(may.space), may.space or OBVIOUS),
-            ("pause", bool(may.pause), may.pause or "Pause"),
-        ):
-            self.actions[name].setEnabled(enabled)
-            self.actions[name].setText(text)
-        for name, enabled in (
-            ("export", may.export),
-            ("apply", may.export),
-            ("report", may.export),
-            ("method", may.switch_method),
-            ("difference", may.switch_method),
-            ("keep", can_keep),
-            ("another", may.another),
-            ("no landmarks", may.skip_landmarks),
-            ("verdict", may.verdict),
-            ("closing", may.ends),
-        ):
-            self.actions[name].setEnabled(enabled)
+        actions = [action for menu in self.menus.values() for action in menu.actions()]
+        return {key.toString(portable): action.text().rstrip("…") for action in actions for key in action.shortcuts()}
 
 
 _MORE_KEYS = (
     ("1 to 7", "Tabs"),
-    ("F6", "Where devices are named: swap F/T sensor and skin"),
-    ("F7, F8, F9", "Colours of the desktop, light, dark"),
+    ("F6", "Where devices are named: swap sensor and skin"),
     ("Arrows", "On the map: next taxel. In a list: next row"),
-    ("Ctrl+C", "In a table: copies the selected rows, or all"),
-    ("+, -, 0", "On the map: nearer, farther, all of it"),
+    ("Ctrl+C", "In a table: copy the selected rows, or all"),
+    ("+, -, 0", "On the map: enlarge, reduce, show all"),
     ("Tab", "The next part of the window"),
 )
 
 
 def key_words(columns: int) -> str:
-    """Return every key with what it does, as a table in HTML with so many columns beside each other, as a screen is wide."""
-    known = [(" or ".join(c.keys), c.text.rstrip("\N{HORIZONTAL ELLIPSIS}")) for c in COMMANDS if c.keys]
-    # Or Qt would break a line within "Ctrl++".
+    """Return every key with its meaning as a table in HTML, in this number of columns."""
+    known = [(" or ".join(c.keys.split()), c.text.rstrip("…")) for c in COMMANDS]
+    # Otherwise Qt would break a line within "Ctrl++".
     cell = "<td style='white-space: pre; padding-right: 8px'>"
     rows = [f"<tr>{cell}<b>{keys}</b></td>{cell}{words}</td></tr>" for keys, words in (*known, *_MORE_KEYS)]
-    high = -(-len(rows) // columns)
-    parts = (rows[at : at + high] for at in range(0, len(rows), high))
+    height = -(-len(rows) // columns)
+    parts = (rows[at : at + height] for at in range(0, len(rows), height))
     tables = (f"<td><table cellpadding=0 cellspacing=1>{''.join(some)}</table></td>" for some in parts)
     return f"<table><tr>{''.join(tables)}</tr></table>"

@@ -1,4 +1,4 @@
-"""The first session without a display: it writes a calibration file and a picture. Imports no Qt."""
+"""The window's first session where there is no display: to a calibration file and a picture of it. Imports no Qt."""
 
 from __future__ import annotations
 
@@ -14,45 +14,37 @@ from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import Method
 
 POKE_COUNT = 168
-"""Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute."""
-RANDOM_SEED = 1
+"""Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
+RIG_SEED = 1
 DEFAULT_FOLDER = "skincal-headless"
 
 
 def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
-    """Simulate a session on a scene, write the calibration file and a picture; return the exit code.
-
-    Parameters
-    ----------
-    why : sentence on why there is no window; may be empty
+    """Poke the simulated rig of a scene, write the calibration file and draw it; return the exit code.
 
     Raises
     ------
     InputError
-        The scene, the folder or the graphics cannot be used.
+        The scene, the folder or the graphics are at fault.
     """
     out = folder or _unused(Path(DEFAULT_FOLDER))
-    _print(
-        f"{why}\nThe same session runs without a window: {POKE_COUNT} pokes on the simulated {scene_path.parent.name}, in {out}"
-    )
+    _say(f"{why}\nThe same session runs without it: {POKE_COUNT} pokes on the simulated {scene_path.parent.name}, in {out}")
     pipeline = _simulate(scene_path, out)
-    # The simulation presses no landmarks.
+    # No landmark was poked.
     calibration = checked_calibration(pipeline.session, rig=None)
     method = leading_method(calibration.estimates) or Method.FREE
     positions = out / "positions.txt"
-    _print(f"{method.value} predicts the smallest error, and is written and drawn")
-    _print(f"{calibration.verdicts[method]}.")
+    _say(f"{method.value} predicts the smallest error, and is written and drawn")
+    _say(f"{calibration.verdicts[method]}.")
     for finding in write_calibration(calibration, "icub", positions, method):
-        _print(finding)
+        _say(finding)
     truth = read_reference(out / "truth.json")
     for name, estimates in calibration.estimates.items():
         error = error_summary(estimates, truth)
         if error is not None:
-            _print(
-                f"{name.value}: {error.taxels} taxels, {error.mean * 1e3:.1f} mm mean error, {error.max * 1e3:.1f} mm largest"
-            )
-    _print(f"calibration file: {positions}")
-    _print(f"picture: {_draw(pipeline, method, out / 'picture.png')}")
+            _say(f"{name.value}: {error.taxels} taxels, {error.mean * 1e3:.1f} mm mean error, {error.max * 1e3:.1f} mm largest")
+    _say(f"calibration file: {positions}")
+    _say(f"picture: {_draw(pipeline, method, out / 'picture.png')}")
     return 0
 
 
@@ -64,13 +56,13 @@ def _simulate(scene_path: Path, out: Path) -> Pipeline:
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
-    return simulate_session(scene, surface, out, POKE_COUNT, RANDOM_SEED, RigErrors.noise(), progress=_show_progress)
+    return simulate_session(scene, surface, out, POKE_COUNT, RIG_SEED, RigErrors.noise(), progress=_show_progress)
 
 
 def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
     from app.scene3d.drawing_probe import choose_offscreen
 
-    # Before VTK is imported, which may fail without OpenGL.
+    # Before VTK is imported: on a machine without OpenGL that may fail, too.
     choose_offscreen()
     from app.scene3d.offscreen import picture
     from skincal.mesh.lay import place_layout
@@ -82,7 +74,7 @@ def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
 
 
 def _unused(folder: Path) -> Path:
-    """Give `folder`, with the first free number appended if it exists."""
+    """Return `folder`, or with the first number behind it that is not taken."""
     candidate, number = folder, 1
     while candidate.exists():
         number += 1
@@ -94,9 +86,9 @@ def _unused(folder: Path) -> Path:
 
 def _show_progress(pokes: int) -> None:
     if pokes % 42 == 0:
-        _print(f"{pokes} of {POKE_COUNT} pokes")
+        _say(f"{pokes} of {POKE_COUNT} pokes")
 
 
-def _print(text: str) -> None:
+def _say(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()

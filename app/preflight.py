@@ -1,4 +1,8 @@
-"""Checks for a missing display or system library, before Qt aborts the process without a sentence. Imports no Qt."""
+"""Requirements of a window that this machine lacks, checked before Qt or OpenGL can crash.
+
+Qt aborts the process where its display or a shared library is missing, and VTK's first picture without OpenGL ends in a
+segmentation fault; both leave the user without a sentence. Nothing here imports Qt.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
-LIBRARY_PACKAGES: Mapping[str, str] = {
+QT_LIBRARIES: Mapping[str, str] = {
     "libglib-2.0.so.0": "libglib2.0-0",
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -17,22 +21,24 @@ LIBRARY_PACKAGES: Mapping[str, str] = {
     "libfontconfig.so.1": "libfontconfig1",
     "libxkbcommon.so.0": "libxkbcommon0",
 }
-"""Shared libraries that Qt and VTK load, with their Debian and Ubuntu packages."""
-X_LIBRARY_PACKAGES: Mapping[str, str] = {
+"""Shared libraries that Qt's widgets and VTK load, and the Debian and Ubuntu packages that hold them."""
+X_LIBRARIES: Mapping[str, str] = {
     "libxcb-cursor.so.0": "libxcb-cursor0",
     "libxcb-icccm.so.4": "libxcb-icccm4",
     "libxcb-keysyms.so.1": "libxcb-keysyms1",
     "libxcb-shape.so.0": "libxcb-shape0",
     "libxkbcommon-x11.so.0": "libxkbcommon-x11-0",
 }
-"""The same for an X server."""
-DISPLAY_FREE_PLATFORMS = ("offscreen", "minimal", "vnc", "linuxfb", "eglfs")
-"""Platforms of Qt without a display, chosen by `QT_QPA_PLATFORM`."""
-COMMANDS_HINT = "Without one, `skincal simulate`, `skincal record` and `skincal solve` do the same work (see `skincal --help`)."
+"""The same for a window on an X server."""
+WITHOUT_DISPLAY = ("offscreen", "minimal", "vnc", "linuxfb", "eglfs")
+"""Platforms of Qt that need no display; the user asks for them by `QT_QPA_PLATFORM`."""
+HEADLESS_ADVICE = (
+    "Without one, `skincal simulate`, `skincal record` and `skincal solve` do the same work (see `skincal --help`)."
+)
 
 
 def loads(name: str) -> bool:
-    """Check whether a shared library can be loaded."""
+    """Return whether a shared library can be loaded."""
     try:
         ctypes.CDLL(name)
     except OSError:
@@ -42,15 +48,15 @@ def loads(name: str) -> bool:
 
 @cache
 def x_answers() -> bool:
-    """Check whether the X server named by `DISPLAY` accepts a connection of this user.
+    """Return whether the X server that `DISPLAY` names takes a connection, with this user's rights.
 
-    Only once: a server without other clients restarts after a connection ends, and refuses for a moment.
+    Cached: a server without other clients restarts after the connection, and refuses for a moment.
     """
     try:
         xcb = ctypes.CDLL("libxcb.so.1")
     except OSError:
-        return True  # The missing library is reported instead.
-    # Without these ctypes would truncate 64-bit pointers.
+        return True  # Cannot be asked; the missing library is named instead.
+    # Without these ctypes takes a pointer for a C int and cuts it off on 64 bits.
     xcb.xcb_connect.restype = ctypes.c_void_p
     xcb.xcb_connection_has_error.argtypes = [ctypes.c_void_p]
     xcb.xcb_disconnect.argtypes = [ctypes.c_void_p]
@@ -61,27 +67,27 @@ def x_answers() -> bool:
 
 
 def wayland_answers(environment: Mapping[str, str]) -> bool:
-    """Check whether the socket named by `WAYLAND_DISPLAY` exists."""
+    """Return whether the socket that `WAYLAND_DISPLAY` names is there."""
     folder = environment.get("XDG_RUNTIME_DIR", "")
-    # The variable may hold an absolute path, which pathlib accepts here.
+    # The variable may hold a whole path: pathlib drops what stands before that.
     return bool(folder) and (Path(folder) / environment["WAYLAND_DISPLAY"]).exists()
 
 
-def window_problem(
+def objection(
     environment: Mapping[str, str] = os.environ,
     platform: str = sys.platform,
     can_load: Callable[[str], bool] = loads,
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
-    """Say why no window can be opened, and what to do; empty if it can."""
-    # On other systems the Python packages include everything.
+    """Return why no window can be opened here and what to do, or an empty text."""
+    # On other systems pip installs everything.
     if not platform.startswith("linux"):
         return ""
     reason = no_display(environment, platform, x_is_there)
     if reason:
-        return f"{reason} {COMMANDS_HINT}"
-    x = bool(environment.get("DISPLAY")) and not _needs_no_display(environment)
-    wanted = {**LIBRARY_PACKAGES, **X_LIBRARY_PACKAGES} if x else LIBRARY_PACKAGES
+        return f"{reason} {HEADLESS_ADVICE}"
+    x = bool(environment.get("DISPLAY")) and not _asked_without(environment)
+    wanted = {**QT_LIBRARIES, **X_LIBRARIES} if x else QT_LIBRARIES
     packages = [package for name, package in wanted.items() if not can_load(name)]
     if not packages:
         return ""
@@ -96,8 +102,8 @@ def no_display(
     platform: str = sys.platform,
     x_is_there: Callable[[], bool] = x_answers,
 ) -> str:
-    """Say that there is no display; empty if there is one."""
-    if not platform.startswith("linux") or _needs_no_display(environment):
+    """Return the sentence that says that there is no display, or an empty text."""
+    if not platform.startswith("linux") or _asked_without(environment):
         return ""
     if environment.get("WAYLAND_DISPLAY") and wayland_answers(environment):
         return ""
@@ -108,5 +114,5 @@ def no_display(
     return f"skincal: the display {environment['DISPLAY']} does not answer, so no window can be opened."
 
 
-def _needs_no_display(environment: Mapping[str, str]) -> bool:
-    return environment.get("QT_QPA_PLATFORM", "").split(":")[0] in DISPLAY_FREE_PLATFORMS
+def _asked_without(environment: Mapping[str, str]) -> bool:
+    return environment.get("QT_QPA_PLATFORM", "").split(":")[0] in WITHOUT_DISPLAY

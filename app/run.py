@@ -1,4 +1,4 @@
-"""The application around the window: settings, log, garbage collection, and uncaught exceptions."""
+"""The application around the window: settings, log, uncaught exceptions."""
 
 from __future__ import annotations
 
@@ -35,20 +35,19 @@ from app.window import Theme, Window
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")
-LOG_MAX_BYTES = 1_000_000
-"""Size of a log file; one older file is kept."""
+MAX_LOG_BYTES = 1_000_000  # Size of the log file; one older file is kept
 GC_THRESHOLDS = (10_000, 20, 20)
 """As for `gc.set_threshold`. A full collection stops every thread for 50 ms once VTK and pyqtgraph are imported, and with the
-defaults the imports cause several. These need four million new objects; a poke leaves a thousand."""
-COLLECT_PERIOD_MS = 200
+default values the imports alone cause several. With these it needs four million new objects; a poke leaves a thousand."""
+GC_PERIOD_MS = 200
 THREAD_SWITCH_S = 0.0005
-"""With Python's default of 5 ms, background work delays pictures seven times as much (measured)."""
+"""With Python's default of 5 ms, background work delays the picture seven times as much (measured)."""
 
 
 def documents_folder() -> Path:
-    """Give the folder of the sessions."""
+    """Return the folder for sessions."""
     place = QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation)
-    # Qt returns an empty text if the system names no such folder.
+    # Qt returns an empty text if the system has no such folder.
     return Path(place or Path.home()) / "skincal"
 
 
@@ -58,7 +57,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     Raises
     ------
     InputError
-        The options contradict each other, or name no scene or session.
+        They contradict each other, or name something that is no scene or no session.
     """
     from skincal.journal.reader import find_segments
     from skincal.model.scene import load_scene
@@ -70,7 +69,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
 
         parse_port(options.targets)
         if not addresses and options.session is None:
-            raise InputError("--targets needs a robot, and no device is named: add --wrench and --skin.")
+            raise InputError("--targets asks a robot, and no device is named; expected --wrench and --skin with it.")
     if options.session is not None:
         find_segments(options.session)
         return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
@@ -79,7 +78,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     # The default scene is found later, in the background: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None:
-        # Refused before the window opens.
+        # Refused before a window opens.
         load_scene(scene)
     folder = options.new
     if folder is None and addresses:
@@ -90,12 +89,12 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
 
 
 def _mesh_request(options: argparse.Namespace) -> OpenRequest:
-    """Make the request for a mesh instead of a scene; `InputError` if it should be recorded already."""
+    """Make the request for a mesh in place of a scene; `InputError` if devices or a folder are named with it."""
     seen = [f"--{name}" for name in ("wrench", "skin", "joints", "targets", "new") if getattr(options, name)]
     if seen:
         raise InputError(
-            f"{options.scene}: is a mesh, but {' and '.join(seen)} needs a scene. Open the mesh alone: the window makes "
-            "a scene of it and lists what is missing."
+            f"{options.scene}: is a mesh, given together with {' and '.join(seen)}; expected a scene, which says what a mesh "
+            "cannot. Open the mesh alone: the window makes a scene of it and says what is missing."
         )
     if not options.scene.is_file():
         raise InputError(f"{options.scene}: there is no such file; check the path.")
@@ -112,7 +111,7 @@ class Faults(QObject):
         self.count = 0
 
     def install(self) -> Callable[[], None]:
-        """Replace Python's exception hooks; return a function that restores them."""
+        """Replace Python's hooks; return a function that restores them."""
         before = sys.excepthook, threading.excepthook
         sys.excepthook = self._caught
         threading.excepthook = self._caught_in_thread
@@ -127,8 +126,8 @@ class Faults(QObject):
             QApplication.quit()
             return
         self.count += 1
-        LOG.critical("error in the program", exc_info=(kind, error, trace))
-        self.happened.emit(f"Error in the program: {kind.__name__}: {error}. The recording continues. Details are in the log.")
+        LOG.critical("a fault of the program", exc_info=(kind, error, trace))
+        self.happened.emit(f"A fault of the program: {kind.__name__}: {error}. The recording goes on; details are in the log.")
 
     def _caught_in_thread(self, args: threading.ExceptHookArgs) -> None:
         if args.exc_value is not None:
@@ -136,13 +135,13 @@ class Faults(QObject):
 
 
 def start_log() -> str:
-    """Log to stderr and to a file in the user's data; return a sentence if the file is not writable, else an empty text."""
+    """Log to a file in the user's data and to stderr; return why there is no file, or an empty text."""
     path = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.AppLocalDataLocation)) / "skincal.log"
     handlers: list[logging.Handler] = [logging.StreamHandler()]
     failure = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=LOG_MAX_BYTES, backupCount=1, encoding="utf-8"))
+        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=MAX_LOG_BYTES, backupCount=1, encoding="utf-8"))
     except OSError as error:
         failure = f"{path}: the log cannot be written ({error.strerror}). Everything else works."
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=handlers)
@@ -150,37 +149,38 @@ def start_log() -> str:
 
 
 def collect_in_window(application: QApplication) -> QTimer:
-    """Collect cyclic garbage only in the window's thread from now on, by the returned timer.
+    """Collect cyclic garbage in the window's thread only, from now on; return its timer.
 
-    Python collects in any thread that makes objects: a worker would delete widgets that Qt still uses, and the program crashes.
+    Python collects in any thread that makes objects: a worker would delete widgets that Qt still uses, which ends the program.
     """
     gc.disable()
     timer = QTimer(application)
-    timer.timeout.connect(_collect_what_is_due)
-    timer.start(COLLECT_PERIOD_MS)
+    timer.timeout.connect(_collect_garbage)
+    timer.start(GC_PERIOD_MS)
     return timer
 
 
-def _collect_what_is_due() -> None:
-    # Python counts objects also while its own collection is off.
+def _collect_garbage() -> None:
+    # Python counts objects while its own collection is off.
     counts = gc.get_count()
     due = [generation for generation, most in enumerate(GC_THRESHOLDS) if counts[generation] > most]
     if due:
+        # The younger generations are collected with the oldest.
         gc.collect(due[-1])
 
 
 def run_window(request: OpenRequest, player: Player | None = None) -> int:
-    """Run the window and return the exit code: 1 after an uncaught exception.
+    """Open the window; return the exit code when it is closed: 1 after an uncaught exception.
 
     Parameters
     ----------
-    player : plays the sounds; `None` for the desktop's sound device
+    player : plays the sounds; default: the desktop's sound device
     """
     sys.setswitchinterval(THREAD_SWITCH_S)
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)
-    # Part of the path of the log.
+    # The folder of the log has this name.
     application.setApplicationName("skincal")
     faults = Faults()
     remove = faults.install()
@@ -192,11 +192,10 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     window = Window(controller, theme, settings, documents, player)
     faults.happened.connect(lambda text: window.tell(Message(text, error=True)))
     for number in (signal.SIGINT, signal.SIGTERM):
-        # The handler may interrupt a write: it only asks for the end.
+        # Python runs a handler at any moment, also in the middle of a write: it only requests the end.
         signal.signal(number, lambda *_: QMetaObject.invokeMethod(window, "leave", Qt.ConnectionType.QueuedConnection))
     window.show()
-    # After the window is on the screen.
-    QTimer.singleShot(0, lambda: open_first(window, request))
+    QTimer.singleShot(0, lambda: begin(window, request))
     try:
         application.exec()
     finally:
@@ -205,11 +204,11 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     return 1 if faults.count else 0
 
 
-def open_first(window: Window, request: OpenRequest) -> None:
-    """Start the log and open the first session, whether or not the log is writable."""
+def begin(window: Window, request: OpenRequest) -> None:
+    """Start the log and open the request, after the window is on the screen. A failing log does not prevent it."""
     failure = start_log()
     window.open(request)
     if failure:
         window.tell(Message(failure, error=True))
-    # Now, while the scene is read in the background; later it would block the window.
+    # Now the window is idle, since the scene is loading; later this would block it.
     best_canvas()

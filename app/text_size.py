@@ -1,6 +1,6 @@
-"""How large the text of the window is: the application's font keeps it, and every size that is set apart follows.
+"""Text size of the whole window. Widgets with their own font size are rescaled too.
 
-Sizes in the program are points at 100 %; `text_scale` brings them to what the operator wants.
+Sizes in the program are points at 100 %; `text_scale` converts them.
 """
 
 from __future__ import annotations
@@ -9,63 +9,58 @@ from PySide6.QtCore import QObject, QSettings, Signal
 from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication, QWidget
 
-STEPS = (75, 100, 125, 150, 200)
-"""Per cent of the desktop's own size."""
-USUAL = 100
-SETTING = "window/text"
-_POINTS = "points"
-"""Property of a widget whose font has a size of its own, which the application's does not reach."""
+STEPS = (75, 100, 125, 150, 200)  # Per cent of the desktop's own size
+DEFAULT_PERCENT = 100
+TEXT_SETTING = "window/text"
+_POINTS_PROPERTY = "points"
+"""Of a widget with its own font size, which the application's font does not change."""
 
 
 def text_scale() -> float:
-    """Return how many times as large as the desktop's the text is now."""
-    return QApplication.font().pointSizeF() / _usual_points()
+    """Return the text size over that of the desktop."""
+    return QApplication.font().pointSizeF() / _desktop_points()
 
 
 def scaled(size: float) -> int:
-    """Return pixels that text needs, `size` at 100 %, now."""
+    """Scale a size in pixels at 100 % with the text."""
     return round(size * text_scale())
 
 
 def set_font(widget: QWidget, font: QFont, points: float) -> None:
-    """Give a widget a font of its own, so many points large at 100 %; it follows the text size from then on."""
-    widget.setProperty(_POINTS, points)
+    """Give a widget its own font, of a size in points at 100 %; it follows the text size."""
+    widget.setProperty(_POINTS_PROPERTY, points)
     font.setPointSizeF(points * text_scale())
     widget.setFont(font)
 
 
-def _usual_points() -> float:
-    """Points of the desktop's own font, which stays while the application's changes."""
+def _desktop_points() -> float:
     return QFontDatabase.systemFont(QFontDatabase.SystemFont.GeneralFont).pointSizeF()
 
 
 class TextSize(QObject):
-    """One of `STEPS`, the whole application's at once, remembered in the settings."""
+    """One of `STEPS` for the whole application, kept in the settings."""
 
     changed = Signal()
-    """After every widget has its font."""
+    """Every widget has its font."""
 
     def __init__(self, settings: QSettings, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._settings = settings
-        kept = str(settings.value(SETTING, USUAL))
-        self.percent = USUAL
-        self.choose(int(kept) if kept.isdecimal() and int(kept) in STEPS else USUAL)
+        kept = str(settings.value(TEXT_SETTING, DEFAULT_PERCENT))
+        self.percent = DEFAULT_PERCENT
+        self.choose(int(kept) if kept.isdecimal() and int(kept) in STEPS else DEFAULT_PERCENT)
 
     def larger(self) -> None:
-        """Take the next step up, if there is one."""
         self.choose(min((step for step in STEPS if step > self.percent), default=STEPS[-1]))
 
     def smaller(self) -> None:
-        """Take the next step down, if there is one."""
         self.choose(max((step for step in STEPS if step < self.percent), default=STEPS[0]))
 
-    def choose(self, percent: int = USUAL) -> None:
-        """Give all text of the application this size."""
+    def choose(self, percent: int = DEFAULT_PERCENT) -> None:
         self.percent = percent
-        self._settings.setValue(SETTING, percent)
+        self._settings.setValue(TEXT_SETTING, percent)
         font = QApplication.font()
-        points = _usual_points() * percent / 100
+        points = _desktop_points() * percent / 100
         if font.pointSizeF() != points:
             font.setPointSizeF(points)
             _resize_all(font)
@@ -76,9 +71,9 @@ def _resize_all(font: QFont) -> None:
     QApplication.setFont(font)
     app = QApplication.instance()
     if isinstance(app, QApplication):
-        # Or what a rule of the sheet is about keeps its font.
+        # Otherwise widgets with a rule in the sheet keep their font.
         app.setStyleSheet(app.styleSheet())
     for widget in QApplication.allWidgets():
-        points = widget.property(_POINTS)
+        points = widget.property(_POINTS_PROPERTY)
         if points is not None:
             set_font(widget, widget.font(), points)

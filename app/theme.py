@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 HUES = (ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PINK)
-"""Okabe and Ito 2008, without black: module i has hue i modulo 7."""
+"""Okabe and Ito 2008, without black; module i has hue i modulo 7."""
 
 
 class Choice(Enum):
-    """Which theme the operator wants."""
+    """Theme that the operator chose."""
 
     SYSTEM = "system"
     LIGHT = "light"
@@ -30,7 +30,7 @@ class Choice(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Colours:
-    """The colours of one theme; text on `window`, `panel` and `raised` has at least 4.5:1 contrast (WCAG AA)."""
+    """Colours of a theme. Text on `window`, `panel` and `raised` has a contrast of 4.5:1 at least (WCAG AA)."""
 
     dark: bool
     window: str
@@ -38,19 +38,19 @@ class Colours:
     raised: str
     line: str
     edge: str
-    """Borders of what is typed into or chosen from: at least 3:1 on `window` and `panel` (WCAG 1.4.11)."""
+    """Borders of fields: at least 3:1 on `window` and `panel` (WCAG 1.4.11)."""
     text: str
     muted: str
     accent: str
-    """Selection, the accepted, what may be pressed."""
+    """Selection, accepted pokes, what to press next."""
     on_accent: str
     bad: str
-    """The rejected and the lost; always with a cross or a word."""
+    """Rejected pokes and lost devices, always with a cross or a word."""
     warn: str
     axes: tuple[str, str, str]
     """Curves of x, y and z."""
     methods: Mapping[str, str]
-    """Curves of each method, by its name in files; each has its own symbol, too."""
+    """By the method's name in files; each method has its own symbol, too."""
 
 
 DARK = Colours(
@@ -86,12 +86,10 @@ LIGHT = Colours(
     methods=METHODS,
 )
 
-GAP = 8
-"""Pixels between things that belong together."""
+GAP = 8  # Pixels between things that belong together
 HEADLINE_PT = 28
-"""The line that says what happens: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
-RESULT_PT = 15
-"""What came of the last poke or action, above that line: told from it by its size, and readable from a metre."""
+"""Status line: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
+RESULT_PT = 15  # Result of the last poke or action, above the status line: readable from one metre
 
 
 def method_hue(colours: Colours, method: Method) -> str:

@@ -1,7 +1,6 @@
-"""The main window in its theme: on the screen within a moment, then filled with a session view when a session is there.
+"""The main window: menus, messages, opening and closing. A session view fills it when a session is open.
 
-It imports nothing heavy. Here are the menus, the messages, and opening and closing; what concerns a session is in the session
-view.
+It is on the screen before anything heavy is imported, so it imports neither numpy nor what needs it.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec
 
-from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, Signal, Slot, qVersion
-from PySide6.QtGui import QCloseEvent, QColor, QPalette
+from PySide6.QtCore import QByteArray, QObject, QSettings, QSize, Qt, QTimer, QUrl, Signal, Slot, qVersion
+from PySide6.QtGui import QCloseEvent, QColor, QDesktopServices, QPalette
 from PySide6.QtWidgets import (
     QApplication,
     QDialog,
@@ -24,13 +23,11 @@ from PySide6.QtWidgets import (
     QMessageBox,
     QStackedWidget,
     QVBoxLayout,
-    QWhatsThis,
     QWidget,
 )
 
-from app.commands import LAYERS, Commands
+from app.commands import Commands
 from app.dialogs.pedals import Pedals
-from app.panels.documents_menu import DocumentsMenu
 from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
@@ -40,36 +37,34 @@ from app.session.controller import PACES, Controller
 from app.session.opening import OpenRequest, dated_folder, find_scene
 from app.sound.player import Player
 from app.state.running import Running
-from app.text.demo_text import pace_words
-from app.text.help_text import about_words
+from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
 from app.text.message import NO_ADDRESSES, Message, connect_words, keep_question, look_words
-from app.text_size import STEPS, TextSize
+from app.text_size import TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
 
 if TYPE_CHECKING:
     from app.dialogs.import_dialog import ImportDialog
     from app.session.opening import Addresses
     from app.session_view import SessionView
+    from app.state.policies import Allowed
     from skincal.session.importing import Imported
     from skincal.session.part import Part
     from skincal.session.snapshot import Snapshot
 
 LOG = logging.getLogger(__name__)
-Said = ParamSpec("Said")
-ADDRESSES_KEPT = 50
-"""Addresses that the operator named or agreed to: more than one has devices."""
-IMPORTED_ON = "import/scene"
-"""Setting: the scene of the last import."""
-FIELDS = ("QLineEdit", "QComboBox", "QAbstractSpinBox")
-"""Classes of what is typed into or chosen from."""
-FUSION_DARKER = 140
-"""Percent: by so much Fusion makes a border darker than the window, which is seen on a light one alone."""
-FIRST_SIZE = QSize(1440, 860)
-"""Pixels, where the screen has them."""
+Args = ParamSpec("Args")
+MAX_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
+DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
+"""Next to the program in a checkout; a package comes without."""
+IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
+FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox")
+FUSION_BORDER_PERCENT = 140
+"""Fusion makes a border this much darker than the window, which is visible on a light one only."""
+FIRST_SIZE = QSize(1440, 860)  # Pixels, if the screen has them
 
 
 def qpalette(colours: Colours) -> QPalette:
-    """Return the Qt palette of a theme; the desktop's own is never used, so the window looks alike everywhere."""
+    """Return the Qt palette of a theme. The desktop's own is never used, so the window looks the same everywhere."""
     role = QPalette.ColorRole
     palette = QPalette()
     for names, value in (
@@ -84,21 +79,21 @@ def qpalette(colours: Colours) -> QPalette:
     ):
         for name in names:
             palette.setColor(name, QColor(value))
-    # After the others, which Qt sets for every group alike.
+    # Last, since the others are set for every group.
     for name in (role.WindowText, role.Text, role.ButtonText):
         palette.setColor(QPalette.ColorGroup.Disabled, name, mix(colours.muted, colours.window, 0.45))
     return palette
 
 
 def field_palette(colours: Colours) -> QPalette:
-    """Return the palette of fields: that of the window, but for the colour of which Fusion makes borders."""
+    """Return the palette of fields: as the window's, except the colour from which Fusion makes borders."""
     palette = qpalette(colours)
-    palette.setColor(QPalette.ColorRole.Window, QColor(colours.edge).lighter(FUSION_DARKER))
+    palette.setColor(QPalette.ColorRole.Window, QColor(colours.edge).lighter(FUSION_BORDER_PERCENT))
     return palette
 
 
 def style_sheet(colours: Colours) -> str:
-    """Return the few rules that a palette cannot say: flat tabs, quiet headers, thin splitters."""
+    """Return the rules that a palette cannot express: flat tabs, muted headers, thin splitters."""
     return f"""
     QToolTip {{ color: {colours.text}; background: {colours.raised}; border: 1px solid {colours.line}; padding: 4px; }}
     QMenuBar {{ background: {colours.window}; border-bottom: 1px solid {colours.line}; }}
@@ -123,37 +118,33 @@ def style_sheet(colours: Colours) -> str:
     QToolButton[choice="true"]:checked {{ color: {colours.on_accent}; background: {colours.accent}; }}
     QFrame#card {{ background: {colours.panel}; border: 1px solid {colours.line}; border-radius: 6px; }}
     QLabel[quiet="true"] {{ color: {colours.muted}; }}
-    /* Labels quote files and devices, and Qt would open what a text that looks like HTML names. */
+    /* Labels quote files and devices: Qt would open an image that a text in HTML names. */
     QLabel {{ qproperty-textFormat: PlainText; }}
     QLabel[rich="true"] {{ qproperty-textFormat: RichText; }}
     """
 
 
 class Theme(QObject):
-    """Which colours hold now: the operator's choice, or the desktop's where the choice is left to it.
-
-    The application's palette keeps them; see `theme_colours`.
-    """
+    """The colours of the application, kept in its palette: the operator's choice, or the desktop's."""
 
     changed = Signal()
-    """After they were applied to the application."""
 
     def __init__(self, choice: Choice = Choice.SYSTEM, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        QApplication.styleHints().colorSchemeChanged.connect(self._system_changed)
+        QApplication.styleHints().colorSchemeChanged.connect(self._follow_desktop)
         self.choose(choice)
 
     def choose(self, choice: Choice) -> None:
-        """Take the operator's choice, and give the whole application the colours that hold; light where nobody says which."""
+        """Give the whole application these colours; light if the desktop has no preference."""
         self.choice = choice
         is_dark = choice is Choice.DARK
         if choice is Choice.SYSTEM:
             is_dark = QApplication.styleHints().colorScheme() is Qt.ColorScheme.Dark
         colours = DARK if is_dark else LIGHT
-        # The style that follows a palette on every system; the desktops' own keep their colours.
+        # The only style that follows a palette on every system.
         QApplication.setStyle("Fusion")
         QApplication.setPalette(qpalette(colours))
-        for kind in FIELDS:
+        for kind in FIELD_CLASSES:
             # PySide6 takes a str, where its types say bytes.
             QApplication.setPalette(field_palette(colours), kind)  # pyright: ignore[reportArgumentType]
         app = QApplication.instance()
@@ -161,7 +152,7 @@ class Theme(QObject):
             app.setStyleSheet(style_sheet(colours))
         self.changed.emit()
 
-    def _system_changed(self) -> None:
+    def _follow_desktop(self) -> None:
         if self.choice is Choice.SYSTEM:
             self.choose(self.choice)
 
@@ -175,97 +166,29 @@ class Window(QMainWindow):
     def __init__(self, controller: Controller, theme: Theme, settings: QSettings, documents: Path, player: Player) -> None:
         super().__init__()
         self.setWindowTitle("skincal")
-        self.controller = controller
-        self._theme = theme
-        self._settings = settings
-        self._documents = documents
-        self._player = player
+        self.controller, self.player = controller, player
+        self._theme, self._settings, self._documents = theme, settings, documents
         self.text_size = TextSize(settings, self)
         self.session_view: SessionView | None = None
-        self._told: FirstMinute | None = None
-        self._question: QMessageBox | None = None
-        """Whether to keep a session that would be deleted, while it is open."""
+        self.has_sound = True  # There is a sound device; true until the player has looked
+        self._first_minute: FirstMinute | None = None
+        self._question: QMessageBox | None = None  # The open question whether to keep a session
         self._targets = ""
-        """Address that asks a robot for pokes, in every session with devices; empty before it was given."""
+        """Address that asks a robot for pokes, in every session with devices; empty by default."""
         self._leaves = False
         self._import: ImportDialog | None = None
-        self.messages = MessageBar()
-        self.stack = QStackedWidget()
-        self.opening = QLabel()
-        self.where = ElidedLabel()
-        self.commands = Commands(self.menuBar(), self._slots(), self)
+        self.messages, self.stack, self.opening, self.where = MessageBar(), QStackedWidget(), QLabel(), ElidedLabel()
+        self.commands = Commands(self)
         self.recent = RecentMenu(settings, self)
-        self.documents = DocumentsMenu(self)
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
         self._arrange()
         self._connect()
 
-    def _slots(self) -> dict[str, Callable[[], object]]:
-        return {
-            "new": self.ask_new,
-            "open": self.ask_session,
-            "import": self.ask_import,
-            "addresses": self.ask_addresses,
-            "keep": self.controller.keep,
-            "export": self._of_session(lambda view: view.ask_export(self)),
-            "apply": self._of_session(lambda view: view.ask_apply(self, self._settings)),
-            "report": self._of_session(lambda view: view.ask_report(self)),
-            "reference": self._of_session(lambda view: view.ask_reference(self)),
-            "picture": self._of_session(lambda view: view.ask_picture(self)),
-            "pace": self._change_pace,
-            "quit": self.close,
-            "space": self._do_obvious,
-            "pause": self.controller.toggle,
-            "verdict": self._of_session(lambda view: view.ask_verdict(self)),
-            "another": self._of_session(lambda view: view.skip_target()),
-            "closing": self._of_session(lambda view: view.check_again()),
-            "correct": self._of_session(lambda view: view.correct()),
-            "no landmarks": self._of_session(lambda view: view.skip_landmarks()),
-            "undo": self._of_session(lambda view: view.undo()),
-            "redo": self._of_session(lambda view: view.redo()),
-            "history": self._of_session(lambda view: view.show_history(self)),
-            "thresholds": self._of_session(lambda view: view.show_thresholds(self)),
-            "exclude": self._of_session(lambda view: view.exclude_or_restore()),
-            "last": self._of_session(lambda view: view.select_last()),
-            "dead": self._of_session(lambda view: view.mark_or_revive()),
-            "method": self._of_session(lambda view: view.next_method()),
-            "difference": self._of_session(lambda view: view.show_difference()),
-            "guide": self._of_session(lambda view: view.show_guide()),
-            "sounds": self._switch_sounds,
-            "speech": self._switch_sounds,
-            "turn": self._of_session(lambda view: view.show_turning()),
-            **dict.fromkeys(LAYERS, self._of_session(lambda view: view.show_layers())),
-            "camera": self._of_session(lambda view: view.workspace.view.reset_camera()),
-            "larger": self.text_size.larger,
-            "smaller": self.text_size.smaller,
-            "usual": self.text_size.choose,
-            "none": self._escape,
-            "full": self._toggle_full,
-            "what": QWhatsThis.enterWhatsThisMode,
-            "keys": self._show_keys,
-            "about": self._show_about,
-            "pedals": self.ask_pedals,
-            "landmark": self._of_session(lambda view: view.ask_landmark(self)),
-        }
-
-    def _of_session(self, do: Callable[Concatenate[SessionView, Said], object]) -> Callable[Said, None]:
-        """Return what does something with the session view, if there is one, and with what a signal says."""
-
-        def slot(*said: Said.args, **named: Said.kwargs) -> None:
-            if self.session_view is not None:
-                do(self.session_view, *said, **named)
-
-        return slot
-
     def _arrange(self) -> None:
-        self.commands.add_themes(self._theme.choice, self._choose_theme)
         self.commands.menus["Session"].insertMenu(self.commands.actions["import"], self.recent)
-        self.commands.menus["Help"].addMenu(self.documents)
-        for name, wanted in (("sounds", True), ("speech", False)):
-            self.commands.actions[name].setChecked(bool(self._settings.value(f"window/{name}", wanted, type=bool)))
-        # Until the player has looked, beside the window.
-        self._follow_sound(True)
-        self._switch_sounds()
+        self.commands.restore(self._settings)
+        self._check_theme()
+        self.switch_sounds()
         self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.opening.setProperty("quiet", True)
         self.stack.addWidget(self.opening)
@@ -283,170 +206,201 @@ class Window(QMainWindow):
         bar.addWidget(self.where, 1)
         self.resize(FIRST_SIZE.boundedTo(self.screen().availableSize()))
         if self.size() != FIRST_SIZE:
-            # The desktop's frame around it would push its lower rim off the screen.
+            # The desktop's frame would push the lower edge off the screen.
             self.setWindowState(Qt.WindowState.WindowMaximized)
         geometry = self._settings.value("window/geometry")
         if isinstance(geometry, QByteArray):
             self.restoreGeometry(geometry)
 
     def _connect(self) -> None:
-        controller = self.controller
-        controller.prepare = _prepare
-        controller.confirmation_due.connect(self._ask_first)
+        controller, with_view = self.controller, self._with_view
+        controller.prepare = _import_session_view
+        controller.confirmation_due.connect(
+            lambda addresses: self._confirm_addresses(addresses, lambda: controller.go_on(confirmed=True))
+        )
         controller.recorded_elsewhere.connect(self._offer_to_look)
-        controller.part_loaded.connect(self._take_part)
-        controller.session_opened.connect(self._take_session)
-        controller.ticked.connect(self._of_session(lambda view, tick: view.take_tick(tick)))
-        controller.running_changed.connect(self._running_changed)
+        controller.part_loaded.connect(self._make_session_view)
+        controller.session_opened.connect(self._begin_session)
+        controller.ticked.connect(with_view(lambda view, tick: view.take_tick(tick)))
+        controller.running_changed.connect(self._follow_running)
         controller.said.connect(self.tell)
-        controller.truth_found.connect(self._of_session(lambda view, truth: view.offer(truth)))
-        controller.reviewed.connect(self._of_session(lambda view, review: view.take_review(review)))
-        controller.stored.connect(self._say_where)
+        controller.truth_found.connect(with_view(lambda view, truth: view.offer(truth)))
+        controller.reviewed.connect(with_view(lambda view, review: view.take_review(review)))
+        controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
-        self.text_size.changed.connect(self._follow_text)
-        self._follow_text()
+        self.text_size.changed.connect(self.commands.update_actions)
         dropped = DropTarget(self)
         dropped.request_made.connect(self.open)
         dropped.recording_dropped.connect(self.ask_import)
-        for failed in (dropped.refused, self.documents.failed):
-            failed.connect(lambda sentence: self.tell(Message(sentence, error=True)))
+        dropped.refused.connect(self.tell_failure)
         self.recent.chosen.connect(lambda folder: self.open(OpenRequest(session=folder)))
         self._sound_found.connect(self._follow_sound)
-        self._player.found = self._sound_found.emit
+        self.player.found = self._sound_found.emit
+        self.commands.update_actions()
 
-    # What the controller says
+    def _with_view(self, run: Callable[Concatenate[SessionView, Args], object]) -> Callable[Args, None]:
+        """Make a slot that runs on the session view, if there is one."""
 
-    def _take_part(self, part: Part) -> None:
+        def slot(*args: Args.args, **named: Args.kwargs) -> None:
+            if self.session_view is not None:
+                run(self.session_view, *args, **named)
+
+        return slot
+
+    @property
+    def may(self) -> Allowed | None:
+        """What the operator may do with the session; `None` before its first picture."""
+        state = None if self.session_view is None else self.session_view.state
+        return None if state is None else state.may
+
+    # Signals of the controller
+
+    def _make_session_view(self, part: Part) -> None:
         from app.session_view import SessionView
 
         self._drop_session()
-        session_view = SessionView(part, self.controller, self.commands, self._documents, parent=self)
-        self.session_view = session_view
-        session_view.said.connect(self.tell)
-        session_view.sound_due.connect(lambda due: self._player.play(due.sound, due.word))
-        session_view.unsaid.connect(self.messages.withdraw)
-        session_view.picking.unsaid.connect(self.messages.withdraw)
+        self.session_view = view = SessionView(part, self.controller, self.commands, self._documents, self._settings, self)
+        view.said.connect(self.tell)
+        view.sound_due.connect(lambda due: self.player.play(due.sound, due.word))
+        view.unsaid.connect(self.messages.withdraw)
+        view.picking.unsaid.connect(self.messages.withdraw)
         self.setWindowTitle(f"{part.scene.name} \N{EN DASH} skincal")
-        # Making the panels, laying them out and showing them each take half of what a window may stand still.
-        QTimer.singleShot(0, session_view, lambda: self._arrange_session(session_view))
+        # Making the panels, laying them out and showing them would together block the window too long.
+        QTimer.singleShot(0, view, lambda: self._arrange_session(view))
 
-    def _arrange_session(self, session_view: SessionView) -> None:
-        if session_view is self.session_view:
-            session_view.workspace.arrange()
-            QTimer.singleShot(0, session_view, lambda: self._show_session(session_view))
+    def _arrange_session(self, view: SessionView) -> None:
+        if view is self.session_view:
+            view.workspace.arrange()
+            QTimer.singleShot(0, view, lambda: self._show_session(view))
 
-    def _show_session(self, session_view: SessionView) -> None:
-        if session_view is self.session_view:
-            session_view.restore(self._settings)
-            session_view.recolour()
-            self.statusBar().addPermanentWidget(session_view.chips)
-            self.stack.addWidget(session_view.workspace)
-            self.stack.setCurrentWidget(session_view.workspace)
-            session_view.begin()
+    def _show_session(self, view: SessionView) -> None:
+        if view is self.session_view:
+            view.restore()
+            view.recolour()
+            self.statusBar().addPermanentWidget(view.chips)
+            self.stack.addWidget(view.workspace)
+            self.stack.setCurrentWidget(view.workspace)
+            view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._told = FirstMinute(session_view.workspace.view, session_view.workspace.view.cover)
-                # At once: a window that is closed within the minute has shown it, too.
+                self._first_minute = FirstMinute()
+                view.workspace.show_card(self._first_minute)
+                # Now: a window that is closed within the minute has shown it, too.
                 self._settings.setValue("window/told", True)
 
-    def _take_session(self, snapshot: Snapshot) -> None:
+    def _begin_session(self, snapshot: Snapshot) -> None:
         if self.session_view is not None:
             self.session_view.session_opened(snapshot)
-            self._player.get_ready()
+            self.player.get_ready()
 
-    def _running_changed(self, running: Running) -> None:
+    def _follow_running(self, running: Running) -> None:
         self._show_opening()
-        self.commands.follow_pace(pace_words(self.controller.pace), served=self.controller.has_simulator)
         if self.session_view is not None:
             if running is Running.OFFLINE and self.session_view.state is None:
-                self.session_view.workspace.wait("nothing to show", "No device is read; Ctrl+N names devices.")
+                self.session_view.workspace.wait("nothing to show", "No device is connected. Ctrl+N: name devices.")
             self.session_view.follow_again()
+        self.commands.update_actions()
 
     def _show_opening(self) -> None:
-        # The session's panels come some moments after its part.
-        opening = self.controller.running is Running.OPENING or self.session_view is not None
-        nothing = "Nothing is open.\nCtrl+N begins a new session, Ctrl+O opens a recorded one."
-        self.opening.setText("Opening \N{HORIZONTAL ELLIPSIS}" if opening else nothing)
+        # The panels of a session come some moments after its part.
+        is_opening = self.controller.running is Running.OPENING or self.session_view is not None
+        nothing = "No session is open.\nCtrl+N: new session. Ctrl+O: open a recorded session."
+        self.opening.setText("Opening …" if is_opening else nothing)
 
     def _follow_sound(self, found: bool) -> None:
-        self.commands.follow_sound(found=found, can_speak=self._player.can_speak)
+        self.has_sound = found
+        self.commands.update_actions()
 
-    def _say_where(self, words: str) -> None:
+    def _show_storage(self, words: str) -> None:
         self.where.setText(words)
         if self.controller.folder is not None:
             self.recent.remember(self.controller.folder)
-        if self.session_view is not None:
-            self.session_view.refresh_allowed()
+        self.commands.update_actions()
 
     def tell(self, message: Message) -> None:
-        """Tell the operator something; errors are logged, too."""
+        """Show a message to the operator; log errors, too."""
         if message.error:
             LOG.warning("%s", message.text)
         self.messages.tell(message)
+
+    def tell_failure(self, sentence: str) -> None:
+        self.tell(Message(sentence, error=True))
 
     def _recolour(self) -> None:
         self.messages.show_newest()
         if self.session_view is not None:
             self.session_view.recolour()
 
-    def _follow_text(self) -> None:
-        self.commands.follow_text(self.text_size.percent, STEPS)
+    # Commands
 
-    def _choose_theme(self, choice: Choice) -> None:
+    def choose_theme(self, choice: Choice) -> None:
         self._settings.setValue("theme", choice.value)
         self._theme.choose(choice)
+        self._check_theme()
 
-    # What the operator wants
+    def _check_theme(self) -> None:
+        for choice in Choice:
+            self.commands.actions[choice.value].setChecked(choice is self._theme.choice)
 
-    def _do_obvious(self) -> None:
-        if self.session_view is not None and self.session_view.ends:
-            self.session_view.ask_verdict(self)
+    def pause_or_show_verdict(self) -> None:
+        if self.session_view is not None and self.may is not None and self.may.ends:
+            self.session_view.ask_verdict()
         else:
             self.controller.toggle()
 
-    def _escape(self) -> None:
+    def escape(self) -> None:
+        """Close or cancel the newest thing that can be."""
         if self.session_view is not None and self.session_view.picking.waiting:
             self.session_view.picking.stop()
-        elif self._told is not None and self._told.isVisible():
-            self._told.leave()
+        elif self._first_minute is not None and self._first_minute.isVisible():
+            self._first_minute.leave()
         elif self.messages.isVisible():
             self.messages.dismiss()
         elif self.session_view is not None:
             self.session_view.select_taxel(None)
 
-    def _change_pace(self) -> None:
-        """Have the simulated operator be quicker, and after the quickest as slow as at first."""
-        paces = PACES
-        self.controller.set_pace(paces[(paces.index(self.controller.pace) + 1) % len(paces)])
+    def change_pace(self) -> None:
+        """Make the simulated operator faster, and after the fastest pace slow again."""
+        self.controller.set_pace(PACES[(PACES.index(self.controller.pace) + 1) % len(PACES)])
 
-    def _switch_sounds(self) -> None:
-        """Play sounds, and say words, as the menu has it."""
-        player, actions = self._player, self.commands.actions
-        player.on, player.speaks = actions["sounds"].isChecked(), actions["speech"].isChecked()
+    def switch_sounds(self) -> None:
+        """Play sounds and speak as the menu says."""
+        self.player.on, self.player.speaks = self.commands.is_on("sounds"), self.commands.is_on("speech")
         if self.session_view is not None:
-            player.get_ready()
+            self.player.get_ready()
 
-    def _toggle_full(self) -> None:
-        # That bit alone: a window that was as large as the screen is so again afterwards.
+    def toggle_full_screen(self) -> None:
+        # This bit alone: a maximized window is maximized again afterwards.
         self.setWindowState(self.windowState() ^ Qt.WindowState.WindowFullScreen)
 
-    def _show_keys(self) -> None:
+    def show_keys(self) -> None:
         from app.dialogs.keys_dialog import KeysDialog
 
         KeysDialog(self).open()
 
-    def _show_about(self) -> None:
+    def show_about(self) -> None:
         self._offer("About skincal", about_words(qVersion()))
+
+    def open_documents(self) -> None:
+        """Have the desktop open the folder of documents."""
+        if not DOCUMENTS_FOLDER.is_dir():
+            self.tell_failure(NO_DOCUMENTS)
+        elif not QDesktopServices.openUrl(QUrl.fromLocalFile(str(DOCUMENTS_FOLDER))):
+            self.tell_failure(unopened_words(DOCUMENTS_FOLDER))
 
     def ask_new(self) -> None:
         """Ask for a new session and open it."""
         from app.dialogs.new_session import NewSessionDialog
 
-        scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
-        folder = dated_folder(self._documents, datetime.now().astimezone())
         paused = self._lend_devices()
-        dialog = NewSessionDialog(scene, folder, self, self._known_addresses(), paused=paused)
+        dialog = NewSessionDialog(self._scene_path(), self._new_folder(), self, self._known_addresses(), waits=paused)
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
+
+    def _scene_path(self) -> Path | None:
+        return None if self.session_view is None else self.session_view.workspace.part.scene.path
+
+    def _new_folder(self) -> Path:
+        return dated_folder(self._documents, datetime.now().astimezone())
 
     def ask_addresses(self) -> None:
         """Ask where the devices of this session are now."""
@@ -454,7 +408,7 @@ class Window(QMainWindow):
         from app.session.opening import addresses_of
 
         view = self.session_view
-        if view is None or self.controller.has_simulator or not self.controller.links:
+        if view is None or self.controller.served or not self.controller.links:
             self.tell(Message(NO_ADDRESSES, found=True))
             return
         present = addresses_of(self.controller.links), view.workspace.part.scene
@@ -464,22 +418,22 @@ class Window(QMainWindow):
         self._open_page(dialog, paused=paused)
 
     def _use_addresses(self, addresses: Addresses, agreed: Iterable[str]) -> None:
-        """Read the devices there; of what the session's file names and nobody has agreed to is asked first, as ever."""
+        """Read the devices at these addresses; those of the session's file need the operator's agreement as always."""
         self._remember(agreed)
         named = tuple(filter(None, (addresses.wrench, addresses.skin, addresses.joints)))
-        self._once_agreed(named, lambda: self.controller.change_addresses(addresses))
+        self._confirm_addresses(named, lambda: self.controller.change_addresses(addresses))
 
     def _lend_devices(self) -> bool:
-        """Let go of devices that a page will look at, since a port has one reader; return whether they were read."""
-        if self.controller.running is not Running.STREAMING or self.controller.has_simulator:
+        """Release devices that a page will read, since a port has one reader; return whether they were in use."""
+        if self.controller.running is not Running.STREAMING or self.controller.served:
             return False
         self.controller.pause()
         return True
 
     def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
-        """Open a page that looks at devices; where it is left they are read again."""
+        """Open a page that reads devices; if it is cancelled the session reads them again."""
         if paused:
-            dialog.rejected.connect(self.controller.resume)
+            dialog.rejected.connect(self.controller.go_on)
         dialog.open()
 
     def ask_import(self, paths: Sequence[Path] = ()) -> None:
@@ -488,26 +442,24 @@ class Window(QMainWindow):
 
         if self._import is not None:
             return
-        scene = None if self.session_view is None else self.session_view.workspace.part.scene.path
-        kept = Path(str(self._settings.value(IMPORTED_ON, "")))
-        folder = dated_folder(self._documents, datetime.now().astimezone())
-        self._import = dialog = ImportDialog(paths, scene or find_scene(kept if kept.is_file() else None), folder, self)
+        kept = Path(str(self._settings.value(IMPORT_SCENE_SETTING, "")))
+        scene = self._scene_path() or find_scene(kept if kept.is_file() else None)
+        self._import = dialog = ImportDialog(paths, scene, self._new_folder(), self)
         dialog.imported.connect(self._open_imported)
-        dialog.finished.connect(self._import_over)
+        dialog.finished.connect(self._forget_import)
         dialog.open()
 
-    def _import_over(self) -> None:
+    def _forget_import(self) -> None:
         self._import = None
 
     def _open_imported(self, imported: Imported, scene: str) -> None:
         from app.text.import_text import imported_words
 
-        self._settings.setValue(IMPORTED_ON, scene)
+        self._settings.setValue(IMPORT_SCENE_SETTING, scene)
         self.open(OpenRequest(session=imported.folder))
         self.tell(Message(imported_words(imported)))
 
     def ask_pedals(self) -> None:
-        """Learn the keys of foot pedals."""
         from app.dialogs.pedals import PedalsDialog
 
         PedalsDialog(self.pedals, self).open()
@@ -518,12 +470,8 @@ class Window(QMainWindow):
         if folder:
             self.open(OpenRequest(session=Path(folder)))
 
-    def _ask_first(self, addresses: tuple[str, ...]) -> None:
-        """Ask before devices are connected that a recorded session names: it may be a stranger's."""
-        self._once_agreed(addresses, lambda: self.controller.resume(confirmed=True))
-
-    def _once_agreed(self, addresses: Iterable[str], connect: Callable[[], object]) -> None:
-        """Ask before devices are connected; what the operator named or agreed to before is not asked about again."""
+    def _confirm_addresses(self, addresses: Iterable[str], connect: Callable[[], object]) -> None:
+        """Connect devices; ask first about addresses that the operator neither named nor agreed to before."""
         known = self._known_addresses()
         new = [address for address in addresses if address not in known]
 
@@ -536,17 +484,17 @@ class Window(QMainWindow):
         else:
             connect()
 
-    def _offer(self, title: str, text: str, yes: str = "", do: Callable[[], object] = lambda: None) -> None:
-        """Ask, beside everything else, and do something where the answer is yes; without a `yes` only say it."""
+    def _offer(self, title: str, text: str, yes: str = "", accepted: Callable[[], object] = lambda: None) -> None:
+        """Show a text; with a button `yes`, call `accepted` if it is pressed."""
         no = QMessageBox.StandardButton.Cancel if yes else QMessageBox.StandardButton.Close
         box = QMessageBox(QMessageBox.Icon.NoIcon, title, "", no, self)
-        # Before the text, which would be laid out, and what it names opened, at once.
+        # Before the text: HTML in it would take effect at once.
         box.setTextFormat(Qt.TextFormat.PlainText)
         box.setText(text)
         box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         if yes:
-            box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(do)
-        # The space bar and the pedal bring a question about, and may be pressed once more before it is read.
+            box.addButton(yes, QMessageBox.ButtonRole.AcceptRole).clicked.connect(accepted)
+        # The space bar or a pedal may be pressed a second time before the question is read.
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         box.open()
 
@@ -556,17 +504,18 @@ class Window(QMainWindow):
     def _remember(self, addresses: Iterable[str]) -> None:
         newest = sorted(set(addresses))
         older = [address for address in self._known_addresses() if address not in newest]
-        # The oldest are dropped: what is not known is asked about again.
-        self._settings.setValue("addresses", [*older, *newest][-ADDRESSES_KEPT:])
+        self._settings.setValue("addresses", [*older, *newest][-MAX_ADDRESSES:])
 
     def _offer_to_look(self, folder: Path, sentence: str) -> None:
-        """Another process records the session: offer to see it as far as it is written."""
-        request = OpenRequest(session=folder, read_only=True)
+        """Another process records the session: offer to show what is recorded so far."""
+        request = OpenRequest(session=folder, look_on=True)
         self._offer("Being recorded", look_words(sentence), "View", lambda: self.open(request))
 
+    # Opening and closing
+
     def open(self, request: OpenRequest) -> None:
-        """Open something in place of what is open, once it is settled what becomes of that."""
-        self._before_losing(lambda: self._open(request))
+        """Open something in place of the open session, after the operator decided whether to keep that."""
+        self._confirm_unsaved(lambda: self._open(request))
 
     def _open(self, request: OpenRequest) -> None:
         given = request.addresses
@@ -578,9 +527,9 @@ class Window(QMainWindow):
         self.where.setText("")
         self.controller.open(request)
 
-    def _before_losing(self, then: Callable[[], object]) -> None:
+    def _confirm_unsaved(self, then: Callable[[], object]) -> None:
         """Ask whether to keep a provisional session that has pokes, then call `then`."""
-        pokes = self.controller.unsaved_pokes
+        pokes = self.controller.would_lose
         if not pokes:
             then()
             return
@@ -608,36 +557,33 @@ class Window(QMainWindow):
         box.open()
         keep.setFocus()
 
-    # Coming and going
-
     @Slot()
     def leave(self) -> None:
-        """Close without a question: it is answered, or nobody can be asked."""
+        """Close without a question, for example after it was answered."""
         self._leaves = True
         self.close()
 
     def _drop_session(self) -> None:
-        session_view, self.session_view = self.session_view, None
-        # It goes with the view that it stands over.
-        self._told = None
-        if session_view is not None:
-            session_view.save(self._settings)
-            session_view.close()
-            self.stack.removeWidget(session_view.workspace)
-            self.statusBar().removeWidget(session_view.chips)
-            for gone in (session_view.workspace, session_view.chips, session_view):
+        view, self.session_view = self.session_view, None
+        self._first_minute = None
+        if view is not None:
+            view.save()
+            view.close()
+            self.stack.removeWidget(view.workspace)
+            self.statusBar().removeWidget(view.chips)
+            for gone in (view.workspace, view.chips, view):
                 gone.deleteLater()
+            self.commands.update_actions()
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask whether to keep a provisional session; then stop the timers, close the 3D view, then the journal."""
-        if not self._leaves and self.controller.unsaved_pokes:
-            self._before_losing(self.leave)
+        if not self._leaves and self.controller.would_lose:
+            self._confirm_unsaved(self.leave)
             event.ignore()
             return
         self._settings.setValue("window/geometry", self.saveGeometry())
-        self._settings.setValue("window/sounds", self._player.on)
-        self._settings.setValue("window/speech", self._player.speaks)
-        # Hidden first: closing may take as long as a read, and a window that stands still looks broken.
+        self.commands.save(self._settings)
+        # Hidden first: closing may take as long as a read, and a window that does not answer looks broken.
         self.hide()
         self.pedals.stop()
         if self._import is not None:
@@ -645,13 +591,13 @@ class Window(QMainWindow):
         self.messages.stop()
         self.controller.stop()
         if self.session_view is not None:
-            self.session_view.save(self._settings)
+            self.session_view.save()
             self.session_view.close()
         self.controller.close()
-        self._player.close()
+        self.player.close()
         super().closeEvent(event)
 
 
-def _prepare() -> None:
-    """Import what shows a session: numpy and all that stands on it comes with it."""
+def _import_session_view() -> None:
+    """Import the session view, and with it numpy."""
     import app.session_view  # noqa: F401

@@ -1,16 +1,11 @@
-"""Array types that the whole program shares: names for what numpy calls by its element type.
+"""Vectors, wrenches and arm kinematics.
 
-Pure wrenches: the force axis, the pitch, and a wrench seen from another frame.
+Wrenches: Del Prete et al., "Skin spatial calibration using force/torque measurements", IROS 2011. A pure force f at c makes the
+wrench (f, m = c x f) (eqs. 1-2). So f . m = 0 (eq. 3), and c lies on the force axis r = (f x m)/|f|^2 + lambda f.
 
-Source: Del Prete et al., "Skin spatial calibration using force/torque measurements", IROS 2011. A pure force f at c
-makes the wrench (f, m = c x f) (eqs. 1-2); so f . m = 0 (eq. 3), and c lies on the force axis
-r = (f x m)/|f|^2 + lambda f.
-
-Joint angles to the pose of the sensor in the link frame.
-
-The chain runs sensor -> base of the moving joints -> link: base_from_sensor is constant, and the link's pose in the
-base is the product of Denavit-Hartenberg transforms. For the iCub's right forearm this is the authors' own
-H_8S = inv(DH(j3) DH(j4)) H_6S (`ftSensor2wristTransformation`, and iKinFwd.cpp for the constants).
+Arm: the chain runs sensor -> base of the moving joints -> link. base_from_sensor is constant, and the link's pose in the base
+is the product of Denavit-Hartenberg transforms. For the iCub's right forearm this is the authors' own H_8S = inv(DH(j3) DH(j4))
+H_6S (`ftSensor2wristTransformation`, and iKinFwd.cpp for the constants).
 """
 
 from __future__ import annotations
@@ -27,16 +22,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 
 def cross_matrix(v: FloatArray) -> FloatArray:
-    """Return S(v), the matrix with S(v) p = v x p.
-
-    Parameters
-    ----------
-    v : (..., 3) float
-
-    Returns
-    -------
-    (..., 3, 3) float
-    """
+    """Make S(v) (..., 3, 3), the matrix with S(v) p = v x p, of `v` (..., 3)."""
     s = np.zeros((*v.shape[:-1], 3, 3))
     s[..., 0, 1], s[..., 0, 2] = -v[..., 2], v[..., 1]
     s[..., 1, 0], s[..., 1, 2] = v[..., 2], -v[..., 0]
@@ -45,7 +31,7 @@ def cross_matrix(v: FloatArray) -> FloatArray:
 
 
 def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a x b of vectors (..., 3): the sums of `np.cross`, in half its time."""
+    """Compute a x b of vectors (..., 3): the sums of `np.cross`, in half its time."""
     product = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         product[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
@@ -53,7 +39,7 @@ def crossed(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def dots(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the sums of products (...) of vectors (..., k), k small: of each row by itself, as `np.einsum`'s are not."""
+    """Compute the dot products (...) of vectors (..., k), k small: each row by itself, unlike `np.einsum`."""
     total = a[..., 0] * b[..., 0]
     for k in range(1, a.shape[-1]):
         total += a[..., k] * b[..., k]
@@ -61,17 +47,48 @@ def dots(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def mean_rows(values: FloatArray) -> FloatArray:
-    """Return the mean of n rows, (n, ...) float: that of `np.mean` to the last bit, in half its time where rows are few."""
+    """Compute the mean of n rows, (n, ...) float: that of `np.mean` to the last bit, in half its time for few rows."""
     return np.add.reduce(values) / len(values)
 
 
 def length_of(vector: FloatArray) -> float:
-    """Return the length of a vector (k,): that of `np.linalg.norm` to the last bit, in a third of its time."""
+    """Compute the length of a vector (k,): that of `np.linalg.norm` to the last bit, in a third of its time."""
     return math.sqrt(vector.dot(vector))
 
 
+def fit_rotation(products: FloatArray) -> FloatArray:
+    """Fit the rotation R (..., 3, 3) of least |A R - B| to `products` A'B (..., 3, 3): no reflection (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(products)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return left @ right
+
+
+def orthonormal_pair(u: FloatArray) -> FloatArray:
+    """Make (n, 2, 3) orthonormal directions e_1, e_2 with e_1 x e_2 = u, for each of `u` (n, 3), unit."""
+    # Duff et al., "Building an orthonormal basis, revisited", 2017: no branch on nearly parallel helpers.
+    x, y, z = u.T
+    sign = np.copysign(1.0, z)
+    k = -1.0 / (sign + z)
+    xy = x * y * k
+    both = np.empty((len(u), 2, 3))
+    both[:, 0, 0], both[:, 0, 1], both[:, 0, 2] = 1.0 + sign * x * x * k, sign * xy, -sign * x
+    both[:, 1, 0], both[:, 1, 1], both[:, 1, 2] = xy, sign + y * y * k, -y
+    return both
+
+
+def tangent_axes(x: FloatArray, normal: FloatArray, *, fallback: bool = False) -> tuple[FloatArray, FloatArray]:
+    """Project `x` (3,) on the plane across `normal` (3,), unit: a unit direction, and normal x that.
+
+    With `fallback`, an arbitrary direction is taken if `x` is nearly along the normal.
+    """
+    x = x - (x @ normal) * normal
+    length = float(np.sqrt(x @ x))
+    x = orthonormal_pair(normal[None])[0, 0] if fallback and length <= 0.1 else x / length
+    return x, np.asarray(np.cross(normal, x), dtype=np.float64)
+
+
 def axis_point(force: FloatArray, moment: FloatArray) -> FloatArray:
-    """Return the point of the force axis nearest to the origin, (f x m)/|f|^2, metres.
+    """Compute the point of the force axis nearest to the origin, (f x m)/|f|^2, metres.
 
     Parameters
     ----------
@@ -85,15 +102,9 @@ def axis_point(force: FloatArray, moment: FloatArray) -> FloatArray:
 
 
 def pitch(force: FloatArray, moment: FloatArray) -> FloatArray:
-    """Return f . m/|f|^2, metres: zero for a single contact without torque (eq. 3).
+    """Compute the pitch f . m/|f|^2, metres: zero for a single contact without torque (eq. 3).
 
-    Parameters
-    ----------
-    force, moment : (..., 3) float, N and N m, one frame; the force is not zero
-
-    Returns
-    -------
-    (...) float, signed; beyond the noise it shows a second contact or a torque.
+    Beyond the noise it shows a second contact or a torque. Arguments as for `axis_point`.
     """
     return np.asarray(np.sum(force * moment, axis=-1) / np.sum(force * force, axis=-1))
 
@@ -119,7 +130,7 @@ def move_wrench(link_from_sensor: FloatArray, force: FloatArray, moment: FloatAr
 
 
 def _turn(rotation: FloatArray, v: FloatArray) -> FloatArray:
-    """Return Q v for each of many: not as a matrix product, whose rounding may depend on how many are turned at once."""
+    """Compute Q v for each of many: a matrix product's rounding may depend on how many are turned at once."""
     return rotation[..., 0] * v[..., 0:1] + rotation[..., 1] * v[..., 1:2] + rotation[..., 2] * v[..., 2:3]
 
 
@@ -133,7 +144,7 @@ class DhLink:
     offset: float
 
     def transform(self, angle: float) -> FloatArray:
-        """Return the (4, 4) pose of this joint's outer frame in its inner one at `angle` radians."""
+        """Compute the (4, 4) pose of this joint's outer frame in its inner one at `angle` radians."""
         # Turn by theta and shift by d about and along z, then shift by a and turn by alpha along and about x.
         theta = angle + self.offset
         ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(self.alpha), np.sin(self.alpha)
@@ -148,7 +159,7 @@ class DhLink:
 
 
 def inverse_pose(pose: FloatArray) -> FloatArray:
-    """Return the inverse of a rigid (4, 4) pose, from the transpose of its rotation."""
+    """Invert a rigid (4, 4) pose."""
     inverse = np.eye(4)
     inverse[:3, :3] = pose[:3, :3].T
     inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
@@ -171,11 +182,9 @@ class Arm:
     base_from_sensor: FloatArray
 
     def link_from_sensor(self, angles: FloatArray) -> FloatArray:
-        """Return the (4, 4) pose of the sensor in the link frame, p_link = T p_sensor.
+        """Compute the (4, 4) pose of the sensor in the link frame, p_link = T p_sensor.
 
-        Parameters
-        ----------
-        angles : (len(joints),) float, radians, of these joints alone
+        `angles` is (len(joints),) float, radians, of these joints alone.
         """
         base_from_link = np.eye(4)
         for link, angle in zip(self.chain, angles, strict=True):

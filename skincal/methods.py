@@ -176,7 +176,7 @@ def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
 def _without(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
     """Return the estimate of a channel without evidence."""
     if channel in dead:
-        return Estimate(channel, method, State.DEAD, 0, reason=StateReason(Cause.GIVEN, text=dead[channel]))
+        return Estimate(channel, method, State.DEAD, 0, reason=StateReason(Cause.EXTERNAL_TEXT, text=dead[channel]))
     return Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED))
 
 

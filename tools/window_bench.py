@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from PySide6.QtCore import QEvent, QObject, QSettings, QStandardPaths, QTimer
 from PySide6.QtWidgets import QApplication, QStackedLayout, QWidget
 
-from app.preflight import no_display, window_problem
+from app.preflight import no_display, objection
 
 if TYPE_CHECKING:
     from app.session.controller import Tick
@@ -118,7 +118,7 @@ class Measure(QObject):
 
     def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.guidance import PRESSING
+        from skincal.guide.press_coaching import PRESSING
 
         now = time.monotonic()
         pressing = tick.live.progress.phase in PRESSING
@@ -337,7 +337,7 @@ def main() -> int:
         parser.add_argument(f"--{stream}", default="", help="address of the device")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    reason = no_display() or window_problem()
+    reason = no_display() or objection()
     if reason:
         print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tools.window_bench', file=sys.stderr)
         return 2

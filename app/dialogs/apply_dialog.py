@@ -9,7 +9,7 @@ from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QLineEdit, QWidget
 
 from app.dialogs.task_dialog import TaskDialog
-from app.panels.widgets import quiet
+from app.panels.widgets import secondary_label
 from skincal.taxels.result import Method
 
 DEFAULT_PORT = "yarp:/skinManager/rpc"
@@ -39,13 +39,13 @@ class ApplyDialog(TaskDialog):
         super().__init__("Apply to the robot", "Send positions", methods, shown, parent)
         self._verdict_of = verdict_of
         self.address = QLineEdit(address)
-        self.verdict = quiet(wrap=True)
+        self.verdict = secondary_label(wrap=True)
         self.remarks.setAccessibleName("questions and answers")
         self.form.addRow("&Method", self.method)
         self.form.addRow("", self.verdict)
         self.form.addRow("&RPC port of skinManager", self.address)
         self.form.addRow(
-            "", quiet("The robot's present positions are first saved in a file, so that you can restore them.", wrap=True)
+            "", secondary_label("The robot's present positions are read first and saved in a file, to go back to.", wrap=True)
         )
         # A robot is changed on purpose: Space and Enter close.
         self.close_button.setDefault(True)

@@ -8,7 +8,7 @@ from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QComboBox, QFileDialog, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from app.dialogs.task_dialog import TaskDialog
-from app.panels.widgets import quiet
+from app.panels.widgets import secondary_label
 from skincal.files.formats import ExportFormat
 from skincal.taxels.result import Method
 from skincal.words.units import count
@@ -27,7 +27,7 @@ class ExportDialog(TaskDialog):
         self.format = QComboBox()
         for each in ExportFormat:
             self.format.addItem(each.title, each)
-        self.about = quiet(wrap=True)
+        self.about = secondary_label(wrap=True)
         self.path = QLineEdit()
         self.path.setAccessibleName("file")
         self.browse = QPushButton("Choose\N{HORIZONTAL ELLIPSIS}")

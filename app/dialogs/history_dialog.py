@@ -1,4 +1,4 @@
-"""Dialog with the history of a session, newest first; it undoes or redoes several steps at once."""
+"""The history of a session: what was done and when, newest first; everything down to a line can be taken back at once."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeyEvent, QShowEvent
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QHeaderView, QTreeWidgetItem, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, put_rows, quiet, table
+from app.panels.widgets import plain_buttons, put_rows, secondary_label, table
 from app.state.view_state import ViewState
 from app.text.history_text import HistoryLine, history_lines
 
 HEADINGS = ("When", "What")
-SIZE_PX = (420, 480)
+SIZE = (420, 480)
+"""Pixels."""
 
 
 class HistoryDialog(QDialog):
-    """Stays open next to the window. Enter or a double click on a line undoes or redoes up to it."""
+    """Stands beside the window and follows the session; Enter or a double click on a line acts."""
 
-    undo_wanted = Signal(int)
-    """Number of undo steps."""
-    redo_wanted = Signal(int)
-    """Number of redo steps."""
+    taken_back = Signal(int)
+    """So many entries, the newest first."""
+    brought_again = Signal(int)
+    """So many, the one that was taken back last first."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("History")
         self.list = table("history", HEADINGS)
         self.list.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        about = "Enter undoes the line and all lines above it, or redoes an undone line."
+        about = "Enter on a line takes it back with all above it; on one that was taken back it brings that again."
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
         column.addWidget(self.list, 1)
-        column.addWidget(quiet(about, wrap=True))
+        column.addWidget(secondary_label(about, wrap=True))
         column.addWidget(self.buttons)
-        self.resize(*SIZE_PX)
+        self.resize(*SIZE)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
         self._lines: list[HistoryLine] = []
@@ -44,7 +45,7 @@ class HistoryDialog(QDialog):
         self.list.itemActivated.connect(self._activated)
 
     def show_state(self, state: ViewState) -> None:
-        """Show the history, if it changed and the dialog is visible."""
+        """Show what can be taken back or brought again; nothing where it is shown already, or nobody looks."""
         self._state, snapshot = state, state.snapshot
         shown = snapshot.history.entries, snapshot.history.undone, snapshot.pokes
         if not self.isVisible() or shown == self._shown:
@@ -53,7 +54,7 @@ class HistoryDialog(QDialog):
         put_rows(self.list, [(line.when, line.what) for line in self._lines])
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Show the newest state and select the newest line."""
+        """Show the newest state, on the newest line."""
         super().showEvent(event)
         if self._state is not None:
             self.show_state(self._state)
@@ -63,13 +64,13 @@ class HistoryDialog(QDialog):
             self.list.setCurrentItem(first)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep Enter in the list away from the default button."""
+        """Keep Enter in the list from the default button."""
         if not (self.list.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
             super().keyPressEvent(event)
 
     def _activated(self, item: QTreeWidgetItem) -> None:
         line = self._lines[self.list.indexOfTopLevelItem(item)]
         if line.again:
-            self.redo_wanted.emit(line.again)
+            self.brought_again.emit(line.again)
         else:
-            self.undo_wanted.emit(line.back)
+            self.taken_back.emit(line.back)

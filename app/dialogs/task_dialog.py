@@ -1,4 +1,4 @@
-"""Base of the dialogs that run one task for one method and show its outcome."""
+"""Base of dialogs that start one task for one method, wait for it and show its outcome."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QListWidget, QPushButton, QVBoxLayout, QWidget
 
-from app.panels.widgets import plain_buttons, quiet
+from app.panels.widgets import plain_buttons, secondary_label
 from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
@@ -27,7 +27,7 @@ class TaskDialog(QDialog):
             self.method.addItem(METHOD_NAMES[method], method)
         self.method.setCurrentIndex(self.method.findData(shown))
         self.form = QFormLayout()
-        self.outcome = quiet(wrap=True)
+        self.outcome = secondary_label(wrap=True)
         self.remarks = QListWidget()
         self.remarks.setWordWrap(True)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
@@ -54,7 +54,7 @@ class TaskDialog(QDialog):
         self.outcome.setText(words)
 
     def end_task(self) -> None:
-        """Allow another start, and closing."""
+        """Allow another start and closing, whatever became of the task."""
         self.start.setEnabled(True)
 
     def show_outcome(self, sentence: str, remarks: Sequence[str] = (), *, good: bool) -> None:

@@ -1,4 +1,4 @@
-"""Dialog for the thresholds of a poke: value and reason of each, the newest pokes, and a field to change it."""
+"""The page of a poke's thresholds: what each is and why, how the newest pokes stand against it, and its change."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import embolden, fit_to_screen, on_panel, plain_buttons, quiet
+from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, secondary_label, set_bold
 from app.state.view_state import ViewState
 from app.theme import GAP
 from skincal.contacts.outcome import Outcome
@@ -35,11 +35,12 @@ from skincal.words.threshold_words import (
     with_unit,
 )
 
-SIZE_PX = (620, 600)
+SIZE = (620, 600)
+"""Pixels at 100 %, where the screen has them."""
 
 
 class ThresholdRow:
-    """Field of one threshold, with a problem, its reason and the newest pokes below."""
+    """One threshold: its field, and below it the reason, the newest pokes and what is wrong with what was typed."""
 
     def __init__(self, words: ThresholdWords, of_scene: str, grid: QGridLayout) -> None:
         self.field = QLineEdit()
@@ -48,27 +49,28 @@ class ThresholdRow:
         self.objection = QLabel()
         self.objection.setWordWrap(True)
         self.objection.hide()
-        self.used = quiet(wrap=True)
+        self.used = secondary_label(wrap=True)
         title = QLabel(words.title)
         title.setBuddy(self.field)
         at = grid.rowCount()
-        for column, widget in enumerate((title, self.field, QLabel(words.unit.text), quiet(f"scene: {of_scene}"))):
+        for column, widget in enumerate((title, self.field, QLabel(words.unit.text), secondary_label(f"scene: {of_scene}"))):
             grid.addWidget(widget, at, column)
-        for below, widget in enumerate((self.objection, quiet(words.reason, wrap=True), self.used), start=1):
+        for below, widget in enumerate((self.objection, secondary_label(words.reason, wrap=True), self.used), start=1):
             grid.addWidget(widget, at + below, 0, 1, 4)
         grid.setRowMinimumHeight(at + 4, GAP)
 
-    def show_problem(self, sentence: str) -> None:
+    def object(self, sentence: str) -> None:
+        """Say what is wrong with the field, or nothing any more."""
         self.objection.setText(f"\N{BALLOT X} {sentence}")
         self.objection.setVisible(bool(sentence))
 
 
 class ThresholdsDialog(QDialog):
-    """Stays open next to the window and follows the session.
+    """Stands beside the window and follows the session.
 
     Parameters
     ----------
-    scene : thresholds in the scene's file
+    scene : the thresholds of the scene's file
     """
 
     thresholds_wanted = Signal(object)
@@ -81,11 +83,11 @@ class ThresholdsDialog(QDialog):
         self._now = dict(self._scene)
         self._state: ViewState | None = None
         self._newest: list[Outcome] | None = None
-        """Pokes that are shown."""
+        """What is shown of the pokes."""
         self.area = QScrollArea()
         # It follows the focus of its fields.
         self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        inner = on_panel(self.area)
+        inner = panel_scroll_area(self.area)
         self._grid = QGridLayout(inner)
         self._grid.setColumnStretch(3, 1)
         self.rows: dict[str, ThresholdRow] = {}
@@ -93,10 +95,10 @@ class ThresholdsDialog(QDialog):
         self.area.setWidget(inner)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
-        self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
+        self.back = self.buttons.addButton("Use the scene's", QDialogButtonBox.ButtonRole.ResetRole)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
-        column.addWidget(quiet(ABOUT, wrap=True))
+        column.addWidget(secondary_label(ABOUT, wrap=True))
         column.addWidget(self.area, 1)
         column.addWidget(self.buttons)
         self.use.setDefault(True)
@@ -108,14 +110,14 @@ class ThresholdsDialog(QDialog):
     def _fill(self) -> None:
         for title, group in GROUPS.items():
             heading = QLabel(title)
-            embolden(heading)
+            set_bold(heading)
             self._grid.addWidget(heading, self._grid.rowCount(), 0, 1, 4)
             for name, words in group.items():
                 row = self.rows[name] = ThresholdRow(words, with_unit(name, self._scene[name]), self._grid)
                 row.field.textEdited.connect(self._edited)
 
     def show_state(self, state: ViewState) -> None:
-        """Show the thresholds in use and the newest pokes, if the dialog is visible."""
+        """Show the thresholds that hold and how the newest pokes stand against them; nothing where nobody looks."""
         self._state = state
         if not self.isVisible():
             return
@@ -124,31 +126,32 @@ class ThresholdsDialog(QDialog):
             self._now = now
             self._show_fields()
         newest = [record.outcome for record in state.snapshot.pokes[-NEWEST:]]
-        # By identity: outcomes hold arrays, which have no truth value.
+        # Compared by what they are: arrays have no truth.
         if self._newest is None or list(map(id, newest)) != list(map(id, self._newest)):
             self._newest = newest
             for name, use in threshold_uses(newest, list(self.rows)).items():
                 self.rows[name].used.setText(use_words(name, use))
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Show the newest state, with the focus on the first field."""
+        """Show the newest state, on the first field, on the screen as a whole."""
         super().showEvent(event)
         if self._state is not None:
             self.show_state(self._state)
-        fit_to_screen(self, SIZE_PX)
+        fit_to_screen(self, SIZE)
         first = next(iter(self.rows.values())).field
         self.area.verticalScrollBar().setValue(0)
         first.setFocus()
         first.selectAll()
 
     def _show_fields(self) -> None:
+        """Show what holds in every field."""
         for name, row in self.rows.items():
             row.field.setText(shown_value(name, self._now[name]))
-            row.show_problem("")
+            row.object("")
         self._enable()
 
     def _edited(self) -> None:
-        self._show_problems(objections(self._typed()))
+        self._object(objections(self._typed()))
         self._enable()
 
     def _enable(self) -> None:
@@ -156,20 +159,20 @@ class ThresholdsDialog(QDialog):
         self.back.setEnabled(self._now != self._scene)
 
     def _typed(self) -> dict[str, float]:
-        """Read the fields, SI units; an unchanged field gives exactly the present value, which has more digits."""
+        """Return what the fields say, SI units; of a field as it was shown exactly what holds, which has more digits."""
         return {
             name: now if (text := self.rows[name].field.text().strip()) == shown_value(name, now) else typed_value(name, text)
             for name, now in self._now.items()
         }
 
-    def _show_problems(self, wrong: dict[str, str]) -> None:
+    def _object(self, wrong: dict[str, str]) -> None:
         for name, row in self.rows.items():
-            row.show_problem(wrong.get(name, ""))
+            row.object(wrong.get(name, ""))
 
     def _use(self) -> None:
         typed = self._typed()
         wrong = objections(typed)
-        self._show_problems(wrong)
+        self._object(wrong)
         if wrong:
             row = self.rows[next(name for name in self.rows if name in wrong)]
             self.area.ensureWidgetVisible(row.objection)

@@ -1,4 +1,4 @@
-"""A window that takes files which are dropped onto it."""
+"""Files that are dropped onto the window."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from skincal.model.errors import InputError
 
 
 class DropTarget(QObject):
-    """Takes what is dropped onto a widget and what stands in it."""
+    """Accepts files that are dropped onto a widget or its children."""
 
     request_made = Signal(object)
-    """`OpenRequest` of what was dropped."""
+    """`OpenRequest`."""
     recording_dropped = Signal(object)
-    """Paths of a recording that is to be imported."""
+    """Paths of a recording to import."""
     refused = Signal(str)
-    """Why it cannot be opened, and what to do with it."""
+    """Why the files cannot be opened, and what to do."""
 
     def __init__(self, over: QWidget) -> None:
         super().__init__(over)
@@ -28,18 +28,17 @@ class DropTarget(QObject):
         over.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Take files, and leave anything else to whoever wants it."""
-        # A drop is told by its type: both events are of one class.
+        # Both events are of one class.
         if isinstance(event, QDragEnterEvent) and event.mimeData().hasUrls():
             event.acceptProposedAction()
             return True
         if event.type() is QEvent.Type.Drop and isinstance(event, QDropEvent):
             event.acceptProposedAction()
-            self._take([Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()])
+            self._open_dropped([Path(url.toLocalFile()) for url in event.mimeData().urls() if url.isLocalFile()])
             return True
         return super().eventFilter(watched, event)
 
-    def _take(self, paths: list[Path]) -> None:
+    def _open_dropped(self, paths: list[Path]) -> None:
         try:
             request = request_of(paths)
         except InputError as error:

@@ -1,28 +1,28 @@
-"""The contacts of one taxel as one looks down on it: from which sides they came, or where around it they lie.
+"""The Taxel tab: contacts, estimates and pokes of one taxel, and the taxels that need pokes most.
 
-For the free method the rim is a tilt of 45 degrees, each contact a dot where the tool's upper end stood, and tinted is where
-the next contact would help most. For the surface method it is the skin around the taxel, and the middle of the contacts on it.
-
-The panel of one taxel: its estimates by each method and its pokes; and the taxels that need pokes most.
+The picture of the contacts looks down on the taxel. For the free method a dot is the direction of the tool's upper end, the rim
+is a tilt of 45 degrees, and tint shows where the next contact would help most. For the other methods dots are contact points on
+the skin around the taxel, and a cross is their mean.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import QPointF, QRectF, Qt, Signal
+from PySide6.QtCore import QPointF, QRectF, Qt
 from PySide6.QtGui import QColor, QImage, QPainter, QPen, QPolygonF
 from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
     QPushButton,
-    QScrollArea,
     QVBoxLayout,
     QWidget,
 )
 
+from app.panels.panel import Panel, PanelContext
 from app.panels.top_view import AxisDiversityView, diversity_view
-from app.panels.widgets import Painted, TaxelList, embolden, on_panel, put_rows, quiet, table
+from app.panels.widgets import Painted, TaxelList, panel_scroll_area, put_rows, secondary_label, set_bold, table
+from app.state.memo import is_same
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
 from app.text.errors_text import FULL_TRUST, MARKED_TRUST, TaxelPoke, rival_words, taxel_pokes
@@ -30,8 +30,8 @@ from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, nee
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
 from app.theme import GAP, Colours
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance
 from skincal.guide.progress import AxisDiversity
+from skincal.model.actions import MarkDead, Revive
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.taxel_words import state_sentence
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
@@ -40,21 +40,22 @@ PLOT_PX = 152
 TITLE_PT = 11
 DOT_PX = 4.0
 RADIUS_PX = PLOT_PX / 2 - DOT_PX - 3
-DOUBT_LEAST = 0.45
-"""A contact that is not believed at all is drawn in this share of the size."""
-SHADE_MOST = 110
-"""Opacity, 0 to 255, where the next contact would help most: dots must stand out on it."""
-_PLACES = "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'\n\N{MULTIPLICATION SIGN} their middle"
-LEGENDS = {
-    Method.FREE: "\N{BLACK CIRCLE} its own  \N{WHITE CIRCLE} its neighbours'  small: doubted\n"
-    "Tinted: from there the next tells most",
-    Method.SURFACE: _PLACES,
-    Method.MODULES: _PLACES,
+MIN_DOT_SHARE = 0.45  # Size of a contact without trust over that of a trusted one
+MAX_SHADE_ALPHA = 110
+"""Opacity of the tint, 0 to 255, where the next contact would help most; dots must be visible on it."""
+_POSITION_LEGEND = (
+    "\N{BLACK CIRCLE} strongest here  \N{WHITE CIRCLE} at a neighbour\n\N{MULTIPLICATION SIGN} mean contact point"
+)
+PICTURE_LEGENDS = {
+    Method.FREE: "\N{BLACK CIRCLE} strongest here  \N{WHITE CIRCLE} at a neighbour  small: doubted\n"
+    "Tint: best directions of the next poke",
+    Method.SURFACE: _POSITION_LEGEND,
+    Method.MODULES: _POSITION_LEGEND,
 }
 
 
 class AxisDiversityPlot(Painted):
-    """The picture alone."""
+    """The picture of a taxel's contacts."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -64,12 +65,10 @@ class AxisDiversityPlot(Painted):
         self.setAccessibleName("contacts of the taxel, from above")
 
     def set(self, diversity: AxisDiversity, view: AxisDiversityView) -> None:
-        """Show the contacts of a taxel."""
         self._diversity, self._view = diversity, view
         self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
-        """Paint the rim, what is worth most, the limit, the contacts and the next."""
         diversity, view = self._diversity, self._view
         if diversity is None or view is None:
             return
@@ -77,14 +76,14 @@ class AxisDiversityPlot(Painted):
         self._draw_scale(painter, view, colours)
         text, ground = QColor(colours.text), QColor(colours.window)
         for place, own, trust in zip(view.dots, diversity.own.tolist(), diversity.trust.tolist(), strict=True):
-            size = DOT_PX * (DOUBT_LEAST + (1.0 - DOUBT_LEAST) * trust)
-            # Full for its own, a ring for its neighbours': the shape says it without a colour.
+            size = DOT_PX * (MIN_DOT_SHARE + (1.0 - MIN_DOT_SHARE) * trust)
+            # Filled for its own, a ring for its neighbours': readable without colour.
             painter.setPen(QPen(ground, 1.0) if own else QPen(text, 1.4))
             painter.setBrush(text if own else ground)
             painter.drawEllipse(self._at(place), size, size)
         if view.middle is not None and len(view.dots):
             at = self._at(view.middle)
-            # The broad stroke below sets the cross off from the dots.
+            # The broad stroke below separates the cross from the dots.
             for width, colour in ((5.0, colours.window), (2.2, colours.accent)):
                 painter.setPen(QPen(QColor(colour), width, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
                 for x in (5.0, -5.0):
@@ -112,39 +111,42 @@ class AxisDiversityPlot(Painted):
         painter.drawEllipse(middle, RADIUS_PX * view.limit, RADIUS_PX * view.limit)
 
     def _draw_wanted(self, painter: QPainter, at: QPointF) -> None:
-        """Draw a square on its tip around the side from which the next one helps most."""
+        """Draw a diamond around the best direction of the next contact."""
         corners = [at + QPointF(x, y) for x, y in ((0, -8), (8, 0), (0, 8), (-8, 0))]
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        # White within black stands out in both themes, whatever lies below.
+        # White in black is visible in both themes on any colour.
         for width, colour in ((4.5, Qt.GlobalColor.black), (1.8, Qt.GlobalColor.white)):
             painter.setPen(QPen(colour, width))
             painter.drawPolygon(QPolygonF(corners))
 
 
 def _shade(shade: FloatArray, colour: QColor) -> QImage:
-    """Return the shade in one colour: contrast from the least to the most that is worth anything."""
+    """Return the shade in one colour, with the contrast stretched from its smallest to its largest value."""
     inside = shade[shade > 0]
     least, most = float(inside.min()), float(inside.max())
     share = np.where(shade > 0, (shade - least) / max(most - least, 1e-9), 0.0)
     pixels = np.zeros((*shade.shape, 4), dtype=np.uint8)
     pixels[..., :3] = colour.red(), colour.green(), colour.blue()
-    pixels[..., 3] = np.round(SHADE_MOST * share)
+    pixels[..., 3] = np.round(MAX_SHADE_ALPHA * share)
     height, width = shade.shape
-    # The picture keeps a copy of its own: the bytes go with this function.
+    # Copied, since the bytes are released with this function.
     return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
 
 
 class AxisDiversityPanel(QWidget):
-    """The picture with its words; of the target where no taxel is selected."""
+    """The picture with its words, of the selected taxel or the target."""
 
     def __init__(self, names: ChannelNames) -> None:
         super().__init__()
         self._names = names
         self._key: tuple[object, ...] = ()
-        self._guidance: Guidance | None = None
         self.plot = AxisDiversityPlot()
         self.whose, self.spread = QLabel(), QLabel()
-        self.contacts, self.legend, self.follows = quiet(wrap=True), quiet(wrap=True), quiet(wrap=True)
+        self.contacts, self.legend, self.follows = (
+            secondary_label(wrap=True),
+            secondary_label(wrap=True),
+            secondary_label(wrap=True),
+        )
         self.spread.setWordWrap(True)
         words = QVBoxLayout()
         words.setSpacing(4)
@@ -157,22 +159,21 @@ class AxisDiversityPanel(QWidget):
         row.addWidget(self.plot, 0, Qt.AlignmentFlag.AlignTop)
         row.addLayout(words, 1)
         self.setWhatsThis(
-            "The contacts of the taxel as one looks down on it, up as in the 3D view. For the free method: from which sides "
-            "they came, the rim is 45 degrees, the dashed circle what a push is asked to lean at most, and the square the side "
-            "from which the next one tells most. For the others: where they lie around it, the rim is 5 mm; for the "
-            "surface method their middle must come into the dashed circle."
+            "The contacts of the taxel from above, up as in the 3D view. For the free method: tool directions; the rim is "
+            "45 degrees, the dashed circle the largest tilt of a target, the diamond the best direction of the next "
+            "poke. For the other methods: contact points around the taxel; the rim is 5 mm. For the surface method "
+            "their mean must come into the dashed circle."
         )
 
     def show_state(self, state: ViewState) -> None:
-        """Show the selected taxel of a tick, or the target; nothing happens where it is the same."""
         target = None if state.target is None else state.target.channel
-        channel = state.looked_at
-        # A camera that turned by less than what is seen draws nothing anew.
-        stand = np.round(np.concatenate([state.eye.right, state.eye.up]), 2).tobytes()
-        key = (state.revision, state.method, channel, channel == target, stand)
-        if key == self._key and state.guidance is self._guidance:
+        channel = state.focused_channel
+        # Rounded: a smaller turn of the camera is not visible.
+        camera = np.round(np.concatenate([state.eye.right, state.eye.up]), 2).tobytes()
+        key = (state.revision, state.method, channel, channel == target, camera, state.guidance)
+        if is_same(key, self._key):
             return
-        self._key, self._guidance = key, state.guidance
+        self._key = key
         diversity = state.diversity
         self.setVisible(diversity is not None)
         if diversity is None:
@@ -180,29 +181,29 @@ class AxisDiversityPanel(QWidget):
         self.whose.setText(f"{self._names.short(diversity.channel)}{', the target' if channel == target else ''}")
         self.contacts.setText(contacts_words(diversity))
         self.spread.setText(diversity_words(diversity, state.method).capitalize())
-        self.legend.setText(LEGENDS[state.method])
+        self.legend.setText(PICTURE_LEGENDS[state.method])
         self.follows.setText(FOLLOWS[state.method])
         self.plot.set(diversity, diversity_view(diversity, state.method, state.eye))
 
 
-ROWS = ("Position, mm", "Predicted error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
+ESTIMATE_ROWS = ("Position, mm", "Expected error", "Worst direction", "\N{PLUS-MINUS SIGN} along it", "Contacts", "State")
 POKE_HEADINGS = ("Poke", "Weight k", "Trust", "Axis off by, mm")
 _POKE_HINTS = (
     "Number of the poke; a double click shows it in the list of pokes",
-    "The taxel's answer in shares of the strongest in the poke: its weight in the solution",
-    "How far the method believes the poke for this taxel: 1 counts fully",
-    "Distance of the poke's axis from the estimate",
+    "Response of the taxel divided by the strongest response of the poke: its weight in the solution",
+    "Trust of the method in the poke for this taxel; 1 counts fully",
+    "Distance of the poke's force axis from the estimate",
 )
-LEFT_OUT = (
-    "The predicted error carries the noise of force, moment and touch. It leaves out wrong frames, a wrong arm chain, a "
-    "wrong mesh and errors of the F/T matrix, which shift all taxels together."
+NOT_COVERED = (
+    "The expected error covers noise of force, moment and touch. It does not cover errors that shift all taxels together: "
+    "wrong frames, a wrong arm chain, a wrong mesh, an error of the force/torque matrix."
 )
 
 
 def estimate_cells(estimate: Estimate | None) -> tuple[str, ...]:
-    """Return the cells of `ROWS` for one estimate."""
+    """Make the cells of `ESTIMATE_ROWS` for an estimate."""
     if estimate is None:
-        return (DASH,) * len(ROWS)
+        return (DASH,) * len(ESTIMATE_ROWS)
     return (
         point_mm(estimate.position),
         millimetres(estimate.rms),
@@ -214,63 +215,58 @@ def estimate_cells(estimate: Estimate | None) -> tuple[str, ...]:
 
 
 def distance_words(first: Estimate | None, second: Estimate | None) -> str:
-    """Return how far the two methods lie apart, empty where one of them does not know."""
+    """Give the distance between the estimates of two methods; empty if one is unknown."""
     if first is None or second is None or first.position is None or second.position is None:
         return ""
-    return f"The methods lie {millimetres(float(np.linalg.norm(first.position - second.position)))} apart."
+    return f"The two methods differ by {millimetres(float(np.linalg.norm(first.position - second.position)))}."
 
 
-class InspectPanel(QScrollArea):
-    """Details of the selected taxel above, the worst below."""
+class InspectPanel(Panel):
+    """Details of the selected taxel above, the worst taxels below."""
 
-    taxel_wanted = Signal(int)
-    mark_dead_requested = Signal(int)
-    revive_requested = Signal(int)
-    poke_wanted = Signal(int)
+    title = "Taxel"
 
-    def __init__(self, methods: tuple[Method, ...], names: ChannelNames) -> None:
+    def __init__(self, context: PanelContext) -> None:
         super().__init__()
-        self._methods = methods
-        self._names = names
-        self._shown: tuple[object, ...] = ()
-        self._selected: int | None = None
-        self._dead = False
-        self.title = QLabel("No taxel selected")
-        embolden(self.title, TITLE_PT)
-        self.cells = {method: [QLabel(DASH) for _ in ROWS] for method in methods}
-        self.reason = quiet("Click a taxel on the map or in the 3D view.", wrap=True)
+        methods, names = context.methods, context.names
+        self._methods, self._names = methods, names
+        self._listed: tuple[object, ...] = ()
+        self.heading = QLabel("No taxel selected")
+        set_bold(self.heading, TITLE_PT)
+        self.cells = {method: [QLabel(DASH) for _ in ESTIMATE_ROWS] for method in methods}
+        self.reason = secondary_label("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
         self.use.setEnabled(False)
         self.diversity = AxisDiversityPanel(names)
         self.rival = QLabel()
         self.rival.setWordWrap(True)
-        self.pokes_title = quiet()
+        self.pokes_title = secondary_label()
         self.pokes = table("pokes of the taxel", POKE_HEADINGS, _POKE_HINTS)
         self.pokes.setMinimumHeight(110)
         self.worst = TaxelList("taxels that need pokes most")
         self._arrange()
-        self.use.clicked.connect(self._use_clicked)
+        self.use.clicked.connect(self._switch_use)
         self.worst.taxel_wanted.connect(self.taxel_wanted)
         self.pokes.itemActivated.connect(lambda item, _column: self.poke_wanted.emit(int(item.text(0))))
-        self.setWhatsThis("The selected taxel by each method. " + LEFT_OUT)
+        self.setWhatsThis("The selected taxel by each method. " + NOT_COVERED)
 
     def _arrange(self) -> None:
         grid = QGridLayout()
         grid.setHorizontalSpacing(2 * GAP)
         grid.setVerticalSpacing(2)
         for column, method in enumerate(self._methods, start=1):
-            grid.addWidget(quiet(METHOD_NAMES[method]), 0, column)
+            grid.addWidget(secondary_label(METHOD_NAMES[method]), 0, column)
             grid.setColumnStretch(column, 1)
             for row, label in enumerate(self.cells[method], start=1):
                 label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
                 label.setWordWrap(True)
                 grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
-        for row, text in enumerate(ROWS, start=1):
-            grid.addWidget(quiet(text), row, 0, Qt.AlignmentFlag.AlignTop)
-        inner = on_panel(self)
+        for row, text in enumerate(ESTIMATE_ROWS, start=1):
+            grid.addWidget(secondary_label(text), row, 0, Qt.AlignmentFlag.AlignTop)
+        inner = panel_scroll_area(self)
         panel = QVBoxLayout(inner)
         panel.setContentsMargins(GAP, GAP, GAP, GAP)
-        panel.addWidget(self.title)
+        panel.addWidget(self.heading)
         panel.addWidget(self.diversity)
         panel.addLayout(grid)
         for widget in (self.rival, self.reason):
@@ -280,32 +276,32 @@ class InspectPanel(QScrollArea):
         panel.addWidget(self.pokes, 1)
         for empty in (self.diversity, self.rival, self.pokes_title, self.pokes):
             empty.hide()
-        panel.addWidget(quiet("Need pokes most"))
+        panel.addWidget(secondary_label("Need pokes most"))
         panel.addWidget(self.worst, 1)
         self.setWidget(inner)
 
     def show_state(self, state: ViewState) -> None:
-        """Show the selected taxel of a tick and the worst; nothing happens where they are the same."""
         self.diversity.show_state(state)
-        shown = (state.revision, state.method, state.guidance is None, state.selected)
-        if shown == self._shown:
-            return
+        super().show_state(state)
+
+    def depends_on(self, state: ViewState) -> tuple[object, ...]:
+        return state.revision, state.method, state.guidance is None, state.selected
+
+    def update_view(self, state: ViewState) -> None:
         # Another selection changes the details, not the list of the worst.
-        changed_worst = shown[:-1] != self._shown[:-1]
-        self._shown = shown
-        if changed_worst:
+        listed = state.revision, state.method
+        if listed != self._listed:
+            self._listed = listed
             self.worst.show_taxels([(estimate.channel, self._worst_words(estimate)) for estimate in worst(state.estimates)])
-        self._selected = state.selected
         if state.selected is not None:
             self._show_taxel(state, state.selected)
 
     def _show_taxel(self, state: ViewState, channel: int) -> None:
         found = {method: find_estimate(state.snapshot, method, channel) for method in self._methods}
-        self.title.setText(f"{self._names.short(channel)}   {self._names.long(channel)}")
+        self.heading.setText(f"{self._names.short(channel)}   {self._names.long(channel)}")
         for method, estimate in found.items():
             for label, text in zip(self.cells[method], estimate_cells(estimate), strict=True):
                 label.setText(text)
-        self._dead = channel in state.snapshot.dead
         shown = found.get(state.method)
         reason = state.snapshot.dead.get(channel) or state_sentence(None if shown is None else shown.reason)
         pair = [found.get(method) for method in (Method.FREE, Method.SURFACE)]
@@ -315,7 +311,7 @@ class InspectPanel(QScrollArea):
         self.rival.setText(f"\N{BLACK UP-POINTING TRIANGLE} {rival_words(shown)}")
         self.rival.setVisible(shown is not None and bool(rival_words(shown)))
         self._list_pokes(() if shown is None else taxel_pokes(state.snapshot, shown), state.method)
-        self.use.setText("Use this taxel again" if self._dead else "Do not use this taxel")
+        self.use.setText("Use this taxel again" if channel in state.snapshot.dead else "Do not use this taxel")
         self.use.setEnabled(True)
 
     def _list_pokes(self, pokes: tuple[TaxelPoke, ...], method: Method) -> None:
@@ -327,16 +323,18 @@ class InspectPanel(QScrollArea):
     def _worst_words(self, estimate: Estimate) -> str:
         name = self._names.short(estimate.channel)
         if estimate.state is State.ESTIMATED:
-            return f"{name}   {millimetres(estimate.rms)} predicted error, {count(estimate.contacts, 'contact')}"
+            return f"{name}   {millimetres(estimate.rms)} expected error, {count(estimate.contacts, 'contact')}"
         return f"{name}   {MARK_WORDS[mark_of(estimate)]}"
 
-    def _use_clicked(self) -> None:
-        if self._selected is not None:
-            (self.revive_requested if self._dead else self.mark_dead_requested).emit(self._selected)
+    def _switch_use(self) -> None:
+        state = self._state
+        if state is not None and state.selected is not None:
+            is_dead = state.selected in state.snapshot.dead
+            self.action_wanted.emit(Revive(state.selected) if is_dead else MarkDead(state.selected))
 
 
 def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
-    """Return the cells of `POKE_HEADINGS`."""
+    """Make the cells of `POKE_HEADINGS`."""
     sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MARKED_TRUST else ""
     trust = "1" if poke.trust >= FULL_TRUST else number(poke.trust, 2)
     return (str(poke.poke), number(poke.weight, 2), sign + trust, cell(poke.miss, "m"))

@@ -1,4 +1,4 @@
-"""One line at the head of the window for what went wrong or was done; errors stay until they are read."""
+"""The line at the top of the window for errors, results and findings; errors stay until they are dismissed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from app.panels.widgets import theme_colours
 from app.text.message import Message
 from app.theme import GAP
 
-INFO_MS = 8000
-"""A message that reports a success or a finding goes away by itself after this many milliseconds."""
-KEPT = 20
-"""Messages that wait to be read; older ones are in the log."""
+SHOWN_MS = 8000  # A success or a finding disappears after this time
+MAX_WAITING = 20  # Messages that wait to be read; older ones are in the log
 
 
 class MessageBar(QFrame):
@@ -23,10 +21,10 @@ class MessageBar(QFrame):
 
     def __init__(self) -> None:
         super().__init__()
-        self._waiting: deque[Message] = deque(maxlen=KEPT)
+        self._waiting: deque[Message] = deque(maxlen=MAX_WAITING)
         self.text = QLabel()
         self.text.setWordWrap(True)
-        # Messages quote files and devices, and Qt would take for HTML what looks like it.
+        # Messages quote files and devices: Qt would interpret HTML in them.
         self.text.setTextFormat(Qt.TextFormat.PlainText)
         self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.close_button = QPushButton("Dismiss  (Esc)")
@@ -44,30 +42,27 @@ class MessageBar(QFrame):
 
     def tell(self, message: Message) -> None:
         """Show a message; the same one twice in a row is shown once."""
-        # A device that comes and goes says the same many times.
         if self._waiting and self._waiting[-1] == message:
             return
         self._waiting.append(message)
         self.show_newest()
 
     def dismiss(self) -> None:
-        """Take the newest message away."""
         if self._waiting:
             self._waiting.pop()
         self.show_newest()
 
     def withdraw(self, message: Message) -> None:
-        """Take a message away that holds no more, wherever it waits."""
+        """Remove a message that is no longer true."""
         if message in self._waiting:
             self._waiting.remove(message)
             self.show_newest()
 
     def stop(self) -> None:
-        """Stop the timer before the window goes."""
         self._timer.stop()
 
     def _expire(self) -> None:
-        if self._waiting and not _stays(self._waiting[-1]):
+        if self._waiting and not _is_permanent(self._waiting[-1]):
             self.dismiss()
 
     def show_newest(self) -> None:
@@ -86,11 +81,11 @@ class MessageBar(QFrame):
         for widget in (self, self.text, self.close_button):
             widget.setPalette(palette)
         self.text.setText(f"{_sign(newest)}  {newest.text}")
-        if not _stays(newest):
-            self._timer.start(INFO_MS)
+        if not _is_permanent(newest):
+            self._timer.start(SHOWN_MS)
 
 
-def _stays(message: Message) -> bool:
+def _is_permanent(message: Message) -> bool:
     return message.error or message.asks
 
 

@@ -1,6 +1,6 @@
-"""The panel below everything: what happens now, in large type, with a sign, the tool from above, and the force.
+"""The status panel at the foot of the window: what to do now in large type, a sign, the tool from above, and the force.
 
-It must be readable from two metres while both hands are busy, so shape and words say all of it, and colour says it again.
+It must be readable from two metres, and without colours.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
 
-from app.panels.top_view import AROUND, TopView, top_view
-from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, embolden, mix, plain_tip
+from app.panels.top_view import DIAL_RADIUS, TopView, top_view
+from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, escape_tooltip, mix, set_bold
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
 from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import max_angle_error
+from skincal.guide.press_coaching import max_angle_error
 from skincal.session.snapshot import Snapshot
 from skincal.words.units import degrees, millimetres, newtons
 
@@ -25,16 +25,11 @@ GAUGE_PX = 170
 DIAL_PX = 104
 RIM_PX = 3.0
 TAXEL_PX = 2.4
-RING_PX = 6.5
-"""Radius of the ring around the taxel that is asked for."""
+RING_PX, BALL_PX = 6.5, 6.0  # Radius of the ring around the target, and of the ball at the tool's upper end
 SIMULATED_PT = 12
-BALL_PX = 6.0
-"""Radius of the ball at the tool's upper end."""
-FINEST = 0.2
-"""Pixels. A smaller move is not drawn."""
+MIN_MOVE_PX = 0.2  # A smaller move is not drawn
 
-
-_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
+_TONE_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
     Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
     Tone.BAD: [[(-7, -7), (7, 7)], [(-7, 7), (7, -7)]],
     Tone.GO: [[(0, -9), (0, 8)], [(-7, 1), (0, 8), (7, 1)]],
@@ -46,10 +41,7 @@ _SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
 
 
 class Dial(Painted):
-    """Target and tool from above: where the tool is asked to lean, and how it is held while it presses.
-
-    The middle is the taxel that is asked for.
-    """
+    """Target and tool from above: the direction to lean to, and the tool while it presses. The middle is the target."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -58,51 +50,49 @@ class Dial(Painted):
         self._key: tuple[object, ...] = ()
         self.setAccessibleName("tool on the skin, from above")
         self.setWhatsThis(
-            "The skin around the taxel that is asked for, from above, up as in the 3D view. The outlined area is where the "
-            "tool's upper end may be. The stick is the tool that presses, as the force/torque sensor feels it: a dot at its "
-            "tip, a ball at its upper end; a wedge at the rim where its tip is farther away."
+            "The skin around the target from above, up as in the 3D view. The tool's upper end must be in the outlined "
+            "area. The stick is the tool as the force/torque sensor measures it: a dot at its tip, a ball at its upper end. A "
+            "wedge at the rim points to a tip that is further away."
         )
 
     def show_state(self, state: ViewState) -> None:
-        """Show the target of a tick and the tool that presses; nothing is drawn where both are the same."""
         guidance, target = state.guidance, state.target
         self.setVisible(target is not None)
         if guidance is None or target is None:
             return
         coaching = state.coaching
         view = top_view(guidance, target, coaching, max_angle_error(guidance), state.eye)
-        key = self._looks(view, None if coaching is None else coaching.landed)
+        key = self._key_of(view, None if coaching is None else coaching.landed)
         if key != self._key:
             self._key, self._view = key, view
             self.update()
         if coaching is None:
-            self.setToolTip(plain_tip(f"Tilt {degrees(target.tilt)} is asked for"))
+            self.setToolTip(escape_tooltip(f"Target: tilt {degrees(target.tilt)}"))
         else:
-            tilt = f"{degrees(coaching.tilt)} of {degrees(target.tilt)}"
-            self.setToolTip(plain_tip(f"Aim {millimetres(coaching.away)}, tilt {tilt}"))
+            tilt = f"{degrees(coaching.tilt)} (wanted {degrees(target.tilt)})"
+            self.setToolTip(escape_tooltip(f"{millimetres(coaching.away)} off target, tilt {tilt}"))
 
-    def _looks(self, view: TopView, landed: int | None) -> tuple[object, ...]:
-        """Return what decides the picture, as finely as it is seen."""
+    def _key_of(self, view: TopView, landed: int | None) -> tuple[object, ...]:
+        """Return a key that changes with the picture."""
         arrays = (view.taxels, view.wanted, view.room, view.tip, view.upper)
-        step = FINEST / self._scale()
+        step = MIN_MOVE_PX / self._scale()
         steps = (b"" if each is None else np.round(each / step).astype(np.int64).tobytes() for each in arrays)
         return (*steps, view.channels.tobytes(), view.right, landed)
 
     def _scale(self) -> float:
         """Pixels a metre."""
-        return (DIAL_PX / 2 - RIM_PX) / AROUND
+        return (DIAL_PX / 2 - RIM_PX) / DIAL_RADIUS
 
     def _at(self, point: FloatArray) -> QPointF:
         x, y = (self._scale() * point).tolist()
         return QPointF(x, -y)
 
     def _inside(self, point: FloatArray) -> QPointF:
-        """Return where a point is drawn, at the rim where it lies beyond."""
-        size, most = float(np.sqrt(point @ point)), AROUND - BALL_PX / self._scale()
+        """Return the pixel of a point; a point outside the picture is drawn at the rim."""
+        size, most = float(np.sqrt(point @ point)), DIAL_RADIUS - BALL_PX / self._scale()
         return self._at(point * min(1.0, most / size if size > 0 else 1.0))
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
-        """Paint the skin, what is asked for, and the tool."""
         view = self._view
         if view is None:
             return
@@ -120,7 +110,7 @@ class Dial(Painted):
         for place in view.taxels:
             painter.drawEllipse(self._at(place), TAXEL_PX, TAXEL_PX)
         self._draw_wanted(painter, view, QColor(colours.text))
-        if view.tip is not None and view.tip @ view.tip > AROUND**2:
+        if view.tip is not None and view.tip @ view.tip > DIAL_RADIUS**2:
             self._draw_wedge(painter, view.tip, colours)
         elif view.tip is not None and view.upper is not None:
             self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), colours, right=view.right)
@@ -151,7 +141,7 @@ class Dial(Painted):
         painter.drawEllipse(tip, 3.5, 3.5)
 
     def _draw_wedge(self, painter: QPainter, tip: FloatArray, colours: Colours) -> None:
-        """Draw a wedge at the rim, toward a tip that is farther away than the picture reaches."""
+        """Draw a wedge at the rim toward a tip outside the picture."""
         x, y = (tip / np.sqrt(tip @ tip)).tolist()
         out, aside, rim = QPointF(x, -y), QPointF(y, x), DIAL_PX / 2 - RIM_PX
         painter.setPen(QPen(QColor(colours.window), 1.0))
@@ -159,16 +149,21 @@ class Dial(Painted):
         painter.drawPolygon(QPolygonF([out * rim, out * (rim - 12) + aside * 7, out * (rim - 12) - aside * 7]))
 
 
-_INKS = {Tone.GO: "accent", Tone.GOOD: "accent", Tone.HOLD: "warn", Tone.WAIT: "muted", Tone.CALM: "muted", Tone.BAD: "bad"}
-"""Which of the theme's colours a tone has; which never says anything alone."""
-
-
-_MARKS = {Tone.GOOD: "\N{CHECK MARK}", Tone.BAD: "\N{BALLOT X}", Tone.CALM: "\N{BULLET}"}
-"""Before what came of a poke or an action."""
+_TONE_COLOURS = {
+    Tone.GO: "accent",
+    Tone.GOOD: "accent",
+    Tone.HOLD: "warn",
+    Tone.WAIT: "muted",
+    Tone.CALM: "muted",
+    Tone.BAD: "bad",
+}
+"""Colour of the theme for each tone."""
+_RESULT_MARKS = {Tone.GOOD: "\N{CHECK MARK}", Tone.BAD: "\N{BALLOT X}", Tone.CALM: "\N{BULLET}"}
+"""Sign before the result of a poke or an action."""
 
 
 class Sign(Painted):
-    """A ring with a sign of the tone; the ring fills while the poke is held still."""
+    """A sign in a ring; the ring fills while the poke is held still."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -177,52 +172,49 @@ class Sign(Painted):
         self._share = 0.0
 
     def set(self, tone: Tone, share: float) -> None:
-        """Show a tone and how full the still window is, 0 to 1."""
+        """Show a tone, and the share of the time that the poke must be still, 0 to 1."""
         if (tone, round(share, 2)) != (self._tone, round(self._share, 2)):
             self._tone, self._share = tone, share
             self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
-        """Paint the ring, its filled part and the sign."""
         ring = QRectF(5, 5, SIGN_PX - 10, SIGN_PX - 10)
-        colour = QColor(getattr(colours, _INKS[self._tone]))
+        colour = QColor(getattr(colours, _TONE_COLOURS[self._tone]))
         painter.setPen(QPen(QColor(colours.line), 5))
         painter.drawEllipse(ring)
         share = self._share if self._tone is Tone.HOLD else (1.0 if self._tone in (Tone.GOOD, Tone.BAD, Tone.GO) else 0.0)
         painter.setPen(QPen(colour, 5, Qt.PenStyle.SolidLine, Qt.PenCapStyle.FlatCap))
-        # Qt counts sixteenths of a degree, from three o'clock and against the clock.
+        # Qt counts sixteenths of a degree, anticlockwise from three o'clock.
         painter.drawArc(ring, 90 * 16, -round(share * 360 * 16))
         painter.translate(SIGN_PX / 2, SIGN_PX / 2)
         painter.setPen(QPen(colour, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap, Qt.PenJoinStyle.RoundJoin))
-        for line in _SIGNS[self._tone]:
+        for line in _TONE_SIGNS[self._tone]:
             painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
 
 
 class ForceGauge(Painted):
-    """The force of the poke in progress beside the window in which it counts."""
+    """The force of the current press and its accepted range."""
 
     def __init__(self) -> None:
         super().__init__()
         self.setFixedWidth(GAUGE_PX)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self._force = 0.0
-        self._window = (4.0, 15.0)
+        self._limits = (4.0, 15.0)
         self.setAccessibleName("force of the poke")
 
     def sizeHint(self) -> QSize:
-        """Return the space for the number above the bar."""
         return QSize(GAUGE_PX, SIGN_PX)
 
     def set(self, force: float, low: float, high: float) -> None:
-        """Show a force and the window in which it counts, N."""
-        if round(force, 1) != round(self._force, 1) or (low, high) != self._window:
-            self._force, self._window = force, (low, high)
+        """Show a force and its limits, N."""
+        if round(force, 1) != round(self._force, 1) or (low, high) != self._limits:
+            self._force, self._limits = force, (low, high)
             self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
-        """Paint the number, the scale, the window and the bar."""
-        low, high = self._window
-        # Room beyond the window, so that too much force is seen to grow.
+        low, high = self._limits
+        # Room beyond the limit, so that too much force is seen to grow.
         full = high * 1.25
         metrics = QFontMetrics(painter.font())
         bar = QRectF(1, self.height() - metrics.height() - 13, self.width() - 2, 10)
@@ -250,7 +242,7 @@ class ForceGauge(Painted):
 
 
 class NowPanel(QFrame):
-    """The line that says what happens."""
+    """What to do now, and the result of the last poke or action."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -264,20 +256,19 @@ class NowPanel(QFrame):
         self.detail.setProperty("quiet", True)
         self.simulated = QLabel()
         self.simulated.setAlignment(Qt.AlignmentFlag.AlignRight)
-        self.simulated.setToolTip("No robot is connected: a simulated hand pokes a simulated rig; Shift+P changes its pace")
-        embolden(self.simulated, SIMULATED_PT)
+        self.simulated.setToolTip("No robot is connected: a simulated hand presses a simulated robot. Shift+P: change its pace")
+        set_bold(self.simulated, SIMULATED_PT)
         self.gauge = ForceGauge()
         self.dial = Dial()
         self.dial.hide()
-        embolden(self.headline, HEADLINE_PT)
-        embolden(self.result, RESULT_PT)
-        self.headline.setAccessibleName("what is happening")
-        self.result.setAccessibleName("what came of it")
+        set_bold(self.headline, HEADLINE_PT)
+        set_bold(self.result, RESULT_PT)
+        self.headline.setAccessibleName("what to do now")
+        self.result.setAccessibleName("last result")
         self._arrange()
         self.setWhatsThis(
-            "What to do now, in large type: which taxel to poke, from which side, and why. Above it, smaller, what came of the "
-            "poke or the key before. The ring fills while a poke is held still; the bar is its force and the lighter band the "
-            "range in which a poke counts."
+            "What to do now: which taxel to press, how to hold the tool, and why. Above it, smaller, the result of the last "
+            "poke or key. The ring fills while a poke is held still. The bar is the force; in the lighter band a poke counts."
         )
 
     def _arrange(self) -> None:
@@ -298,34 +289,33 @@ class NowPanel(QFrame):
         right.addWidget(self.simulated)
         right.addWidget(self.gauge, 1, Qt.AlignmentFlag.AlignRight)
         row.addLayout(right)
-        # The same height with the dial and without: nothing beside it moves when the guide is switched off.
+        # The same height with and without the dial, so that nothing moves when the guide is switched off.
         row.addStrut(DIAL_PX + 2)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
-    def begin(self, snapshot: Snapshot) -> None:
-        """Start with a session whose pokes are known already."""
+    def begin_session(self, snapshot: Snapshot) -> None:
+        """Start with a session that may have pokes already."""
         self._memory = NowMemory.of(snapshot)
 
     def show_state(self, state: ViewState) -> None:
-        """Say what happens now."""
         now, self._memory = now_line(self._memory, state)
         self.dial.show_state(state)
         self.simulated.setText(state.simulated)
         progress, limits = state.live.progress, state.scene.contacts
-        # While no device is read the last reading is nobody's force.
+        # Without devices the last reading is out of date.
         force = float(np.linalg.norm(progress.force)) if state.connected else 0.0
         self.gauge.set(force, limits.force_min, limits.force_max)
         self.say(now, progress.still)
 
     def say(self, now: Now, share: float = 0.0) -> None:
-        """Show a line; nothing is drawn where it is shown already."""
+        """Show a line."""
         said = now.result
-        # The sign is seen from farther than any word: whether the poke counts, as long as that is said.
+        # The sign is visible from further away than words, so it shows the result of the poke first.
         self.sign.set(now.tone if said is None or said.tone is Tone.CALM else said.tone, share)
         if now != self._now:
             self._now = now
-            self.result.setText("" if said is None else f"{_MARKS[said.tone]}  {said.words}")
+            self.result.setText("" if said is None else f"{_RESULT_MARKS[said.tone]}  {said.words}")
             self.result.set_ink("bad" if said is not None and said.tone is Tone.BAD else "text")
             self.headline.setText(now.headline)
             self.detail.setText(now.detail)
-            self.headline.set_ink("text" if now.tone in (Tone.WAIT, Tone.CALM) else _INKS[now.tone])
+            self.headline.set_ink("text" if now.tone in (Tone.WAIT, Tone.CALM) else _TONE_COLOURS[now.tone])

@@ -1,21 +1,48 @@
-"""Base of the panels in the tabs: a panel redraws only after something it shows has changed."""
+"""Base of the panels in the tabs: a panel redraws only after something that it shows has changed."""
 
 from __future__ import annotations
 
-from enum import Enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 from PySide6.QtCore import QSettings, Signal
 from PySide6.QtWidgets import QScrollArea
 
+from app.state.memo import is_same
 from app.state.view_state import ViewState
 
-COMPARED_BY_VALUE = (bool, int, float, str, bytes, Enum, type(None))
-"""Types compared by value; all else by identity, since `==` on a value with arrays compares every number."""
+if TYPE_CHECKING:
+    from skincal.files.reference import Reference, TaxelPositions
+    from skincal.session.guided_session import GuidedSession
+    from skincal.session.part import Part
+    from skincal.taxels.result import Method
+    from skincal.words.units import ChannelNames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanelContext:
+    """What panels are made from: facts of the session that do not change, and services."""
+
+    part: Part
+    methods: tuple[Method, ...]
+    """Methods of the scene in the order of the menu."""
+    names: ChannelNames
+    guided: GuidedSession
+    compute: Callable[..., None]
+    """`Controller.compute`: work in the background."""
+    read_positions: Callable[[Path, Callable[[tuple[TaxelPositions, ...]], None]], None]
+    """`Controller.find_places`: positions in a file or a session."""
+    folder: Callable[[], Path]
+    """Folder where file dialogs begin."""
 
 
 class Panel(QScrollArea):
-    """One tab. A subclass names in `depends_on` all that it shows, and shows it in `update_view`."""
+    """One tab. A subclass names in `depends_on` everything that it shows, and shows it in `update_view`."""
 
+    title: ClassVar[str]
+    """Text of the tab."""
     taxel_wanted = Signal(int)
     """Select this channel in every view."""
     poke_wanted = Signal(int)
@@ -24,9 +51,18 @@ class Panel(QScrollArea):
     """Do this `Action` on the session."""
     command_wanted = Signal(str)
     """Run the command with this name."""
+    follow_wanted = Signal()
+    """Follow the session again: the panel needs something else from now on."""
+    comparison_changed = Signal(object)
+    """Show this `Comparison` in the 3D view; `None` for the estimates."""
+    message_ready = Signal(str)
+    """Tell this to the operator."""
+    failure_ready = Signal(str)
+    """Tell this failure to the operator."""
 
-    def __init__(self) -> None:
+    def __init__(self, _context: PanelContext | None = None) -> None:
         super().__init__()
+        self.setAccessibleName(self.title)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
 
@@ -37,7 +73,7 @@ class Panel(QScrollArea):
         raise NotImplementedError
 
     def show_state(self, state: ViewState) -> None:
-        """Show a tick; nothing is redrawn while all that the panel depends on is the same."""
+        """Show a tick; nothing is redrawn before a value in `depends_on` changes."""
         self._state = state
         wanted = self.depends_on(state)
         if not is_same(wanted, self._shown):
@@ -45,25 +81,19 @@ class Panel(QScrollArea):
             self.update_view(state)
 
     def show_again(self) -> None:
-        """Redraw the newest tick, for example in other colours."""
+        """Redraw the newest tick, for example in other colours; a hidden panel does so when it is shown."""
         self._shown = ()
-        if self._state is not None:
+        if self._state is not None and self.isVisible():
             self.show_state(self._state)
 
-    recolour = show_again
+    def recolour(self) -> None:
+        self.show_again()
+
+    def add_reference(self, reference: Reference) -> None:
+        """Offer known positions of the taxels to compare with."""
 
     def restore(self, settings: QSettings) -> None:
         """Restore the choices of the last session."""
 
     def save(self, settings: QSettings) -> None:
         """Save the choices for the next session."""
-
-
-def is_same(first: tuple[object, ...], second: tuple[object, ...]) -> bool:
-    """Compare two tuples: plain values by value, objects by identity."""
-    if len(first) != len(second):
-        return False
-    return all(
-        a is b or (isinstance(a, COMPARED_BY_VALUE) and type(a) is type(b) and a == b)
-        for a, b in zip(first, second, strict=True)
-    )

@@ -1,6 +1,6 @@
-"""The panel of pokes, newest first: what each ended as, and why some do not count.
+"""The Pokes tab: all pokes, newest first, with their outcomes.
 
-Numbers are worked out for the rows on the screen only: a session has thousands of pokes, and each new one changes the tilts.
+Cells are computed for the visible rows only: a session has thousands of pokes, and each new one changes the tilts.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from PySide6.QtCore import (
     Signal,
 )
 from PySide6.QtGui import QColor
-from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout
 
-from app.panels.copying import make_copyable
-from app.panels.widgets import plain_tip, quiet, theme_colours
+from app.panels.panel import Panel, PanelContext
+from app.panels.widgets import escape_tooltip, make_copyable, panel_scroll_area, secondary_label, theme_colours
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rejections, tilt_of
@@ -37,7 +37,7 @@ from skincal.words.units import DASH, ChannelNames, cell, number
 
 _Index = QModelIndex | QPersistentModelIndex
 HEADINGS = ("#", "Outcome", "Taxel", "Force\nN", "Tilt\n\N{DEGREE SIGN}", "Pitch\nmm")
-_HINTS = (
+_COLUMN_HINTS = (
     "Number of the poke in the session",
     "Accepted, or why not",
     "Taxel that answered most, and how many more did",
@@ -46,13 +46,12 @@ _HINTS = (
     "Pitch |f . m| / |f|\N{SUPERSCRIPT TWO}: beyond the noise it shows a second contact or a torque",
 )
 
-
-_WIDEST = ("00000", "", "00-00 +0", "Force", "Tilt0", "Pitch0")
-"""What a column has room for; the empty one takes what is left."""
+_WIDEST_CELLS = ("00000", "", "00-00 +0", "Force", "Tilt0", "Pitch0")
+"""Widest text of each column; the empty one takes the rest."""
 
 
 class PokeTable(QAbstractTableModel):
-    """Rows of `Snapshot.pokes` in falling order of their numbers."""
+    """The pokes of a snapshot, newest first."""
 
     def __init__(self, names: ChannelNames) -> None:
         super().__init__()
@@ -64,13 +63,13 @@ class PokeTable(QAbstractTableModel):
         self._missed: Mapping[int, MissedLandmark] = {}
 
     def show(self, snapshot: Snapshot, estimates: Mapping[int, Estimate]) -> None:
-        """Show another snapshot's pokes; the view learns of what changed alone."""
+        """Show the pokes of another snapshot; tell the view what changed."""
         records = snapshot.pokes
         self._estimates, self._at_landmarks = estimates, snapshot.at_landmarks
         self._missed = snapshot.decisions.missed_landmarks
         self._doubting = doubting(estimates.values())
         old, added = self._records, len(records) - len(self._records)
-        # Pokes come at the end alone; anything else, as after an undo, is another list.
+        # Pokes are only added at the end; anything else, for example after an undo, is another list.
         if added < 0 or any(a.outcome.poke != b.outcome.poke for a, b in zip(old[-1:], records[len(old) - 1 :], strict=False)):
             self.beginResetModel()
             self._records = records
@@ -81,39 +80,33 @@ class PokeTable(QAbstractTableModel):
             self._records = records
             self.endInsertRows()
         self._records = records
-        # What a poke counts for, and its tilt, follow the estimates, and these all pokes; only rows on the screen are read.
+        # Outcome and tilt of all pokes follow the estimates; the view reads its visible rows only.
         if records:
             self.dataChanged.emit(self.index(0, 0), self.index(len(records) - 1, len(HEADINGS) - 1))
 
     def record(self, row: int) -> PokeRecord:
-        """Return the record of a row."""
         return self._records[len(self._records) - 1 - row]
 
     def row_of(self, poke: int) -> int | None:
-        """Return the row of a poke's number."""
         return next((len(self._records) - 1 - i for i, r in enumerate(self._records) if r.outcome.poke == poke), None)
 
     def rowCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
-        """Return the number of pokes."""
-        # Qt asks for the children of cells, too: a table has none.
+        # Qt also asks for the children of cells: a table has none.
         return 0 if parent.isValid() else len(self._records)
 
     def columnCount(self, parent: _Index = QModelIndex()) -> int:  # noqa: B008
-        """Return the number of columns."""
         return 0 if parent.isValid() else len(HEADINGS)
 
     def headerData(self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
-        """Return a column's heading and its hint."""
         if orientation is not Qt.Orientation.Horizontal:
             return None
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return int(_alignment(section) | Qt.AlignmentFlag.AlignVCenter)
-        return {Qt.ItemDataRole.DisplayRole: HEADINGS[section], Qt.ItemDataRole.ToolTipRole: _HINTS[section]}.get(
+        return {Qt.ItemDataRole.DisplayRole: HEADINGS[section], Qt.ItemDataRole.ToolTipRole: _COLUMN_HINTS[section]}.get(
             Qt.ItemDataRole(role)
         )
 
     def data(self, index: _Index, role: int = Qt.ItemDataRole.DisplayRole) -> Any:
-        """Return a cell's text, colour or hint."""
         record = self.record(index.row())
         if role == Qt.ItemDataRole.DisplayRole:
             return self._text(record, index.column())
@@ -122,7 +115,7 @@ class PokeTable(QAbstractTableModel):
         if role == Qt.ItemDataRole.ForegroundRole:
             return self._colour(record, index.column())
         if role == Qt.ItemDataRole.ToolTipRole:
-            return plain_tip(self._hint(record))
+            return escape_tooltip(self._hint(record))
         return None
 
     def _colour(self, record: PokeRecord, column: int) -> QColor | None:
@@ -154,7 +147,7 @@ class PokeTable(QAbstractTableModel):
         if column == 1 and not record.excluded and outcome.poke in self._at_landmarks:
             return f"\N{WHITE DIAMOND} {self._at_landmarks[outcome.poke]}"
         if column == 1 and isinstance(outcome, Rejection) and outcome.poke in self._missed:
-            return f"\N{BALLOT X} beside {self._missed[outcome.poke].name}"
+            return f"\N{BALLOT X} not at {self._missed[outcome.poke].name}"
         if column == 1:
             return _outcome_text(record, doubt_mark(outcome.poke, self._doubting.get(outcome.poke, ()), self._names))
         if column == 2:
@@ -188,37 +181,38 @@ def _alignment(column: int) -> Qt.AlignmentFlag:
     return Qt.AlignmentFlag.AlignLeft if column in (1, 2) else Qt.AlignmentFlag.AlignRight
 
 
-class PokesPanel(QWidget):
-    """A table of pokes and a line that counts why pokes were rejected."""
+class PokesPanel(Panel):
+    """A table of pokes, and a line that counts the rejections."""
 
+    title = "Pokes"
     selection_changed = Signal()
-    taxel_wanted = Signal(int)
-    """A poke was chosen by hand: the channel that answered it most."""
 
-    def __init__(self, names: ChannelNames) -> None:
+    def __init__(self, context: PanelContext) -> None:
         super().__init__()
-        self.model = PokeTable(names)
+        self.model = PokeTable(context.names)
         self.table = QTableView()
         self.table.setModel(self.model)
-        self.tally = quiet(wrap=True)
+        self.tally = secondary_label(wrap=True)
         self.tally.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
-        self._generation: tuple[object, object] = (None, None)
         self._prepare()
-        column = QVBoxLayout(self)
+        inner = panel_scroll_area(self)
+        column = QVBoxLayout(inner)
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addWidget(self.tally)
         column.addWidget(self.table, 1)
+        self.setWidget(inner)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setWhatsThis(
-            "Every poke, newest first, with what it ended as. An excluded poke stays in the recording, counts for nothing "
-            "and can be restored; the estimates follow at once."
+            "Every poke, newest first, with its outcome. An excluded poke stays in the recording, is not used for the "
+            "estimates, and can be restored."
         )
 
     def _prepare(self) -> None:
         table = self.table
         table.setAccessibleName("pokes")
         make_copyable(table)
-        # Tab leads on to the next part of the window, as everywhere.
+        # Tab goes to the next part of the window, as everywhere.
         table.setTabKeyNavigation(False)
         table.setShowGrid(False)
         table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -228,7 +222,7 @@ class PokesPanel(QWidget):
         header = table.horizontalHeader()
         header.setHighlightSections(False)
         header.setMinimumSectionSize(24)
-        for column, text in enumerate(_WIDEST):
+        for column, text in enumerate(_WIDEST_CELLS):
             header.setSectionResizeMode(column, QHeaderView.ResizeMode.Fixed if text else QHeaderView.ResizeMode.Stretch)
         self._fit_cells()
         table.selectionModel().selectionChanged.connect(self._selection_changed)
@@ -236,22 +230,19 @@ class PokesPanel(QWidget):
     def _fit_cells(self) -> None:
         metrics = self.fontMetrics()
         self.table.verticalHeader().setDefaultSectionSize(metrics.height() + 8)
-        for column, text in enumerate(_WIDEST):
+        for column, text in enumerate(_WIDEST_CELLS):
             if text:
                 self.table.horizontalHeader().resizeSection(column, metrics.horizontalAdvance(text) + 12)
 
     def changeEvent(self, event: QEvent) -> None:
-        """Fit rows and columns to letters of another size."""
         super().changeEvent(event)
         if event.type() is QEvent.Type.FontChange:
             self._fit_cells()
 
-    def show_state(self, state: ViewState) -> None:
-        """Show the pokes of a tick; nothing happens where they are the same."""
-        generation = (state.revision, state.method)
-        if generation == self._generation:
-            return
-        self._generation = generation
+    def depends_on(self, state: ViewState) -> tuple[object, ...]:
+        return state.revision, state.method
+
+    def update_view(self, state: ViewState) -> None:
         self.model.show(state.snapshot, state.by_channel())
         self.tally.setText(tally_words(state.snapshot))
 
@@ -261,7 +252,7 @@ class PokesPanel(QWidget):
         return tuple(sorted(self.model.record(index.row()).outcome.poke for index in rows))
 
     def select(self, poke: int) -> None:
-        """Select a poke by its number and bring it into sight."""
+        """Select a poke by its number and scroll to it."""
         row = self.model.row_of(poke)
         if row is not None:
             flags = QItemSelectionModel.SelectionFlag
@@ -279,7 +270,7 @@ class PokesPanel(QWidget):
 
 
 def tally_words(snapshot: Snapshot) -> str:
-    """Return how many pokes there are and why some do not count."""
+    """Count the pokes and the reasons of rejections."""
     reasons = Counter(REASON_WORDS[outcome.reason] for outcome in rejections(snapshot))
     counted = ", ".join(f"{reason}: {n}" for reason, n in reasons.most_common(4))
     return pokes_words(snapshot, f" ({counted})" if counted else "")

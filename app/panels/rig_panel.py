@@ -1,7 +1,4 @@
-"""The panel of the rig: the landmarks of the part, what pokes at them say of the sensor and the arm, and the arm's pose.
-
-The pose is chosen from those that the scene names, or shown as the joints stream it.
-"""
+"""The Rig tab: landmarks of the part, errors of sensor and arm that their pokes show, and the arm's pose."""
 
 from __future__ import annotations
 
@@ -18,53 +15,52 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.panel import Panel, is_same
-from app.panels.widgets import embolden, fit_rows, on_panel, put_rows, quiet, table
-from app.state.policies import Offer
+from app.panels.panel import Panel, PanelContext
+from app.panels.widgets import fit_rows, panel_scroll_area, put_rows, secondary_label, set_bold, table
+from app.state.memo import is_same
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
 from app.text.rig_text import landmark_rows, offer_text, review_words
 from app.theme import GAP
 from skincal.contacts.outcome import Contact
+from skincal.model.actions import SetPose, Uncorrect
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
 from skincal.words.units import cell
 
 HEADINGS = ("Landmark", "Here", "All", "Off by, mm")
-_HINTS = (
-    "A known point of the part, of the scene or added by hand; a diamond in the 3D view",
-    "Pokes at it in the present arm pose",
-    "Pokes at it in all arm poses",
-    "How far their axes pass it, as the rig says and under the correction that was found",
+_COLUMN_HINTS = (
+    "A known point of the part, from the scene or added by hand; a diamond in the 3D view",
+    "Its pokes in the present arm pose",
+    "Its pokes in all arm poses",
+    "Distance of the force axes from it, as reported and with the correction that was found",
 )
-NO_POINTS = "No landmarks: the scene may name some ([[landmarks]]), or K adds one that you click on the part."
-WAITING = "What the landmarks tell is being worked out \N{HORIZONTAL ELLIPSIS}"
-NOT_YET = (
-    "Poke landmarks: three tell whether the sensor's frame is right, six or more, at four different ones, correct the rig."
-)
+NO_LANDMARKS = "No landmarks. Name some in the scene ([[landmarks]]), or press K and click a known point of the part."
+REVIEW_RUNNING = "Computing the errors of sensor and arm …"
+NO_LANDMARK_POKES = "Press landmarks: three pokes check the sensor's frame. Six or more, at four landmarks, can correct them."
 
 
 class ArmPanel(QWidget):
-    """The poses of a scene; absent where a scene has no arm."""
+    """The arm poses of a scene, to choose from, or the streamed pose."""
 
-    pose_requested = Signal(str)
+    pose_wanted = Signal(str)
 
     def __init__(self, arm: ArmSpec) -> None:
         super().__init__()
         self._shown: tuple[object, ...] = ()
         self._streamed = False
         self.current = QLabel("Arm pose unknown")
-        embolden(self.current)
+        set_bold(self.current)
         self.current.setWordWrap(True)
-        self.how = quiet(wrap=True)
+        self.how = secondary_label(wrap=True)
         self.poses = table("arm poses", ("Pose", "Joints, \N{DEGREE SIGN}", "Contacts"))
-        # Seven joints are wider than their column: the operator widens it, or scrolls.
+        # Seven joints are wider than their column.
         self.poses.header().setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         self.poses.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAsNeeded)
         self.poses.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.rows = {name: QTreeWidgetItem(self.poses) for name in arm.poses}
         for name, row in self.rows.items():
-            # Kept apart: the text gets a mark before the name.
+            # The text of the row has a mark before the name.
             row.setData(0, Qt.ItemDataRole.UserRole, name)
             row.setText(1, "   ".join(cell(float(angle), "rad") for angle in np.atleast_1d(arm.poses[name])))
         column = QVBoxLayout(self)
@@ -75,12 +71,11 @@ class ArmPanel(QWidget):
         self.poses.itemActivated.connect(self._chosen)
         self.poses.itemClicked.connect(self._chosen)
         self.setWhatsThis(
-            "The pose of the arm says where the sensor is in the frame of the part. Choose the one the arm stands in, or let "
-            "the joints be streamed; a poke with an unknown pose does not count."
+            "The arm pose gives the position of the sensor relative to the part. Choose the pose of the arm, or stream the "
+            "joints; a poke in an unknown pose does not count."
         )
 
     def show_state(self, state: ViewState) -> None:
-        """Show the current pose and how it is known."""
         streamed = any(Stream.JOINTS in link.carries for link in state.live.links)
         shown = (state.revision, state.live.pose, streamed)
         if is_same(shown, self._shown):
@@ -88,7 +83,7 @@ class ArmPanel(QWidget):
         self._shown = shown
         pose = state.live.pose
         self.current.setText(f"Arm pose {pose}" if pose else "Arm pose unknown")
-        self.how.setText("The joints are streamed." if streamed else "Click the pose in which the arm stands, after moving it.")
+        self.how.setText("The joints are streamed." if streamed else "Click the pose of the arm after each move.")
         self._streamed = streamed
         used = [p.outcome.pose for p in state.snapshot.pokes if isinstance(p.outcome, Contact) and not p.excluded]
         for name, row in self.rows.items():
@@ -99,42 +94,40 @@ class ArmPanel(QWidget):
 
     def _chosen(self, row: QTreeWidgetItem, _column: int) -> None:
         if not self._streamed:
-            self.pose_requested.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
+            self.pose_wanted.emit(str(row.data(0, Qt.ItemDataRole.UserRole)))
 
 
 class RigPanel(Panel):
-    """What is known of the rig, and what could put it right."""
+    """Errors of sensor and arm, and the correction that is available or in use."""
 
-    correct_requested = Signal(object)
-    """`Correct`."""
-    uncorrect_requested = Signal(str)
-    """What is to be corrected no more."""
+    title = "Rig"
 
-    def __init__(self, arm: ArmSpec | None) -> None:
+    def __init__(self, context: PanelContext) -> None:
         super().__init__()
-        self._offer: Offer | None = None
-        self._used = ""
+        arm = context.part.scene.arm
         self.arm = None if arm is None else ArmPanel(arm)
-        self.points = table("landmarks", HEADINGS, _HINTS)
+        self.points = table("landmarks", HEADINGS, _COLUMN_HINTS)
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
         self.points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        self.asked = quiet(wrap=True)
-        self.said = quiet(wrap=True)
+        self.asked = secondary_label(wrap=True)
+        self.said = secondary_label(wrap=True)
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.offer = QPushButton()
         self.drop = QPushButton()
         self._arrange()
-        self.offer.clicked.connect(self._offer_taken)
-        self.drop.clicked.connect(lambda: self.uncorrect_requested.emit(self._used))
+        self.offer.clicked.connect(lambda: self.command_wanted.emit("correct"))
+        self.drop.clicked.connect(self._drop_correction)
+        if self.arm is not None:
+            self.arm.pose_wanted.connect(lambda name: self.action_wanted.emit(SetPose(name)))
         self.setWhatsThis(
-            "Pokes at landmarks, known points of the part, tell what is wrong with the rig: the sensor's frame, its matrix, "
-            "the arm's poses. What is found is only offered; what is used can be taken back. One landmark in four is held "
-            "out, and a correction of the rig is offered only if it meets these better."
+            "Pokes at landmarks, known points of the part, show errors of sensor and arm: the sensor's frame, its matrix, the "
+            "arm's poses. A correction is applied only if you choose it, and can be undone. One landmark in four is held out "
+            "of the fit; a correction is offered only if it lowers the error there."
         )
 
     def _arrange(self) -> None:
-        inner = on_panel(self)
+        inner = panel_scroll_area(self)
         column = QVBoxLayout(inner)
         column.setContentsMargins(GAP, GAP, GAP, GAP)
         column.addWidget(self.asked)
@@ -159,16 +152,7 @@ class RigPanel(Panel):
 
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
         snapshot = state.snapshot
-        shown = (
-            state.revision,
-            state.live.pose,
-            snapshot.decisions.landmarks,
-            state.review,
-            state.offers,
-            state.guidance,
-            state.method,
-        )
-        return (*shown, None if state.target is None else state.target.landmark)
+        return state.revision, state.live.pose, snapshot.decisions, state.review, state.offers, state.guidance, state.method
 
     def update_view(self, state: ViewState) -> None:
         guidance = state.guidance
@@ -178,11 +162,9 @@ class RigPanel(Panel):
         self.asked.setText("; ".join(filter(None, asked)))
         self.asked.setVisible(bool(asked))
         self.said.setText(_words(state))
-        self._offer = state.offers[0] if state.offers else None
-        # The newest one goes first: it was found under the others.
-        self._used = next(reversed(tuple(state.snapshot.decisions.corrections)), "")
-        offer = "" if self._offer is None else f"{offer_text(self._offer)}  (C)"
-        for button, text in ((self.offer, offer), (self.drop, "Do without this correction" if self._used else "")):
+        offer = f"{offer_text(state.offers[0])}  (C)" if state.offers else ""
+        drop = "Remove this correction" if state.snapshot.decisions.corrections else ""
+        for button, text in ((self.offer, offer), (self.drop, drop)):
             button.setVisible(bool(text))
             button.setText(text)
 
@@ -195,14 +177,16 @@ class RigPanel(Panel):
         put_rows(self.points, cells)
         fit_rows(self.points)
 
-    def _offer_taken(self) -> None:
-        if self._offer is not None:
-            self.correct_requested.emit(self._offer.action)
+    def _drop_correction(self) -> None:
+        # The newest first: it was found under the others.
+        corrections = () if self._state is None else tuple(self._state.snapshot.decisions.corrections)
+        if corrections:
+            self.action_wanted.emit(Uncorrect(corrections[-1]))
 
 
 def _words(state: ViewState) -> str:
     if not state.snapshot.decisions.landmarks:
-        return NO_POINTS
+        return NO_LANDMARKS
     if state.review is None:
-        return WAITING if state.snapshot.at_landmarks else NOT_YET
+        return REVIEW_RUNNING if state.snapshot.at_landmarks else NO_LANDMARK_POKES
     return "\n".join(review_words(state.review, state.snapshot, state.method, state.estimates))

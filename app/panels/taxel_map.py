@@ -40,7 +40,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from app.panels.widgets import FittedLabel, mix, plain_tip, quiet, theme_colours
+from app.panels.widgets import FittedLabel, escape_tooltip, mix, secondary_label, theme_colours
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import GOOD_RMS, Mark, answer_levels, marks
@@ -60,30 +60,21 @@ MIN_TURN_GAIN = 1.25
 """Without a laid skin, a map that is this many times higher than wide is turned by a quarter."""
 QUARTER_ROTATIONS = tuple(np.round([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in np.arange(4) * np.pi / 2)
 """(2, 2) float each: turns to the left by none, one, two and three quarters."""
-ZOOM_STEP = 1.25
-"""Factor of one notch of the wheel, or key."""
-MAX_RADIUS_PX = 16.0
-"""Largest radius of a mark when the map is enlarged."""
+ZOOM_STEP = 1.25  # Factor of one notch of the wheel, or key
+MAX_RADIUS_PX = 16.0  # Largest radius of a mark when the map is enlarged
 SMALL_RADIUS_PX = 3.0
 """Below this radius a quarter looks like a half; strength tells the state in addition to the shape."""
-MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75}
-"""Of a small mark."""
+MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75}  # Of a small mark
 MARK_RADIUS_SHARE = 0.30
 """Radius of a mark over the distance of neighbours: marks do not touch, and an answer shows around them."""
-NUMBER_HEIGHT_SHARE = 0.42
-"""Height of a module's number over that of the module."""
-MIN_NUMBER_PX = 9.0
-"""A smaller number cannot be read."""
-NUMBER_INK = 0.35
-"""Share of the text's colour in it: legible where no taxel is, and not distracting."""
+NUMBER_HEIGHT_SHARE = 0.42  # Height of a module's number over that of the module
+MIN_NUMBER_PX = 9.0  # A smaller number cannot be read
+NUMBER_INK = 0.35  # Share of the text's colour in it: legible where no taxel is, and not distracting
 RING_SHARE, TARGET_SHARE, MIN_TARGET_PX = 1.75, 2.5, 9.0
 """Radius of the rings around the selected taxel and the target over that of a mark; pixels of the latter at least."""
-MIN_WEDGE_PX = 9.0
-"""Size of the wedge of an ambiguous taxel at least."""
-NAME_PX, PLATE_OPACITY = 13, 0.85
-"""Height of the target's name, and the opacity of its background."""
-CLICK_REACH_PX = 14.0
-"""A click this near to a taxel means it."""
+MIN_WEDGE_PX = 9.0  # Size of the wedge of an ambiguous taxel at least
+NAME_PX, PLATE_OPACITY = 13, 0.85  # Height of the target's name, and the opacity of its background
+CLICK_REACH_PX = 14.0  # A click this near to a taxel means it
 ARROW_KEYS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Left: (-1, 0),
     Qt.Key.Key_Right: (1, 0),
@@ -131,7 +122,7 @@ class MapLayout:
 
 
 def quarter_turns(static: StaticScene) -> int | None:
-    """Return the number of quarters to the left by which a layout is turned in the first 3D view; `None` if it is not laid."""
+    """Return the quarter turns to the left of a layout in the first 3D view; `None` if it is not on the part."""
     layout, known = static.scene.skin.layout, np.flatnonzero(np.isfinite(static.places[:, 0]))
     if layout is None or len(known) < 3:
         return None
@@ -219,13 +210,11 @@ class TaxelMap(pg.GraphicsView):
         self._marks: IntArray = np.zeros(self._width, dtype=np.int64)
         self._levels: FloatArray = np.zeros(self._width)
         self._answers: FloatArray = np.zeros(self._width)
-        self._rivals: frozenset[int] = frozenset()
-        """Channels that fit another position nearly as well."""
+        self._rivals: frozenset[int] = frozenset()  # Channels that fit another position nearly as well
         self._guidance: Guidance | None = None
         self._target: int | None = None
         self._selected: int | None = None
-        self.generation: tuple[object, ...] = ()
-        """Key of the marks: they change with it alone."""
+        self.generation: tuple[object, ...] = ()  # Key of the marks: they change with it alone
         self._symbols = {mark.value: mark_path(mark) for mark in Mark}
         self._modules = [QGraphicsPolygonItem(QPolygonF([QPointF(*p) for p in line])) for line in self._plan.outlines]
         self._numbers = [QGraphicsSimpleTextItem(label) for label in self._plan.labels]
@@ -281,7 +270,7 @@ class TaxelMap(pg.GraphicsView):
         return self._marks[self._plan.channels], len(self._rivals)
 
     def channel_at(self, point: QPointF) -> int | None:
-        """Return the channel whose mark is nearest to a point of the widget, `None` if none is near."""
+        """Return the channel whose mark is nearest to a point of the widget, `None` if there is none near it."""
         if not self._row:
             return None
         away = np.linalg.norm(self._plan.places - self._map_point(point), axis=1) * self._scale
@@ -344,7 +333,7 @@ class TaxelMap(pg.GraphicsView):
             self._set_range()
         elif not ev.buttons():
             channel = self.channel_at(ev.position())
-            self.setToolTip("" if channel is None else plain_tip(self.tell(channel)))
+            self.setToolTip("" if channel is None else escape_tooltip(self.tell(channel)))
 
     def mouseReleaseEvent(self, ev: QMouseEvent) -> None:
         ev.accept()
@@ -421,6 +410,7 @@ class TaxelMap(pg.GraphicsView):
 
     def _draw_modules(self) -> None:
         colours = theme_colours()
+        self.setBackgroundBrush(QColor(colours.panel))
         font = QFont(self.font())
         font.setBold(True)
         font.setPixelSize(40)
@@ -510,10 +500,10 @@ class MapCard(QFrame):
     def __init__(self, parent: QWidget | None, made: TaxelMap, methods: Sequence[Method]) -> None:
         super().__init__(parent)
         self.setObjectName("card")
-        self.map, self.legend = made, quiet(wrap=True)
+        self.map, self.legend = made, secondary_label(wrap=True)
         self.legend.setTextFormat(Qt.TextFormat.PlainText)
         self.legend.setAccessibleName("legend of the map")
-        self.progress, self.errors, self.methods = FittedLabel(), quiet(wrap=True), QComboBox()
+        self.progress, self.errors, self.methods = FittedLabel(), secondary_label(wrap=True), QComboBox()
         for method in methods:
             self.methods.addItem(METHOD_NAMES[method].capitalize() + " method", method)
         self.methods.setVisible(len(methods) > 1)
@@ -531,15 +521,15 @@ class MapCard(QFrame):
         grid.setRowStretch(2, 1)
         grid.setColumnStretch(0, 1)
 
-    def show_state(self, state: ViewState, *, anew: bool) -> None:
-        """Show a tick; `anew` if the estimates may have changed."""
+    def show_state(self, state: ViewState, *, is_changed: bool) -> None:
+        """Show a tick; `is_changed` if the estimates may have changed."""
         before = self.map.generation
         self.map.show_state(state)
         if self.map.generation != before:
             entries = legend_words(*self.map.counted())
             self.legend.setText("   ".join(f"{symbol}\N{NO-BREAK SPACE}{words}" for symbol, words in entries))
             self.legend.setAccessibleDescription(", ".join(words for _, words in entries))
-        if anew:
+        if is_changed:
             self.progress.setText(f"{summary_words(state.estimates)}, {pokes_words(state.snapshot)}")
             self.errors.setText(error_words(state.estimates))
             self.methods.setCurrentIndex(self.methods.findData(state.method))

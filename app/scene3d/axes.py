@@ -7,18 +7,17 @@ from itertools import islice
 import numpy as np
 import pyvista as pv
 
+from app.scene3d.lines import TOOL_LENGTH
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segments
 from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.guidance import PRESSING
+from skincal.guide.press_coaching import PRESSING
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
-MAX_AXES = 30
-"""Axes of the selected taxel: more are a tangle, and the newest count most."""
-LENGTH_BEFORE, LENGTH_BEYOND = 0.035, 0.012
-"""m. Length of an axis before and beyond the contact: a tool's tip, and enough depth to see where axes cross."""
+MAX_AXES = 30  # Axes of the selected taxel: more are a tangle, and the newest count most
+LENGTH_BEYOND = 0.012  # m. Length of an axis beyond the contact: enough depth to see where axes cross.
 
 
 class AxesLayer(Layer):
@@ -62,18 +61,18 @@ class AxesLayer(Layer):
         return True
 
     def _mean_place(self, state: View3DState, progress: Progress) -> FloatArray:
-        """Return the mean position of the taxels that answer now; the middle of the part if none is known."""
+        """Return the mean position of the taxels that answer; without known positions the middle of the part."""
         places = [place for c in progress.channels.tolist() if (place := self._place_of(state, c)) is not None]
         return np.mean(places, axis=0) if places else self._middle
 
     def _show_past(self, state: View3DState) -> None:
-        if state.selected is None or state.selected not in self.static.row:
+        channel = state.selected
+        if channel is None or channel not in self.static.row:
             self.past.show(NO_POINTS, self.colours.ink)
             return
-        place = self._place_of(state, state.selected)
-        lines = [_axis_of(contact) for contact in _contacts_of(state.snapshot, state.selected)]
-        points = np.array([point for point, _ in lines]).reshape(-1, 3)
-        directions = np.array([direction for _, direction in lines]).reshape(-1, 3)
+        place = self._place_of(state, channel)
+        lines = np.array([_axis_of(contact) for contact in _contacts_of(state.snapshot, channel)]).reshape(-1, 2, 3)
+        points, directions = lines[:, 0], lines[:, 1]
         along = np.einsum("ix,ix->i", (self._middle if place is None else place) - points, directions)
         self.past.show(_span(points + directions * along[:, None], directions), self.colours.ink)
 
@@ -87,16 +86,14 @@ class AxesLayer(Layer):
 
 
 def _key(progress: Progress) -> bytes:
-    """Return a key that changes with the axis in progress; empty while nothing presses."""
+    """Return a key that changes with the current axis; empty while nothing presses."""
     known = np.isfinite([progress.force, progress.axis_point]).all() and progress.force.any()
-    if progress.phase not in PRESSING or not known:
-        return b""
-    return progress.force.tobytes() + progress.axis_point.tobytes()
+    return progress.force.tobytes() + progress.axis_point.tobytes() if known and progress.phase in PRESSING else b""
 
 
 def _span(at: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the drawn parts of force axes through points, (n, 2, 3) float, metres."""
-    return np.stack([at - LENGTH_BEFORE * directions, at + LENGTH_BEYOND * directions], axis=1)
+    return np.stack([at - TOOL_LENGTH * directions, at + LENGTH_BEYOND * directions], axis=1)
 
 
 def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
@@ -106,6 +103,6 @@ def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
 
 
 def _contacts_of(snapshot: Snapshot, channel: int) -> list[Contact]:
-    """Return the newest contacts in which a channel answered and that are not excluded."""
+    """Return the newest contacts that a channel answered, without excluded ones."""
     counting = (record.outcome for record in reversed(snapshot.pokes) if not record.excluded)
     return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MAX_AXES))

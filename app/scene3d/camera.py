@@ -1,8 +1,8 @@
-"""Where the camera is, what it sees, and how it turns to the target.
+"""Camera poses, and the camera that turns to the target.
 
-At first the camera looks at the side that carries the skin, the part's long axis level, everything in the picture. It turns to
-a new target between pokes, if the target is turned away, outside the picture, or drawn too small. It waits while a tool presses
-and for 3 s after the operator moved the camera.
+At first the camera looks at the side with the skin; the part's long axis is level and everything is in the picture. It turns to
+a new target between pokes if that is turned away, outside the picture, or drawn too small. It waits while a tool presses, and
+for 3 s after the operator moved it.
 """
 
 from __future__ import annotations
@@ -14,34 +14,29 @@ import numpy as np
 
 from app.scene3d.scene_state import BALL_DIAMETER, View3DState
 from skincal.geometry import FloatArray, cross_matrix
-from skincal.guide.guidance import PRESSING, Target
+from skincal.guide.guidance import Target
+from skincal.guide.press_coaching import PRESSING
 from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera, vtkRenderer
 
-VIEW_ANGLE_DEG = 24.0
-"""Narrow, so that sizes compare across the part, yet wide enough to tell near from far."""
+VIEW_ANGLE_DEG = 24.0  # Narrow, so that sizes compare across the part, but wide enough to show depth
 VIEW_SLOPE = float(np.tan(np.radians(VIEW_ANGLE_DEG / 2)))
-FIT_MARGIN = 1.08
-"""Size of the picture over that of the part."""
-MIN_ELONGATION = 2.0
-"""A part is long when it spreads this much more along its longest axis than along the next."""
-MIN_DISTANCE, MAX_DISTANCE = 0.02, 20.0
-"""m, of the camera to what it looks at."""
-TURN_S = 0.36
-"""Operators wait for slower turns, and the eye does not follow quicker ones."""
+FIT_MARGIN = 1.08  # Size of the picture over that of the part
+MIN_ELONGATION = 2.0  # Extent of a long part along its longest axis over that along the next, at least
+MIN_DISTANCE, MAX_DISTANCE = 0.02, 20.0  # m, of the camera to what it looks at
+TURN_S = 0.36  # Slower turns keep the operator waiting; the eye does not follow faster ones
 AFTER_MANUAL_MOVE_S = 3.0
 MIN_FACING = float(np.cos(np.radians(50.0)))
-"""Cosine. Skin that is turned away from the camera by more is seen too slanting to aim at."""
+"""Cosine. Skin that is turned away by more is seen at too flat an angle to aim."""
 RESIDUAL_TILT = float(np.radians(20.0))
-"""rad. The turn leaves so much slant: a straight push seen straight from above would be a dot."""
+"""rad between the view and the normal after a turn: a push that is seen from exactly above would be a dot."""
 TARGET_SHARE = 0.75
-"""Of the picture, from its middle to its edge: a target further out is brought to the middle."""
+"""Of the way from the middle of the picture to its edge: a target further out is brought to the middle."""
 MIN_BALL_PX, TARGET_BALL_PX = 5.0, 14.0
-"""The camera moves closer to a target whose ball would be smaller than the one, until it is as large as the other."""
-MIN_LEVEL_SIN = 0.3
-"""The part's level axis is kept level unless the camera looks along it by less than this."""
+"""A target with a ball smaller than the first is brought closer, until the ball has the second size."""
+MIN_LEVEL_SIN = 0.3  # The part's level axis is kept level unless the camera looks along it by less than this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,12 +51,10 @@ class CameraPose:
 
     @property
     def right(self) -> FloatArray:
-        """(3,) float, unit."""
         return self.axes[0]
 
     @property
     def up(self) -> FloatArray:
-        """(3,) float, unit."""
         return self.axes[1]
 
     @property
@@ -69,13 +62,8 @@ class CameraPose:
         """(3,) float, metres."""
         return self.focus + self.distance * self.axes[2]
 
-    def has_axes_of(self, other: CameraPose) -> bool:
-        """Return whether right and up are the same to a hundredth of a radian, which is not seen."""
-        return bool(np.abs(self.axes[:2] - other.axes[:2]).max() < 0.01)
 
-
-PLAIN_POSE = CameraPose(np.eye(3), np.zeros(3), 1.0)
-"""Before the first picture."""
+PLAIN_POSE = CameraPose(np.eye(3), np.zeros(3), 1.0)  # Before the first picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,8 +75,6 @@ class Viewpoint:
     """Device pixels, width and height."""
     ratio: float
     """Device pixels a pixel of the desktop."""
-    left_overlay: float = 0.0
-    """Share of the width, from the left, that something covers; the focus is in the middle of the rest."""
 
     @property
     def pixel(self) -> float:
@@ -104,9 +90,7 @@ class Viewpoint:
         return (points - self.pose.focus) @ self.pose.axes[:2].T / self.pixel_at(points)[:, None]
 
     def is_same(self, other: Viewpoint | None) -> bool:
-        if other is None or (self.size, self.ratio, self.left_overlay) != (other.size, other.ratio, other.left_overlay):
-            return False
-        if self.pose.distance != other.pose.distance:
+        if other is None or (self.size, self.ratio, self.pose.distance) != (other.size, other.ratio, other.pose.distance):
             return False
         return np.array_equal(self.pose.axes, other.pose.axes) and np.array_equal(self.pose.focus, other.pose.focus)
 
@@ -298,8 +282,7 @@ class AutoCamera:
 
     def __init__(self, surface: Surface | None, level: FloatArray | None) -> None:
         self.wanted = True
-        self.held = False
-        """A button of the mouse is down on the picture."""
+        self.held = False  # A button of the mouse is down on the picture
         self._surface, self._level = surface, level
         self._touched_s = -np.inf
         self._target: Target | None = None
@@ -311,7 +294,7 @@ class AutoCamera:
         """Stop a turn in progress where it is, and wait."""
         self._touched_s, self._way = now_s, None
 
-    def step(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
+    def advance(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
         """Continue a turn, or begin one; return whether the camera moved.
 
         `aspect` is the picture's width over its height; `height` is in pixels of the desktop.

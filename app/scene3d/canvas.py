@@ -1,8 +1,8 @@
 """The widget that shows the picture, drawn by a graphics card or by software.
 
-Importing pyvista would block the window too long, and so would the first picture, in which software OpenGL compiles
-its shaders. `load` runs in a thread; with EGL or OSMesa, which are not bound to a thread, it also draws that picture. `mount`
-runs in the window's thread and makes the widget.
+Importing pyvista would block the window too long, and so would the first picture, for which software OpenGL compiles shaders.
+`load` runs in a thread; with EGL or OSMesa, which are not bound to a thread, it also draws that picture. `mount` runs in the
+window's thread and makes the widget.
 """
 
 from __future__ import annotations
@@ -30,10 +30,8 @@ if TYPE_CHECKING:
 
 GL_RENDERER = 0x1F01
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader", "gdi generic", "basic render")
-CARD_SAMPLES = 4
-"""Samples a pixel on a graphics card, where they cost little."""
-DEFAULT_SIZE = (640, 400)
-"""Pixels of a first picture while the widget has no size yet."""
+CARD_SAMPLES = 4  # Samples a pixel on a graphics card, where they cost little
+DEFAULT_SIZE = (640, 400)  # Pixels of a first picture while the widget has no size yet
 
 
 class Canvas(Enum):
@@ -68,8 +66,7 @@ class RasterCanvas(QWidget):
         self._plotter: pv.BasePlotter | None = plotter
         self._image = QImage()
         self._is_stale = True
-        self._drawn_as: tuple[float, ...] = ()
-        """Size in pixels, pixel ratio and text scale of the picture."""
+        self._drawn_as: tuple[float, ...] = ()  # Size in pixels, pixel ratio and text scale of the picture
 
     def update(self, *part: Any) -> None:
         """Ask for one new picture; many requests before it is painted make one, and a hidden canvas makes none."""
@@ -127,7 +124,7 @@ class Loaded:
 def load(
     canvas: Canvas, static: StaticScene, colours: SceneColours, size: tuple[int, int], state: View3DState | None
 ) -> Loaded:
-    """Import what the canvas needs and make what needs no widget; `size` is that of the first picture in pixels.
+    """Import the libraries and make the parts that need no widget; `size` is that of the first picture in pixels.
 
     Raises
     ------

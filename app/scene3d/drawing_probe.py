@@ -14,13 +14,13 @@ from skincal.model.errors import InputError
 
 PROBE_OPTION = "--probe-drawing"
 """Hidden option of the program: draw one small picture with the window class that follows, and end."""
-VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
+WINDOW_CLASS_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 """VTK's own switch: the class that it makes for a window it is not given."""
 EGL, OSMESA = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"
 PROBE_TIMEOUT_S = 60.0
 """s. A trial needs 0.5 s, on a busy machine some seconds; a driver that hangs would never answer."""
 PICTURE_PX = 16
-MISSING = (
+NOTHING_DRAWS = (
     "No picture can be drawn: neither EGL with a driver nor OSMesa draws here ({why}). "
     "Install them, on Debian or Ubuntu with: apt-get install --no-install-recommends libegl1 libgl1-mesa-dri"
 )
@@ -55,7 +55,7 @@ class DrawingProbe:
 
 def start_egl_probe() -> DrawingProbe | None:
     """Start the trial of EGL early, so that imports run meanwhile; `None` if there is nothing to try."""
-    return DrawingProbe(EGL) if sys.platform.startswith("linux") and not os.environ.get(VARIABLE) else None
+    return DrawingProbe(EGL) if sys.platform.startswith("linux") and not os.environ.get(WINDOW_CLASS_VARIABLE) else None
 
 
 def choose_offscreen(egl_probe: DrawingProbe | None = None) -> None:
@@ -70,10 +70,10 @@ def choose_offscreen(egl_probe: DrawingProbe | None = None) -> None:
     for window_class in (EGL, OSMESA):
         failure = (egl_probe if window_class == EGL else DrawingProbe(window_class)).failure()
         if not failure:
-            os.environ[VARIABLE] = window_class
+            os.environ[WINDOW_CLASS_VARIABLE] = window_class
             return
         failures.append(failure)
-    raise InputError(MISSING.format(why=", ".join(failures)))
+    raise InputError(NOTHING_DRAWS.format(why=", ".join(failures)))
 
 
 def draw_probe_picture(window_class: str) -> int:
@@ -83,7 +83,7 @@ def draw_probe_picture(window_class: str) -> int:
     make_window = getattr(vtkRenderingOpenGL2, window_class, None)
     if window_class not in (EGL, OSMESA) or make_window is None:
         return 1
-    os.environ[VARIABLE] = window_class
+    os.environ[WINDOW_CLASS_VARIABLE] = window_class
     window = make_window()
     if not window.SupportsOpenGL():
         return 1

@@ -17,28 +17,23 @@ from numpy.typing import NDArray
 from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 
 from app.scene3d.camera import facing
-from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments, crosses, rings
-from app.scene3d.scene_state import BALL_DIAMETER, ColourArray, Comparison, SceneColours, StaticScene, Tint, View3DState
+from app.scene3d.lines import crosses, rings
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments
+from app.scene3d.scene_state import BALL_DIAMETER, ColourArray, Comparison, SceneColours, StaticScene, View3DState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
 BALL_PX = (5.0, 34.0)
 """Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other."""
-CLICK_REACH_PX = 14.0
-"""A click this near to a ball means it: half a finger's width on a common screen."""
+CLICK_REACH_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
 RING_RADIUS = 2.6e-3  # m
-MARK_RADIUS = 1.3e-3
-"""m, of an open circle or a cross."""
-MARK_LIFT = 4e-4
-"""m. Marks float this far above the part."""
+MARK_RADIUS = 1.3e-3  # m, of an open circle or a cross
+MARK_LIFT = 4e-4  # m. Marks float this far above the part.
 BLIND_HALF_LENGTH = 0.05
 """m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
-CHI_3DOF_95 = 2.7955
-"""Square root of the 95 % quantile of chi-square with 3 degrees of freedom."""
-CHI_2DOF_95 = 2.4477
-"""The same with 2 degrees of freedom."""
-MAX_HALF_AXIS = 0.15
-"""m. Half axes are cut here: beyond it an ellipsoid is a line across the view anyhow."""
+CHI_3DOF_95 = 2.7955  # Square root of the 95 % quantile of chi-square with 3 degrees of freedom
+CHI_2DOF_95 = 2.4477  # The same with 2 degrees of freedom
+MAX_HALF_AXIS = 0.15  # m. Half axes are cut here: beyond it an ellipsoid is a line across the view anyhow.
 OTHER_METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Lines lead to the first of these that exists and is not the shown method."""
 
@@ -53,8 +48,7 @@ class EstimatesLayer(Layer):
         self.balls = Dots(plotter, FRONT, 12.0)
         self.marks = Segments(plotter, FRONT, 2.0)
         self.differences = Segments(plotter, PART, 1.5)
-        self.alternative = Segments(plotter, PART, 1.5)
-        """Other possible positions of the selected taxel."""
+        self.alternative = Segments(plotter, PART, 1.5)  # Other possible positions of the selected taxel
         self.shown: IntArray = np.empty(0, dtype=np.int64)
         """(k,) channels that have a ball, in the order of `places`."""
         self.places = NO_POINTS
@@ -248,12 +242,9 @@ def region(estimate: Estimate) -> FloatArray:
 
 DOT_DIAMETER = 1.5e-3
 """m: half of an estimate's ball, so that the dots of several sets are seen next to each other."""
-DOT_PX = (4.0, 9.0)
-"""Smallest and largest dot."""
-MAX_HEAD = 2.4e-3
-"""m. Length of an arrow's head at most."""
-MAX_HEAD_SHARE = 0.4
-"""Of an arrow's length in its head at most, so that a short arrow is not all head."""
+DOT_PX = (4.0, 9.0)  # Smallest and largest dot
+MAX_HEAD = 2.4e-3  # m. Length of an arrow's head at most.
+MAX_HEAD_SHARE = 0.4  # Of an arrow's length in its head at most, so that a short arrow is not all head
 
 
 class Heads(MeshActor):
@@ -310,15 +301,12 @@ class CompareLayer(Layer):
         self.dots.pixels = float(np.clip(DOT_DIAMETER / self.viewpoint.pixel, *DOT_PX))
         self.dots.set_pixel_ratio(self.viewpoint.ratio)
         near = ~(facing(self.static.skin_normals, self.static.places, self.viewpoint.pose.position) < 0.0)
-        dots = [_select_known(cloud.places, near) for cloud in self._shown.clouds]
-        tints = [
-            np.tile(np.array(self.colours.tints[cloud.tint], np.uint8), (len(places), 1))
-            for cloud, places in zip(self._shown.clouds, dots, strict=True)
-        ]
-        self.dots.show(np.concatenate(dots), np.concatenate(tints))
+        dots = {name: _select_known(places, near) for name, places in self._shown.sets.items()}
+        colours = [np.tile(self.colours.tints[name], (len(places), 1)) for name, places in dots.items()]
+        self.dots.show(np.concatenate([*dots.values()]), np.concatenate(colours).astype(np.uint8))
         shafts = _select_known(self._shown.arrows.reshape(-1, 6), near).reshape(-1, 2, 3)
-        self.shafts.show(shafts, self.colours.tints[Tint.TO])
-        self.heads.show_heads(shafts, np.array(self.colours.tints[Tint.TO], np.uint8))
+        self.shafts.show(shafts, self.colours.tints["to"])
+        self.heads.show_heads(shafts, np.array(self.colours.tints["to"], np.uint8))
 
 
 def _select_known(rows: FloatArray, near: NDArray[np.bool_]) -> FloatArray:

@@ -8,13 +8,10 @@ import pyvista as pv
 from app.scene3d.mesh_actors import FRONT, Label, Layer, Segments
 from app.scene3d.scene_state import StaticScene
 
-EDGE_PX = 26.0
-"""Between the hints and the edge of the picture."""
+EDGE_PX = 26.0  # Between the hints and the edge of the picture
 AXIS_PX, MAX_BAR_PX, TICK_PX = 30.0, 120.0, 5.0
-LINE_PX, RIM_PX = 2.0, 5.0
-"""Lines, and the background's colour around them."""
-RIM_DEPTH = 2e-3
-"""Of the distance to the hints: the rim is behind the lines."""
+LINE_PX, RIM_PX = 2.0, 5.0  # Lines, and the background's colour around them
+RIM_DEPTH = 2e-3  # Of the distance to the hints: the rim is behind the lines
 
 
 class HintsLayer(Layer):
@@ -42,8 +39,7 @@ class HintsLayer(Layer):
             *(np.stack([middle, middle + axis]) for axis in axes),
             bar_ends, *(np.stack([end - tick, end + tick]) for end in bar_ends),
         ])  # fmt: skip
-        middle_x = width * (1.0 + self.viewpoint.left_overlay) / 2
-        from_middle = (lines.reshape(-1, 2) - (middle_x, height / 2)) * pixel
+        from_middle = (lines.reshape(-1, 2) - (width / 2, height / 2)) * pixel
         points = pose.focus + from_middle @ pose.axes[:2]
         self.lines.show(points, self.colours.ink)
         self.rim.show(points + RIM_DEPTH * (points - pose.position), self.colours.background)

@@ -19,14 +19,11 @@ from app.scene3d.scene_state import SceneColours
 from skincal.geometry import FloatArray
 
 FONT_POINTS = 14
-LETTER_PX = np.array([8.5, 20.0])
-"""Width of a letter and height of a line with its plate, at most."""
+LETTER_PX = np.array([8.5, 20.0])  # Width of a letter and height of a line with its plate, at most
 LABEL_DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
 """Right and up: where words are tried, in this order."""
-OBSTACLE_PX = 7.0
-"""Half the width of what labels should not cover."""
-PLATE_OPACITY = 0.85
-"""Words on such a plate have a contrast of 4.5:1 on any colour."""
+OBSTACLE_PX = 7.0  # Half the width of what labels should not cover
+PLATE_OPACITY = 0.85  # Words on such a plate have a contrast of 4.5:1 on any colour
 
 
 class Labels:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-
 import numpy as np
 import pyvista as pv
 
 from app.scene3d.camera import facing
-from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, Segments, crosses, rings
+from app.scene3d.lines import crosses, rings
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, Segments
 from app.scene3d.scene_state import ColourArray, SceneColours, StaticScene, View3DState
 from skincal.geometry import FloatArray
 from skincal.mesh.surface import Surface
@@ -18,12 +17,9 @@ from skincal.session.snapshot import Snapshot
 
 DIAMOND_RADIUS = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
-MIN_DIAMOND_PX = 8.0
-"""The same on the screen at least, so that it is found on a whole body."""
-MAX_NAMES = 12
-"""More landmarks than this are drawn without their names, which would hide each other."""
-LABEL_GAP_PX = 6.0
-"""Between a diamond and its name."""
+MIN_DIAMOND_PX = 8.0  # The same on the screen at least, so that it is found on a whole body
+MAX_NAMES = 12  # More landmarks than this are drawn without their names, which would hide each other
+LABEL_GAP_PX = 6.0  # Between a diamond and its name
 MIN_FACING = 0.05
 """Cosine. A landmark that is turned further from the camera is behind the part, or seen as a line."""
 
@@ -36,8 +32,7 @@ class LandmarksLayer(Layer):
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
         super().__init__(plotter, static)
         self.marks = Segments(plotter, FRONT, 2.0)
-        self.places = NO_POINTS
-        """(n, 3) float, metres: positions of the landmarks."""
+        self.places = NO_POINTS  # (n, 3) float, metres: positions of the landmarks
         self._landmarks: tuple[Landmark, ...] = ()
         self._poked: frozenset[str] = frozenset()
         self._normals = NO_POINTS
@@ -47,15 +42,15 @@ class LandmarksLayer(Layer):
     def show(self, state: View3DState) -> bool:
         snapshot = state.snapshot
         moment = snapshot.generation, "" if state.live is None else state.live.pose
-        if not (snapshot.decisions.landmarks or self._landmarks) or moment == self._moment:
+        if moment == self._moment:
             return False
         self._moment = moment
-        poked = poked_here(snapshot, moment[1])
-        if snapshot.decisions.landmarks == self._landmarks and poked == self._poked:
+        poked, landmarks = poked_here(snapshot, moment[1]), snapshot.decisions.landmarks
+        if (landmarks, poked) == (self._landmarks, self._poked):
             return False
-        self._poked, self._landmarks = poked, snapshot.decisions.landmarks
-        self.places = np.array([landmark.place for landmark in self._landmarks]).reshape(-1, 3)
-        self._normals = normals_of(self._landmarks, self.static.surface)
+        self._poked, self._landmarks = poked, landmarks
+        self.places = np.array([landmark.place for landmark in landmarks]).reshape(-1, 3)
+        self._normals = normals_of(landmarks, self.static.surface)
         self.draw()
         return True
 
@@ -78,16 +73,9 @@ class LandmarksLayer(Layer):
 
 def poked_here(snapshot: Snapshot, pose: str) -> frozenset[str]:
     """Return the names of the landmarks that were poked in an arm pose, by pokes that count."""
-    pokes = snapshot.pokes
-    found: set[str] = set()
-    for number, name in snapshot.at_landmarks.items():
-        # Pokes are sorted by number, and there may be thousands.
-        at = bisect_left(pokes, number, key=lambda record: record.outcome.poke)
-        if at == len(pokes) or pokes[at].outcome.poke != number or pokes[at].excluded:
-            continue
-        if pokes[at].outcome.pose == pose:
-            found.add(name)
-    return frozenset(found)
+    at = snapshot.at_landmarks
+    counting = (record.outcome for record in snapshot.pokes if record.outcome.poke in at and not record.excluded)
+    return frozenset(at[outcome.poke] for outcome in counting if outcome.pose == pose)
 
 
 def normals_of(landmarks: tuple[Landmark, ...], surface: Surface | None) -> FloatArray:

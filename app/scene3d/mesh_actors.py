@@ -1,7 +1,7 @@
-"""Building blocks of layers: meshes that are added to the plotter once and change in place, and functions that make lines.
+"""Building blocks of layers: meshes that are added to the plotter once and change in place.
 
-The picture has two renderers with one camera, one upon the other. `PART` draws the part. `FRONT` draws what the part must not
-cover, after it and without regard to its depth; what faces away from the camera is left out there by the layers.
+The picture has two renderers with one camera. `PART` draws the part. `FRONT` draws, on top and without regard to depth, what
+the part must not cover; its layers leave out what faces away from the camera.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from app.scene3d.camera import Viewpoint
 from app.scene3d.scene_state import DARK, Colour, ColourArray, SceneColours, StaticScene, View3DState
 from skincal.geometry import FloatArray
 
-PART, FRONT = 0, 1
-"""Columns of the plotter's grid: the renderer of the part, and the one upon it."""
+PART, FRONT = 0, 1  # Columns of the plotter's grid: the renderer of the part, and the one upon it
 NO_POINTS: FloatArray = np.empty((0, 3))
 
 
@@ -36,8 +35,7 @@ class MeshActor(ABC):
         # VTK compiles a shader for what the mesh holds when it is drawn first (`SceneRenderer.compile_shaders`).
         self.mesh = self.connect(np.zeros((2, 3)))
         self.mesh["rgb"] = np.zeros((self.mesh.n_points, 3), np.uint8)
-        self.pixels = pixels
-        """Width of lines, or diameter of points, in pixels of the desktop."""
+        self.pixels = pixels  # Width of lines, or diameter of points, in pixels of the desktop
         self.hidden = False
         self.is_empty = True
         plotter.subplot(0, renderer)
@@ -127,8 +125,7 @@ class Layer:
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
         self.plotter, self.static = plotter, static
         self.colours = DARK
-        self.viewpoint: Viewpoint | None = None
-        """`None` before the first picture."""
+        self.viewpoint: Viewpoint | None = None  # `None` before the first picture
         self.labels: Sequence[Label] = ()
 
     def parts(self) -> Mapping[str, Sequence[MeshActor]]:
@@ -155,32 +152,3 @@ class Layer:
 
     def draw(self) -> None:
         """Update the meshes that depend on the theme or the camera."""
-
-
-def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors across each normal, (n, 3) float each, that make a right-handed frame with it."""
-    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first: FloatArray = np.cross(helper, normals)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(normals, first)
-
-
-def closed(corners: FloatArray) -> FloatArray:
-    """Return the sides of closed lines, (..., n, 2, 3), from their corners, (..., n, 3)."""
-    return np.stack([corners, np.roll(corners, -1, axis=-2)], axis=-2)
-
-
-def rings(centres: FloatArray, normals: FloatArray, radius: float, sides: int = 24) -> FloatArray:
-    """Return regular polygons about `centres`, (n, 3), across `normals`, (n, 3) unit: (n, sides, 2, 3) segments, metres."""
-    first, second = tangents(normals)
-    turn = np.arange(sides) * (2 * np.pi / sides)
-    return closed(
-        centres[:, None] + radius * (np.cos(turn)[:, None] * first[:, None] + np.sin(turn)[:, None] * second[:, None])
-    )
-
-
-def crosses(centres: FloatArray, normals: FloatArray, radius: float) -> FloatArray:
-    """Return two crossing strokes across each normal, (n, 2, 2, 3) float, as `rings`."""
-    first, second = tangents(normals)
-    strokes = np.stack([first, second], axis=1) * radius
-    return np.stack([centres[:, None] - strokes, centres[:, None] + strokes], axis=2)

@@ -10,7 +10,8 @@ import numpy as np
 import pyvista as pv
 
 from app.scene3d.camera import facing
-from app.scene3d.mesh_actors import PART, Dots, Label, Layer, Segments, closed
+from app.scene3d.lines import closed
+from app.scene3d.mesh_actors import PART, Dots, Label, Layer, Segments
 from app.scene3d.scene_state import HUES, ColourArray, SceneColours, StaticScene
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
@@ -18,8 +19,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 
 FRONT_OPACITY = 0.55
-EDGE_ANGLE_DEG = 40.0
-"""Edges sharper than this are shaded sharp."""
+EDGE_ANGLE_DEG = 40.0  # Edges sharper than this are shaded sharp
 
 
 class SurfaceLayer(Layer):
@@ -45,16 +45,12 @@ class SurfaceLayer(Layer):
 
 OUTLINE_LIFT = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
-NUMBER_GAP_PX = 2.0
-"""Between a module's first corner and its number: no taxel is there."""
-MIN_MODULE_PX = 40.0
-"""Numbers on modules that are smaller on the screen would cover them."""
+NUMBER_GAP_PX = 2.0  # Between a module's first corner and its number: no taxel is there
+MIN_MODULE_PX = 40.0  # Numbers on modules that are smaller on the screen would cover them
 MIN_FACING = 0.3
 """Cosine. Numbers of modules that are turned further from the camera would overlap at the part's edge."""
-MAX_NUMBERS = 40
-"""Numbers on more modules than this would cover the skin."""
-HUE_SHARE = 0.55
-"""Of the hue in a dot of the plan, the rest is grey: fainter than any estimate."""
+MAX_NUMBERS = 40  # Numbers on more modules than this would cover the skin
+HUE_SHARE = 0.55  # Of the hue in a dot of the plan, the rest is grey: fainter than any estimate
 
 
 class ModulesLayer(Layer):

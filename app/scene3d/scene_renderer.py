@@ -25,10 +25,8 @@ from app.scene3d.scene_state import DEFAULT_RADIUS, SceneColours, StaticScene, V
 from app.scene3d.target import TargetLayer
 from skincal.geometry import FloatArray
 
-MIN_HALF_HEIGHT = 0.015
-"""m, of the view: half a module."""
-FIRST_LEAN_DEG = (-14.0, -10.0)
-"""The first view is this far off straight, so that depth can be seen."""
+MIN_HALF_HEIGHT = 0.015  # m, of the view: half a module
+FIRST_LEAN_DEG = (-14.0, -10.0)  # The first view is this far off straight, so that depth can be seen
 PLOTTER_SHAPE = (1, 2)
 """Shape of the plotter's grid: a renderer for the part and one before it, both as large as the picture."""
 POINTS_PER_INCH = 72.0
@@ -39,8 +37,7 @@ class SceneRenderer:
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, colours: SceneColours) -> None:
         self.plotter, self.static, self.window = plotter, static, window_of(plotter)
-        self.is_moved = False
-        """The operator moved the camera."""
+        self.is_moved = False  # The operator moved the camera
         self.scales: Callable[[], tuple[float, float]] = lambda: (1.0, 1.0)
         """Device pixels a pixel of the desktop, and size of the text in sizes of the desktop's."""
         self.renderer, front = plotter.renderers[PART], plotter.renderers[FRONT]
@@ -64,10 +61,8 @@ class SceneRenderer:
         self.auto_camera = AutoCamera(static.surface, long_axis(static.extent))
         self._viewpoint: Viewpoint | None = None
         self._scales = (0.0, 0.0)
-        self.left_overlay = 0.0
-        """Share of the picture's width, from the left, that something covers."""
         self._known_reach = (np.zeros(3), DEFAULT_RADIUS)
-        # At the start of every picture, no matter who asked for it.
+        # At the start of every picture, also of those that Qt requests.
         self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(colours)
 
@@ -116,19 +111,11 @@ class SceneRenderer:
     def turn(self, state: View3DState, now_s: float) -> bool:
         """Turn the camera to the target if needed; return whether it moved."""
         height = self.window.GetSize()[1] / self.scales()[0]
-        return self.auto_camera.step(self.camera, self._free_aspect(), height, state, now_s)
+        return self.auto_camera.advance(self.camera, self._aspect(), height, state, now_s)
 
     def note_manual_move(self, now_s: float) -> None:
         self.is_moved = True
         self.auto_camera.note_manual_move(now_s)
-
-    def set_left_overlay(self, share: float) -> None:
-        """Look at things in the middle of the free part of the picture: something covers its left, a share of the width."""
-        if share != self.left_overlay:
-            self.left_overlay = share
-            self.camera.SetWindowCenter(-share, 0.0)
-            if not self.is_moved:
-                self.fit()
 
     def fit(self) -> None:
         """Bring the whole part into the picture."""
@@ -136,7 +123,7 @@ class SceneRenderer:
         has_extent = len(self.static.extent) > 0
         points = self.static.extent if has_extent else self._known_places()
         pose = camera.fit(
-            points, self.static.facing, self._free_aspect(), MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS
+            points, self.static.facing, self._aspect(), MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS
         )  # fmt: skip
         place(self.camera, pose)
         self._known_reach = pose.focus, camera.VIEW_SLOPE * pose.distance
@@ -182,9 +169,9 @@ class SceneRenderer:
         """Return the positions of estimates and landmarks, (n, 3) float, metres."""
         return np.concatenate([self.estimates.places, self.landmarks.places])
 
-    def _free_aspect(self) -> float:
+    def _aspect(self) -> float:
         width, height = self.window.GetSize()
-        return max(width, 1) * (1.0 - self.left_overlay) / max(height, 1)
+        return max(width, 1) / max(height, 1)
 
     def _before_picture(self, *_: object) -> None:
         """Follow the camera and the screen; changes nothing else, so it asks for no further picture."""
@@ -197,7 +184,7 @@ class SceneRenderer:
                 for actors in layer.parts().values():
                     for actor in actors:
                         actor.set_pixel_ratio(scales[0])
-        viewpoint = Viewpoint(pose_of(self.camera), window.GetSize(), scales[0], self.left_overlay)
+        viewpoint = Viewpoint(pose_of(self.camera), window.GetSize(), scales[0])
         if not viewpoint.is_same(self._viewpoint):
             self._viewpoint = viewpoint
             for layer in self.layers:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import TypeAlias
 
@@ -40,17 +39,6 @@ MIN_MEAN_NORMAL = 0.3
 """Length of the mean normal from which skin has one side to look at: evenly around a tube it is 0, around half of it 0.64."""
 
 
-class Tint(Enum):
-    """Colour of a set of positions in a comparison."""
-
-    FROM = "from"
-    TO = "to"
-    LAYOUT = "layout"
-    FREE = "free"
-    SURFACE = "surface"
-    MODULES = "modules"
-
-
 @dataclass(frozen=True, slots=True)
 class SceneColours:
     """Colours of a theme, except the modules' hues."""
@@ -64,8 +52,8 @@ class SceneColours:
     """Axes, rings, words."""
     faint: Colour
     """Lines to another method, and planned taxels."""
-    tints: Mapping[Tint, Colour]
-    """Colours of compared sets; a method has the same colour in the Errors tab."""
+    tints: Mapping[str, Colour]
+    """Colours of compared sets: `from`, `to`, `layout`, and the names of methods, which have the hue of the Errors tab."""
 
 
 def _rgb(colour: str) -> Colour:
@@ -74,8 +62,7 @@ def _rgb(colour: str) -> Colour:
 
 
 def _make_colours(of: theme.Colours, front: Colour, back: Colour, ink: Colour, faint: Colour, to: Colour) -> SceneColours:
-    tints = {Tint.FROM: ink, Tint.TO: to, Tint.LAYOUT: ink}
-    tints |= {Tint(name): _rgb(hue) for name, hue in of.methods.items()}
+    tints = {"from": ink, "to": to, "layout": ink, **{name: _rgb(hue) for name, hue in of.methods.items()}}
     return SceneColours(_rgb(of.window), front, back, ink, faint, tints)
 
 
@@ -88,28 +75,23 @@ LIGHT = _make_colours(
 
 
 def module_hues(layout: Layout | None, channels: IntArray) -> ColourArray:
-    """Return the hue of the module of each of n channels, (n, 3) uint8: repeated beyond seven, one where none is known."""
+    """Return the hue of the module of each of n channels, (n, 3) uint8: repeated beyond seven, the first without a layout."""
     if layout is None:
         return np.tile(HUES[0], (len(channels), 1))
     return HUES[layout.module_of[channels] % len(HUES)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
-    """One set of positions."""
-
-    tint: Tint
-    places: FloatArray
-    """(n, 3) float, metres, in the order of `StaticScene.channels`; NaN where unknown."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Sets of positions that are compared; they replace the estimates' balls."""
+    """Sets of positions that are compared; they replace the estimates' balls.
 
-    clouds: tuple[Cloud, ...]
+    Arrays are in metres, in the order of `StaticScene.channels`, and NaN where a position is unknown.
+    """
+
+    sets: Mapping[str, FloatArray]
+    """(n, 3) float each, by the name of their colour in `SceneColours.tints`."""
     arrows: FloatArray
-    """(n, 2, 3) float, metres: from one set to another, in the order of `StaticScene.channels`; NaN where there is none."""
+    """(n, 2, 3) float: from one set to another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +151,7 @@ class StaticScene:
 
     @cached_property
     def skin_normals(self) -> FloatArray:
-        """(n, 3) float: as `normals`; NaN unless skin is laid on a surface: nothing else has a far side."""
+        """(n, 3) float: as `normals`; NaN without a layout on a surface: nothing else has a far side."""
         known = self.surface is not None and self.laid is not None
         return self.normals if known else np.full((len(self.channels), 3), np.nan)
 

@@ -11,28 +11,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pyvista as pv
 
-from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, Segments, Solid, rings, tangents
+from app.scene3d.lines import TOOL_LENGTH, closed, cone_rim, tangents
+from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, Segments, Solid
 from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Target
 from skincal.mesh.surface import point_on_skin
 from skincal.words.units import ChannelNames
 
-RING_RADIUS = 4.6e-3
-"""m: around the rings of a selected taxel, and below the distance to the next one."""
-ARROW_LENGTH = 0.035
-"""m: a tool's tip, as long as a drawn force axis outside the part."""
+RING_RADIUS = 4.6e-3  # m: around the rings of a selected taxel, and below the distance to the next one
 CORE_RADIUS, OUTLINE_RADIUS = 0.36e-3, 0.75e-3
 """m, of the ring's tube and the arrow's shaft: white, and black around it."""
 HEAD_LENGTH, HEAD_RADIUS = 8e-3, 2.2e-3  # m
-MIN_RING_PX = 13.0
-"""Radius of the ring at least, so that it is found on a whole body."""
-CONE_SPOKES = 4
-"""Lines of the cone, from the tip to its rim."""
-LABEL_GAP_PX = 9.0
-"""Between ring and name."""
-LABEL_FREE_SHARES = np.linspace(0.2, 1.0, 6)
-"""Shares of the arrow's length, at which labels keep clear of it."""
+MIN_RING_PX = 13.0  # Radius of the ring at least, so that it is found on a whole body
+CONE_SPOKES = 4  # Lines of the cone, from the tip to its rim
+LABEL_GAP_PX = 9.0  # Between ring and name
+LABEL_FREE_SHARES = np.linspace(0.2, 1.0, 6)  # Shares of the arrow's length, at which labels keep clear of it
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
 
@@ -48,12 +42,10 @@ class TargetLayer(Layer):
         self.arrow_outline = Solid(plotter, _arrow(OUTLINE_RADIUS - CORE_RADIUS), is_outline=True)
         self.ring, self.arrow = Solid(plotter, _ring(CORE_RADIUS)), Solid(plotter, _arrow(0.0))
         self.cone = Segments(plotter, FRONT, 1.5)
-        self.at: FloatArray = np.zeros(3)
-        """(3,) float, metres: where the target's line meets the skin."""
-        self._length = ARROW_LENGTH
+        self.at: FloatArray = np.zeros(3)  # (3,) float, metres: where the target's line meets the skin
+        self._length = TOOL_LENGTH
         self._key: tuple[object, ...] = ()
-        self._leeway = 0.0
-        """rad, half angle of the cone."""
+        self._leeway = 0.0  # rad, half angle of the cone
         self._target: Target | None = None
 
     def parts(self) -> Mapping[str, Sequence[MeshActor]]:
@@ -69,7 +61,7 @@ class TargetLayer(Layer):
             return False
         self._key, self._target, self._leeway = key, target, max_angle_error
         if target is not None:
-            # An estimate lies above or below the skin, the ring must lie on it. A landmark is where it is.
+            # An estimate lies above or below the skin, the ring must lie on it. A landmark has an exact position.
             self.at = point_on_skin(None if target.landmark else self.static.surface, target.place, target.normal)
         self.draw()
         return True
@@ -79,7 +71,7 @@ class TargetLayer(Layer):
         target, scale = self._target, 1.0
         if self.viewpoint is not None:
             scale = max(1.0, MIN_RING_PX * self.viewpoint.pixel / RING_RADIUS)
-        self.labels, self._length = (), scale * ARROW_LENGTH
+        self.labels, self._length = (), scale * TOOL_LENGTH
         if target is None:
             for actor in (*self.parts()[self.name], self.cone):
                 actor.show(NO_POINTS, BLACK)
@@ -120,9 +112,9 @@ def _ring(tube_radius: float) -> pv.PolyData:
 
 def _arrow(margin: float) -> pv.PolyData:
     """Make an arrow along x whose tip is at the origin, larger by a margin on every side, in metres."""
-    length = ARROW_LENGTH + 3.0 * margin
+    length = TOOL_LENGTH + 3.0 * margin
     return pv.Arrow(
-        start=(-ARROW_LENGTH - margin, 0.0, 0.0), scale=length, shaft_radius=(1.5 * CORE_RADIUS + margin) / length,
+        start=(-TOOL_LENGTH - margin, 0.0, 0.0), scale=length, shaft_radius=(1.5 * CORE_RADIUS + margin) / length,
         tip_radius=(HEAD_RADIUS + 1.5 * margin) / length, tip_length=(HEAD_LENGTH + 3.0 * margin) / length,
         shaft_resolution=12, tip_resolution=16,
     )  # fmt: skip
@@ -133,7 +125,6 @@ def _cone(push: FloatArray, angle: float) -> FloatArray:
 
     It opens from the origin against `push`, (3,) float, unit; `angle`, rad, lies between its axis and its side.
     """
-    middle, radius = -ARROW_LENGTH * np.cos(angle) * push, ARROW_LENGTH * float(np.sin(angle))
-    rim = rings(middle[None], push[None], radius, sides=36).reshape(-1, 2, 3)
-    ends = rim[:: len(rim) // CONE_SPOKES, 0]
-    return np.concatenate([rim, np.stack([np.zeros_like(ends), ends], axis=1)])
+    corners = -TOOL_LENGTH * cone_rim(push, angle)
+    ends = corners[:: len(corners) // CONE_SPOKES]
+    return np.concatenate([closed(corners), np.stack([np.zeros_like(ends), ends], axis=1)])

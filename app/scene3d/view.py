@@ -35,16 +35,13 @@ if TYPE_CHECKING:
     from app.scene3d.scene_renderer import SceneRenderer
 
 LOG = logging.getLogger(__name__)
-CLOSE_S = 60.0
-"""Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes."""
+CLOSE_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
 MAX_CLICK_MOVE_PX = 4.0
 """A press that moves less before its release is a click: hands tremble by two or three pixels."""
 DRAG_DEGREES = 220.0
 """A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
-WHEEL_STEP = 1.15
-"""Zoom factor for one notch of the wheel."""
-WHEEL_NOTCH = 120.0
-"""Qt's units of a notch."""
+WHEEL_STEP = 1.15  # Zoom factor for one notch of the wheel
+WHEEL_NOTCH = 120.0  # Qt's units of a notch
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
 
@@ -140,13 +137,11 @@ class View3D(QWidget):
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
-        self._covered = 0.0
         self._hidden: frozenset[str] = frozenset()
         self._picking = False
         self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
-        self._threads: ThreadService | None = None
-        """Loads the picture; one for each `begin`."""
+        self._threads: ThreadService | None = None  # Loads the picture; one for each `begin`
         self._message = QLabel("The 3D view is loading …", self)
         self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._message.setWordWrap(True)
@@ -161,9 +156,7 @@ class View3D(QWidget):
         self.close_view()
         self._static = static = StaticScene(scene, surface, laid, channels)
         self._choice = choice = self._choice or best_canvas()
-        density = self.devicePixelRatioF()
-        size = round(self.width() * density), round(self.height() * density)
-        colours, state = self._colours, self._state
+        size, colours, state = self._pixels(), self._colours, self._state
 
         def work() -> Loaded:
             try:
@@ -175,6 +168,11 @@ class View3D(QWidget):
 
         self._threads = ThreadService("scene3d", self)
         self._threads.submit(work, self._mount, failed=self._message.setText, dropped=Loaded.close)
+
+    def _pixels(self) -> tuple[int, int]:
+        """Size in device pixels, at least 1."""
+        density = self.devicePixelRatioF()
+        return max(1, round(self.width() * density)), max(1, round(self.height() * density))
 
     def show_moment(
         self,
@@ -214,13 +212,6 @@ class View3D(QWidget):
         if self._renderer is not None:
             self._renderer.auto_camera.wanted = wanted
             self._show_state()
-
-    def cover(self, width: int) -> None:
-        """Keep the picture's middle right of a card that covers `width` pixels of the view, from its left edge."""
-        # At least half of the picture stays free.
-        self._covered = min(width / max(1, self.width()), 0.5)
-        if self._renderer is not None:
-            self._renderer.set_left_overlay(self._covered)
 
     def hide_layers(self, names: frozenset[str]) -> None:
         """Leave these layers out of the picture, and show all others; one of them is the target's `cone`."""
@@ -325,10 +316,11 @@ class View3D(QWidget):
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
         # Theme, size and what is shown may have changed since the loading began.
+        if self._choice is Canvas.RASTER:
+            self._renderer.plotter.window_size = self._pixels()
         self._renderer.set_colours(self._colours)
         self._renderer.hide(self._hidden)
         self._renderer.fit()
-        self._renderer.set_left_overlay(self._covered)
         self.set_turning(self._turning)
         self.set_picking(self._picking)
         self._show_state()

@@ -1,1 +1,1 @@
-"""The open session: controller, opening, recording, previews of links. No widgets."""
+"""What is open: the recording, where it lies, and the tick that drives it; no widgets."""

@@ -1,4 +1,4 @@
-"""Files and folders that are dropped onto the window: a request to open or import them, or a refusal. No Qt."""
+"""What becomes of files and folders that are dropped onto the window: opened, imported, or a sentence says why not. No Qt."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from app.session.opening import MESHES, OpenRequest, server_command
 from skincal.model.errors import InputError
 
 LOG_SUFFIX = ".log"
-EXPECTED = "Drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
+EXPECTED = "drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
 @dataclass(frozen=True, slots=True)
 class DroppedRecording:
-    """Files or a folder of another program's recording."""
+    """Files, or a folder of them, of another program's recording."""
 
     paths: tuple[Path, ...]
 
 
 def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
-    """Decide what to open: a session, a scene with simulated devices, a mesh, or a recording to import.
+    """Return what to open for what was dropped: a session, a scene with a simulated rig, a mesh, or a recording to import.
 
     Raises
     ------
     InputError
-        It cannot be opened; the sentence says what to do.
+        It cannot be opened; the sentence says what to do with it.
     """
     try:
         if len(paths) > 1 and all(map(_is_recording, paths)):
@@ -34,8 +34,8 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
         if len(paths) == 1:
             return _request_of(paths[0])
     except OSError as error:
-        raise InputError(f"{paths[0]}: cannot be read ({error.strerror}). Check its permissions.") from None
-    raise InputError(f"{len(paths)} files of this computer were dropped; expected one. {EXPECTED}")
+        raise InputError(f"{paths[0]}: cannot be looked at ({error.strerror}); check its rights.") from None
+    raise InputError(f"{len(paths)} files were dropped that lie on this machine; expected one: {EXPECTED}")
 
 
 def _request_of(path: Path) -> OpenRequest | DroppedRecording:
@@ -47,14 +47,14 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     if _is_recording(path):
         return DroppedRecording((path,))
     if path.is_dir():
-        raise InputError(f"{path}: is not the folder of a session. {EXPECTED}")
+        raise InputError(f"{path}: is not the folder of a session; {EXPECTED}")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file. {EXPECTED}")
+        raise InputError(f"{path}: there is no such file; {EXPECTED}")
     if kind == ".toml":
         return OpenRequest(scene=path, server=server_command(path))
     if kind in MESHES:
         return OpenRequest(mesh=path)
-    raise InputError(f"{path}: cannot be opened. {EXPECTED}")
+    raise InputError(f"{path}: is nothing that can be opened; {EXPECTED}")
 
 
 def _is_recording(path: Path) -> bool:
@@ -63,6 +63,6 @@ def _is_recording(path: Path) -> bool:
 
     if not path.is_dir():
         return path.is_file() and (is_table(path) or path.suffix.lower() == LOG_SUFFIX)
-    # One folder per port; no deeper, since a whole disk may be dropped.
+    # A port has a folder; no deeper, since it may be a whole disk that was dropped.
     patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", *(f"*{suffix}" for suffix in TABLE_SUFFIXES))
     return any(next(path.glob(pattern), None) is not None for pattern in patterns)

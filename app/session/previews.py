@@ -1,4 +1,4 @@
-"""Previews of links before a recording. No Qt, and nothing waits here."""
+"""Links that are looked at before they are recorded: what is there, and what each brings. No Qt, and nothing waits here."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ from skincal.geometry import FloatArray
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
 from skincal.streams.intake import LinkIntake
-from skincal.streams.link_diagnosis import values_of
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 
 CURVE_POINTS = 80
-"""Points of a small curve: eight seconds at ten updates per second."""
-MAX_UPDATE_S = 0.010
-"""Limit of work per update and link; the rest waits."""
+"""Points of a small curve: eight seconds at ten looks a second."""
+LOOK_S = 0.010
+"""s of work a look at most; what is left waits."""
 
 
-def list_ports() -> list[tuple[str, str]]:
-    """List address and description of serial ports, and of YARP ports if a name server answers; may take seconds."""
+def places_here() -> list[tuple[str, str]]:
+    """Return address and description of each serial port, and of YARP ports if a name server answers; it may take seconds."""
     try:
         ports = [(f"yarp:{name}", f"YARP port at {host}:{number}") for name, (host, number) in yarp_ports()]
     except LinkError:
@@ -34,17 +33,17 @@ def list_ports() -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """Readings of one stream."""
+    """What a link brings of one stream."""
 
     health: LinkHealth
     now_ns: int
-    """Time of the update, host's monotonic clock."""
+    """Host's monotonic clock at the look."""
     curve: tuple[float, ...]
-    """Newest value of each update: force in N, largest change of a raw value, or largest joint motion in degrees."""
+    """Of each look the newest: N, the largest change of a raw value, or the largest turn in degrees."""
 
 
 class _Preview:
-    """One link."""
+    """One link while it is looked at."""
 
     def __init__(self, spec: LinkSpec, channels: int, joints: int) -> None:
         self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints)
@@ -54,19 +53,19 @@ class _Preview:
         self.reader = Reader(spec, self._inbox)
         self.reader.start()
 
-    def update(self) -> None:
-        end_s = time.perf_counter() + MAX_UPDATE_S
+    def look(self) -> None:
+        """Work on what came, for a moment."""
+        end_s = time.perf_counter() + LOOK_S
         self._now.clear()
         while not self._inbox.empty() and time.perf_counter() < end_s:
             item: Chunk | LinkEvent = self._inbox.get()
-            for dated in self._intake.take_chunk(item) if isinstance(item, Chunk) else self._intake.take_event(item):
-                self._take_batch(dated.batch)
+            for arrived in self._intake.feed(item):
+                self._take(arrived.batch)
         for stream, value in self._now.items():
             self._curves[stream].append(value)
 
-    def _take_batch(self, batch: Batch) -> None:
-        stream, values = values_of(batch)
-        newest = values[-1]
+    def _take(self, batch: Batch) -> None:
+        stream, newest = batch.stream, batch.values[-1]
         if stream is Stream.WRENCH:
             self._now[stream] = float(np.linalg.norm(newest[:3]))
             return
@@ -75,13 +74,14 @@ class _Preview:
             change = float(np.nanmax(np.abs(newest - first), initial=0.0))
             self._now[stream] = change if stream is Stream.SKIN else float(np.degrees(change))
 
-    def stream_preview(self, stream: Stream) -> Preview:
+    def of(self, stream: Stream) -> Preview:
+        """Return what came of a stream."""
         now_ns = time.monotonic_ns()
         return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]))
 
 
 class Previews:
-    """Links of a dialog that is being filled in."""
+    """The links of a page that is being filled in."""
 
     def __init__(self) -> None:
         self._open: dict[tuple[LinkSpec, int, int], _Preview] = {}
@@ -89,14 +89,14 @@ class Previews:
         self._closed = False
 
     def choose(self, addresses: Mapping[Stream, str], scene: Scene | None) -> None:
-        """Preview these addresses and no others; returns at once, and does nothing after `stop_readers`.
+        """Look at these addresses and no others; returns at once, and does nothing once the links were let go.
 
-        Without a scene nothing is previewed, since it defines the expected numbers of values.
+        Without a scene, which says how many values are right, at none.
 
         Raises
         ------
         InputError
-            An address has an unknown form.
+            An address is of no link that is known.
         """
         if self._closed:
             return
@@ -109,15 +109,15 @@ class Previews:
         for new in wanted - self._open.keys():
             self._open[new] = _Preview(*new)
 
-    def update(self) -> dict[Stream, Preview]:
-        """Process new readings and give the preview of each stream."""
+    def look(self) -> dict[Stream, Preview]:
+        """Return what came of each stream."""
         self._ending = [reader for reader in self._ending if reader.running]
         for preview in self._open.values():
-            preview.update()
-        return {stream: preview.stream_preview(stream) for (spec, *_), preview in self._open.items() for stream in spec.carries}
+            preview.look()
+        return {stream: preview.of(stream) for (spec, *_), preview in self._open.items() for stream in spec.carries}
 
-    def stop_readers(self) -> list[Reader]:
-        """Close every link for good; another thread must wait for the returned readers."""
+    def let_go(self) -> list[Reader]:
+        """Close every link for good, and return the readers for another thread to wait for."""
         self._closed = True
         for each in list(self._open):
             self._end(each)

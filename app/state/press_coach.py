@@ -1,8 +1,7 @@
-"""What the hand that presses should do better: the push beside the one that is asked for, and which hint holds now.
+"""PokeError of a press: how it deviates from the target, and which hint to show.
 
-A poke that is off is coached only while the hand still moves: as soon as it holds still the poke counts as it is, and nothing
-is asked of it. What lasts between two ticks is a `CoachMemory`, which goes in and comes out. Numbers only:
-`app.text.guidance_text` puts them into words.
+Hints are shown only while the hand still moves; a poke that is held still counts. `CoachMemory` lasts between two ticks.
+`app.text.guidance_text` makes the words.
 """
 
 from __future__ import annotations
@@ -16,76 +15,76 @@ import numpy as np
 from app.state.view_state import ViewState
 from skincal.contacts.outcome import PressPhase
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, PokeError, Target, max_angle_error
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError, max_angle_error
 
-STRAIGHT = float(np.radians(5.0))
-"""rad. A hand does not hold a smaller tilt: it is asked to push straight."""
-ASIDE = float(np.cos(np.radians(35.0)))
-"""Cosine. A neighbour lies where the tool leans if it is off by less: the six around a taxel are 60 degrees apart."""
-FARTHEST = 0.020
-"""m. A neighbour farther away shows no direction to somebody who looks at the taxel."""
-COACH_S = 0.25
-"""s. A hint is said once it held for so long: a hand that holds still before needs none, one that searches does."""
-FORCE_BACK = 0.3
-"""N. "Press harder" and "press less" stay until the force is inside by so much: three times a good sensor's noise."""
-AIM_FAR = 0.004
-"""m. A tip this far off, on another taxel, is said: nine in ten pokes of a hand with 2 mm sd are nearer."""
-AIM_BACK = 0.003
-"""m. It is said until it is this near."""
-TILT_BACK = float(np.radians(2.0))
-"""rad. A tilt is asked for until it is inside what is asked for by so much."""
-ELSEWHERE = 0.015
-"""m. A tip this far off, three taxels, is on another taxel on purpose: it counts there, and there is nothing to say."""
+UPRIGHT_MAX_TILT = float(np.radians(5.0))
+"""rad. A smaller tilt cannot be held by hand: the tool is asked to be upright."""
+NEIGHBOUR_MIN_COS = float(np.cos(np.radians(35.0)))
+"""A neighbour shows a direction that is off by less; the six neighbours of a taxel are 60 degrees apart."""
+NEIGHBOUR_MAX_DISTANCE = 0.020
+"""m. A neighbour further away shows no direction to somebody who looks at the taxel."""
+HINT_DELAY_S = 0.25  # A hint must hold this long before it is shown: a hand that is just arriving needs none
+FORCE_HYSTERESIS = 0.3
+"""N. "Press harder" and "press softer" stay until the force is inside by this much: three times a good sensor's noise."""
+AIM_SHOWN, AIM_HIDDEN = 0.004, 0.003
+"""m. The aim hint is shown above the one distance and hidden below the other: nine in ten pokes of a hand with 2 mm sd
+are nearer."""
+TILT_HYSTERESIS = float(np.radians(2.0))
+"""rad. A tilt hint stays until the tilt is inside the limit by this much."""
+OTHER_TAXEL_DISTANCE = 0.015
+"""m. A tip this far off, three taxels, is on another taxel on purpose: there is nothing to correct."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
-"""rad and m. A number that changes by less is not said anew."""
+"""rad and m. A hint stays unchanged while its number changes by less."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lean:
-    """Where the tool's upper end leans, shown by a neighbour of the target."""
+class LeanDirection:
+    """Direction of the tool's upper end, shown by a neighbour of the target."""
 
     channel: int
     away: bool
     """It leans away from that neighbour: there is none on the other side."""
 
 
-def lean_of(guidance: Guidance, target: Target) -> Lean | None:
-    """Return where the tool leans; None where it stands straight, or where no neighbour lies that way."""
-    if target.tilt < STRAIGHT:
+def lean_of(guidance: Guidance, target: Target) -> LeanDirection | None:
+    """Return the lean direction of a target; `None` if the tool is upright or no neighbour shows the direction."""
+    if target.tilt < UPRIGHT_MAX_TILT:
         return None
     up = -target.push
     along = up - (up @ target.normal) * target.normal
     return lean_along(guidance, target, along / np.linalg.norm(along))
 
 
-def lean_along(guidance: Guidance, target: Target, along: FloatArray) -> Lean | None:
-    """Return which neighbour shows a direction `along` the skin, (3,) float, unit; None where none does."""
+def lean_along(guidance: Guidance, target: Target, along: FloatArray) -> LeanDirection | None:
+    """Return the neighbour that shows a direction `along` the skin, (3,) float, unit; `None` if there is none."""
     for away in (False, True):
         channel = _neighbour(guidance, target, -along if away else along)
         if channel is not None:
-            return Lean(channel, away)
+            return LeanDirection(channel, away)
     return None
 
 
 def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | None:
-    """Return the nearest taxel of those that lie `along` the skin, (3,) float, unit, from the target."""
-    apart = guidance.places - target.place
-    apart -= (apart @ target.normal)[:, None] * target.normal
-    distance = np.sqrt(np.sum(apart * apart, axis=1))
-    found = (apart @ along > ASIDE * distance) & (distance <= FARTHEST) & (guidance.channels != target.channel)
+    """Return the nearest taxel in a direction `along` the skin, (3,) float, unit, from the target."""
+    offset = guidance.places - target.place
+    offset -= (offset @ target.normal)[:, None] * target.normal
+    distance = np.sqrt(np.sum(offset * offset, axis=1))
+    found = (offset @ along > NEIGHBOUR_MIN_COS * distance) & (distance <= NEIGHBOUR_MAX_DISTANCE)
+    found &= guidance.channels != target.channel
     return int(guidance.channels[np.where(found, distance, np.inf).argmin()]) if found.any() else None
 
 
-class Force(Enum):
-    """Where the force lies."""
+class ForceLevel(Enum):
+    """Force compared with its limits."""
 
     LOW = "low"
     RIGHT = "right"
     HIGH = "high"
 
 
-class Ask(Enum):
-    """What a hand can do better."""
+class HintKind(Enum):
+    """Quantity that a hand should correct."""
 
     AIM = "aim"
     MORE = "tilt more"
@@ -93,85 +92,88 @@ class Ask(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Hint:
-    """One thing to do better."""
+class PressHint:
+    """One correction to ask for."""
 
-    ask: Ask
+    ask: HintKind
     amount: float
     """m or rad."""
-    toward: Lean | None = None
-    """Where the tool's upper end has to go; None where no neighbour lies that way."""
+    toward: LeanDirection | None = None
+    """Where the tool's upper end should go; `None` if no neighbour shows it."""
 
 
 @dataclass(frozen=True, slots=True)
 class CoachMemory:
-    """What the coach remembers between two ticks."""
+    """State of the coach between two ticks."""
 
-    force: Force = Force.LOW
-    hint: Hint | None = None
-    """What is said."""
-    coming: Hint | None = None
+    force: ForceLevel = ForceLevel.LOW
+    hint: PressHint | None = None
+    """The hint that is shown."""
+    coming: PressHint | None = None
+    """The hint that will be shown if it holds for `HINT_DELAY_S`."""
     coming_since_s: float = -math.inf
 
 
-SILENT = CoachMemory()
-"""Nothing was said yet."""
+NO_HINT = CoachMemory()
 
 
 def follow_press(memory: CoachMemory, at: ViewState) -> CoachMemory:
-    """Return what is to be said now: the force at once, a hint once it held, none while the poke counts."""
-    memory = replace(memory, force=_force(memory.force, at))
+    """Update the memory: the force level at once, a hint once it held, none while the poke counts."""
+    memory = replace(memory, force=_force_level(memory.force, at))
     if at.live.progress.phase is not PressPhase.PRESSING:
         return CoachMemory(memory.force)
     wanted = _hint(memory.hint, at)
-    if _alike(wanted, memory.hint):
+    if _is_alike(wanted, memory.hint):
         return replace(memory, coming=memory.hint)
-    if not _alike(wanted, memory.coming):
+    if not _is_alike(wanted, memory.coming):
         return replace(memory, coming=wanted, coming_since_s=at.now_s)
-    if at.now_s - memory.coming_since_s >= COACH_S:
+    if at.now_s - memory.coming_since_s >= HINT_DELAY_S:
         return replace(memory, hint=wanted, coming=wanted)
     return memory
 
 
-def _force(said: Force, at: ViewState) -> Force:
+def _force_level(before: ForceLevel, at: ViewState) -> ForceLevel:
     progress, limits = at.live.progress, at.scene.contacts
     size = float(np.linalg.norm(progress.force))
-    # What is held still is hard enough: it counts.
-    if progress.phase is PressPhase.PRESSING and size < limits.force_min + (FORCE_BACK if said is Force.LOW else 0.0):
-        return Force.LOW
-    return Force.HIGH if size > limits.force_max - (FORCE_BACK if said is Force.HIGH else 0.0) else Force.RIGHT
+    low = limits.force_min + (FORCE_HYSTERESIS if before is ForceLevel.LOW else 0.0)
+    # A poke that is held still counts, so its force is high enough.
+    if progress.phase is PressPhase.PRESSING and size < low:
+        return ForceLevel.LOW
+    high = limits.force_max - (FORCE_HYSTERESIS if before is ForceLevel.HIGH else 0.0)
+    return ForceLevel.HIGH if size > high else ForceLevel.RIGHT
 
 
-def _hint(said: Hint | None, at: ViewState) -> Hint | None:
-    """Return what this moment alone asks for; what is said already is let go a little later than it began."""
+def _hint(shown: PressHint | None, at: ViewState) -> PressHint | None:
+    """Return the hint for this moment; one that is shown already ends a little later than it began."""
     coaching, target, guidance = at.coaching, at.target, at.guidance
-    if coaching is None or target is None or guidance is None or coaching.away > ELSEWHERE:
+    if coaching is None or target is None or guidance is None or coaching.away > OTHER_TAXEL_DISTANCE:
         return None
-    aimed = said is not None and said.ask is Ask.AIM
-    if beside(coaching, target) and coaching.away > (AIM_BACK if aimed else AIM_FAR):
-        return Hint(Ask.AIM, coaching.away)
-    tilted = said is not None and not aimed
-    if coaching.error > max_angle_error(guidance) - (TILT_BACK if tilted else 0.0):
+    is_aim = shown is not None and shown.ask is HintKind.AIM
+    if is_on_other_taxel(coaching, target) and coaching.away > (AIM_HIDDEN if is_aim else AIM_SHOWN):
+        return PressHint(HintKind.AIM, coaching.away)
+    is_tilt = shown is not None and not is_aim
+    if coaching.error > max_angle_error(guidance) - (TILT_HYSTERESIS if is_tilt else 0.0):
         return tilt_hint(guidance, target, coaching)
     return None
 
 
-def tilt_hint(guidance: Guidance, target: Target, coaching: PokeError) -> Hint:
-    """Return how the tool has to turn: less, where it leans that way already, else more toward a neighbour."""
+def tilt_hint(guidance: Guidance, target: Target, coaching: PokeError) -> PressHint:
+    """Make the hint on the tilt: less if it leans the right way already, else more toward a neighbour."""
     upper = (coaching.push @ target.normal) * target.normal - coaching.push
     leans = math.sin(coaching.tilt)
-    if coaching.tilt >= STRAIGHT and float(upper @ coaching.lean) < -ASIDE * leans:
-        return Hint(Ask.LESS, coaching.error)
-    return Hint(Ask.MORE, coaching.error, lean_along(guidance, target, coaching.lean) if coaching.lean.any() else None)
+    if coaching.tilt >= UPRIGHT_MAX_TILT and float(upper @ coaching.lean) < -NEIGHBOUR_MIN_COS * leans:
+        return PressHint(HintKind.LESS, coaching.error)
+    toward = lean_along(guidance, target, coaching.lean) if coaching.lean.any() else None
+    return PressHint(HintKind.MORE, coaching.error, toward)
 
 
-def beside(coaching: PokeError, target: Target) -> bool:
-    """Return whether another taxel answers most than the taxel that is asked for."""
+def is_on_other_taxel(coaching: PokeError, target: Target) -> bool:
+    """Return whether another taxel than the target answers most."""
     return target.channel is not None and coaching.landed not in (None, target.channel)
 
 
-def _alike(first: Hint | None, second: Hint | None) -> bool:
+def _is_alike(first: PressHint | None, second: PressHint | None) -> bool:
     if first is None or second is None:
         return first is second
-    near = SAME_AIM if first.ask is Ask.AIM else SAME_TILT
+    near = SAME_AIM if first.ask is HintKind.AIM else SAME_TILT
     return (first.ask, first.toward) == (second.ask, second.toward) and abs(first.amount - second.amount) < near

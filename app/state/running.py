@@ -1,4 +1,4 @@
-"""What the program does with its devices. By itself: the window has it before numpy, and all that stands on it, is imported."""
+"""State of the devices. In a module of its own, since the window imports it before numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Running(Enum):
-    """What the program does with its devices."""
+    """State of the devices; the value is its name."""
 
     OPENING = "opening"
     STREAMING = "streaming"

@@ -1,4 +1,4 @@
-"""The one frozen value that a tick hands to all views: numbers, and what may be done now; every sentence is made from it."""
+"""The frozen value of a tick, which all views show. Texts are made from it."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from enum import Enum
 from app.scene3d.camera import PLAIN_POSE, CameraPose
 from app.state.policies import Allowed, Offer
 from app.state.running import Running
-from skincal.guide.guidance import Guidance, PokeError, Target
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
-from skincal.session.error_history import ModulesFound
 from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.units import ChannelNames
 
 
-class LinkLook(Enum):
-    """How a link is doing; an icon's shape shows it."""
+class LinkStatus(Enum):
+    """State of a link; the value is its name for the operator."""
 
     STREAMING = "streaming"
     WAITING = "waiting for data"
@@ -31,38 +31,36 @@ class LinkLook(Enum):
     LOST = "lost"
     ENDED = "ended"
     AWAY = "not read"
-    """The program reads no devices now: paused, or only looking at a recording."""
+    """Paused, or only viewing a recording."""
 
 
-_LOOKS = {
-    LinkAnswer.GOOD: LinkLook.STREAMING,
-    LinkAnswer.LISTENING: LinkLook.WAITING,
-    LinkAnswer.NO_ANSWER: LinkLook.SILENT,
-    LinkAnswer.FROZEN: LinkLook.FROZEN,
+_BY_ANSWER = {
+    LinkAnswer.GOOD: LinkStatus.STREAMING,
+    LinkAnswer.LISTENING: LinkStatus.WAITING,
+    LinkAnswer.NO_ANSWER: LinkStatus.SILENT,
+    LinkAnswer.FROZEN: LinkStatus.FROZEN,
 }
-"""Of a link that is open and brings bytes."""
-FAULTS = (LinkLook.LOST, LinkLook.FROZEN)
-"""A device is away, or does not measure any more."""
+LINK_FAULTS = (LinkStatus.LOST, LinkStatus.FROZEN)  # The device is away, or no longer measures
 
 
-def link_look(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkLook:
-    """Return how a link is doing, by the host's monotonic clock; `connected` where the program reads its devices."""
+def link_status(health: LinkHealth, now_ns: int, *, connected: bool = True) -> LinkStatus:
+    """Return the state of a link at a time of the host's monotonic clock; `connected` while the program reads devices."""
     if not connected:
-        return LinkLook.AWAY
+        return LinkStatus.AWAY
     if health.state in (LinkState.LOST, LinkState.FAILED):
-        return LinkLook.LOST
+        return LinkStatus.LOST
     if health.state is LinkState.ENDED:
-        return LinkLook.ENDED
-    # Nothing came yet: silence is counted from the first bytes on.
+        return LinkStatus.ENDED
+    # Silence counts from the first bytes on.
     if health.last_host_ns == 0:
-        return LinkLook.WAITING
+        return LinkStatus.WAITING
     if is_silent(health.last_host_ns * 1e-9, now_ns * 1e-9):
-        return LinkLook.SILENT
-    return _LOOKS.get(health.verdict.answer, LinkLook.WRONG)
+        return LinkStatus.SILENT
+    return _BY_ANSWER.get(health.verdict.answer, LinkStatus.WRONG)
 
 
-def looked_at(selected: int | None, guidance: Guidance | None) -> int | None:
-    """Return the channel of the taxel that is selected, else of the one that is asked for; None where there is neither."""
+def focused_channel(selected: int | None, guidance: Guidance | None) -> int | None:
+    """Return the channel of the selected taxel, else of the target; `None` if there is neither."""
     if selected is not None or guidance is None or guidance.target is None:
         return selected
     return guidance.target.channel
@@ -70,44 +68,43 @@ def looked_at(selected: int | None, guidance: Guidance | None) -> int | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewState:
-    """What the panels show; each compares it with what it showed before."""
+    """Everything that the panels show at one tick."""
 
     snapshot: Snapshot
     live: LiveView
     scene: Scene
+    """With the thresholds in use."""
     names: ChannelNames
     method: Method
+    """The shown method, which the guide serves."""
     selected: int | None
     """Channel of the selected taxel."""
     running: Running
     now_ns: int
-    """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
+    """Time of the newest processed reading, host's monotonic clock."""
     may: Allowed
-    """What the operator may do now."""
     behind_s: float = 0.0
-    """How long ago that was, while readings wait; else 0."""
+    """Age of the newest processed reading while others wait; 0 otherwise."""
     clock_offset: float = 0.0
-    """s to add to the monotonic clock for the time of day."""
+    """s. Time of day minus monotonic clock."""
     guidance: Guidance | None = None
-    """What to poke next and what each taxel still needs; None where nobody guides."""
+    """Next target and remaining needs of each taxel; `None` while the guide is off."""
     diversity: AxisDiversity | None = None
-    """What the contacts of the taxel that is looked at are like; None where nobody guides, or nothing is known of it."""
+    """Contacts of the focused taxel; `None` without guide or focused taxel."""
     coaching: PokeError | None = None
-    """The poke in progress beside the one that is asked for; None while nothing presses, or nobody guides."""
+    """Deviation of the current press from the target; `None` while nothing presses or the guide is off."""
     review: Review | None = None
-    """What pokes at landmarks say of the rig, and the places with and without its correction; None while nothing does."""
+    """Results of landmark pokes, with the positions without and with their correction; `None` before the first."""
     offers: tuple[Offer, ...] = ()
-    """What could put the rig right; none of it happens by itself."""
-    modules: ModulesFound | None = None
-    """Whether modules lie as planned; None while that was not worked out."""
+    """Available corrections of sensor and arm."""
     unsolved: int = 0
-    """How many taxels are being solved anew; what is shown is from before. 0 too where that takes no time to speak of."""
+    """Taxels that are being solved for longer than a moment; the estimates shown are older."""
     simulated: str = ""
-    """What is said of a rig that is none: empty of a real one."""
+    """Label shown for a simulated robot; empty for real devices."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])
-    """About how many pokes each method takes from the first to enough; none where no layout says."""
+    """Approximate pokes that each method needs in total; empty without a layout."""
     eye: CameraPose = PLAIN_POSE
-    """How the 3D view's camera stands: small pictures stand upright beside it."""
+    """Camera of the 3D view; small pictures have the same direction up."""
 
     @property
     def revision(self) -> int:
@@ -121,18 +118,16 @@ class ViewState:
 
     @property
     def estimates(self) -> tuple[Estimate, ...]:
-        """Estimates of the method that is shown; empty where the scene has no such method."""
+        """Estimates of the shown method; empty if the scene lacks it."""
         return self.snapshot.estimates.get(self.method, ())
 
     @property
     def target(self) -> Target | None:
-        """The poke that is asked for; None where none is."""
         return None if self.guidance is None else self.guidance.target
 
     @property
-    def looked_at(self) -> int | None:
-        """Channel of the taxel that is selected, else of the one that is asked for; None where there is neither."""
-        return looked_at(self.selected, self.guidance)
+    def focused_channel(self) -> int | None:
+        return focused_channel(self.selected, self.guidance)
 
     @property
     def connected(self) -> bool:
@@ -141,13 +136,12 @@ class ViewState:
 
     @property
     def lacks_pose(self) -> bool:
-        """Whether the arm's pose is not known, so that no poke counts."""
+        """Whether the arm's pose is unknown, so that no poke counts."""
         return self.scene.arm is not None and self.live.link_from_sensor is None
 
-    def look(self, link: LinkHealth) -> LinkLook:
-        """Return how one of `live.links` is doing."""
-        return link_look(link, self.now_ns, connected=self.connected)
+    def look(self, link: LinkHealth) -> LinkStatus:
+        return link_status(link, self.now_ns, connected=self.connected)
 
     def by_channel(self) -> Mapping[int, Estimate]:
-        """Return the shown method's estimates by their channel."""
+        """Return the estimates of the shown method by channel."""
         return {estimate.channel: estimate for estimate in self.estimates}

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from app.state.place_sets import Pair, PlaceOrigin, Source
 from app.text.outcomes import METHOD_NAMES
 from skincal.modules.health import LayoutRepair
 from skincal.taxels.differences import CommonMotion, ModuleDifference, Summary
@@ -23,22 +22,12 @@ MODULE_HINTS = (
     "Spacing of neighbouring taxels in the second set, divided by that of the layout",
 )
 MAX_LISTED_MODULES = 40
-"""The list has the modules with the largest difference: a list of 350 is not read, and each costs time with every poke."""
+"""The list has the modules with the largest difference: nobody reads 350, and each costs time with every poke."""
 ARROW_SCALES = (1, 3, 10)
 """Factors by which arrows can be lengthened."""
 
 
-def source_words(source: Source) -> str:
-    """Name a set of positions: `"Layout"`, `"Surface method"`, `"Free before correction"`."""
-    if source.origin is PlaceOrigin.TRUTH:
-        return "Truth"
-    if source.method is None:
-        return source.name or "Layout"
-    name = METHOD_NAMES[source.method].capitalize()
-    return f"{name} method" if source.origin is PlaceOrigin.METHOD else f"{name} {source.origin.value}"
-
-
-def difference_words(summary: Summary | None, pair: Pair, names: ChannelNames, channels: Sequence[int]) -> str:
+def difference_words(summary: Summary | None, pair: tuple[str, str], names: ChannelNames, channels: Sequence[int]) -> str:
     """Summarise the difference: `"84 taxels, mean 2.1 mm, largest 6.3 mm (17-04)"`."""
     if pair[0] == pair[1]:
         return "Both sets are the same: choose another one."
@@ -81,9 +70,9 @@ def worst_words(channel: int, length: float, names: ChannelNames) -> str:
     return f"{names.short(channel)}   {millimetres(length)}"
 
 
-def arrow_words(pair: Pair, scale: int, *, named: bool) -> str:
+def arrow_words(pair: tuple[str, str], scale: int, *, named: bool) -> str:
     """Describe the arrows: `"arrows true to scale"`; with both ends if `named`."""
-    ends = f" from {source_words(pair[0])} to {source_words(pair[1])}," if named else ""
+    ends = f" from {pair[0]} to {pair[1]}," if named else ""
     return f"arrows{ends} {'true to scale' if scale == 1 else f'{scale} times as long as the differences'}"
 
 
@@ -120,7 +109,7 @@ def save_hint(mend: LayoutRepair) -> str:
 
 
 def saved_words(path: Path, mend: LayoutRepair) -> str:
-    """Give the path of the corrected layout and its use."""
+    """Say where the corrected layout is, and how to use it."""
     changed = count(len(mend.changes), "module")
     return (
         f"The corrected layout is in {path}, {changed} changed. To solve this session with it: skincal solve SESSION "

@@ -12,14 +12,12 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.files.reference import Origin, Reference
-from skincal.geometry import FloatArray, axis_point, move_wrench
+from skincal.geometry import axis_point, move_wrench
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.units import ChannelNames, count, in_millimetres, millimetres, number
 
-PAPER = {Method.FREE: 7.2e-3, Method.SURFACE: 6.6e-3}
-"""m. Mean error of Del Prete et al. 2011 on their forearm, seven arm poses averaged (section V)."""
 SYMBOLS: Mapping[Method, str] = {
     Method.FREE: "\N{BLACK CIRCLE}",
     Method.SURFACE: "\N{BLACK DIAMOND}",
@@ -32,8 +30,6 @@ STATISTICS = {
     MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
 }
 """Names of the statistics, with their line styles."""
-STEPS = (1.0, 2.0, 5.0)
-"""Marks of a logarithmic axis in each decade."""
 MARKED_TRUST = 0.5
 """Pokes with less trust are marked in the list: 99 of 100 good pokes have more."""
 FULL_TRUST = 0.995
@@ -69,11 +65,6 @@ def quantity_words(source: Reference | None) -> str:
     return "expected error, mm" if source is None else "error, mm"
 
 
-def paper_words(method: Method) -> str:
-    """Label the paper's value, short enough for the edge of the plot."""
-    return f"{SYMBOLS[method]} paper {number(in_millimetres(PAPER[method]), 1)}"
-
-
 def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
     """Newest figures of a method: of all taxels if `row` is 0, else of the module with index `row` - 1."""
     course = series.spreads.get(method)
@@ -84,7 +75,7 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
 
 
 def progress_words(series: ErrorSeries) -> str:
-    """Count missing points, or give the spacing of the shown ones; may be empty."""
+    """Say what is still being computed, or how the points were thinned; may be empty."""
     if series.missing:
         return f"computing {count(series.missing, 'earlier point')}"
     if not len(series.counts):
@@ -95,30 +86,6 @@ def progress_words(series: ErrorSeries) -> str:
 def axis_words(series: ErrorSeries, axis: Axis) -> str:
     """Title of the horizontal axis."""
     return ": ".join(filter(None, (AXIS_TITLES[axis], progress_words(series))))
-
-
-def log_range(low: float, high: float) -> tuple[float, float]:
-    """Round a positive range outward to steps of 1, 2, 5 x 10^n."""
-    below, above = 10.0 ** math.floor(math.log10(low)), 10.0 ** math.floor(math.log10(high))
-    # With a tolerance for rounding.
-    bottom = max(step * below for step in STEPS if step * below <= low * (1 + 1e-9))
-    top = min(step * above for step in (*STEPS, 10.0) if step * above >= high * (1 - 1e-9))
-    return (bottom, top) if top > bottom else (bottom, 2.0 * bottom)
-
-
-def log_ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Make the ticks of a logarithmic axis: log10 of the value, and its text."""
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    values = [step * 10.0**decade for decade in decades for step in STEPS]
-    return [(math.log10(v), f"{v:g}") for v in values if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
-
-
-def shown_range(values: Sequence[FloatArray], least: float, most: float) -> tuple[float, float]:
-    """Choose the range, mm, of a logarithmic axis that includes all positive `values`, `least` and `most`."""
-    found = [v[np.isfinite(v) & (v > 0.0)] for v in values]
-    low = min([least, *(float(v.min()) for v in found if len(v))])
-    high = max([most, *(float(v.max()) for v in found if len(v))])
-    return log_range(low, high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +158,7 @@ def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> 
 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
-    """Give the trust in a poke for a taxel, and the reason."""
+    """Say how much a poke counts for a taxel, and why."""
     words = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
     miss = miss_of(contact, estimate)
     return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"

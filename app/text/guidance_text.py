@@ -6,9 +6,20 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from app.state.press_coach import ELSEWHERE, STRAIGHT, Ask, CoachMemory, Force, Hint, Lean, beside, lean_of
+from app.state.press_coach import (
+    OTHER_TAXEL_DISTANCE,
+    UPRIGHT_MAX_TILT,
+    CoachMemory,
+    ForceLevel,
+    HintKind,
+    LeanDirection,
+    PressHint,
+    is_on_other_taxel,
+    lean_of,
+)
 from app.state.view_state import ViewState
-from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, PokeError, Target
+from skincal.guide.guidance import Guidance, GuidePhase, LandmarkTarget, Target
+from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
@@ -18,7 +29,7 @@ from skincal.words.verdict_words import needs_clause
 MAX_NAMED_FINISHED = 3
 """Finished taxels named after one poke."""
 BETWEEN = "  \N{MIDDLE DOT}  "
-REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
+WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
 """The error that a poke should reduce: the free method errs mostly in depth, the others along the skin."""
 FOLLOWS: Mapping[Method, str] = {
     Method.FREE: "The guide serves the free method, which needs the tool leaning to all sides.",
@@ -29,13 +40,13 @@ FOLLOWS: Mapping[Method, str] = {
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
-    """Ask for a poke: `"Press taxel 17-04, lean 28° toward 17-05"`."""
+    """Say what to press: `"Press taxel 17-04, lean 28° toward 17-05"`."""
     if target.landmark:
         return f'Press the landmark "{target.landmark}"'
     if target.channel is None:
         return "Press inside the ring, tool upright"
     press = f"Press {names.taxel(target.channel)}"
-    if target.tilt < STRAIGHT:
+    if target.tilt < UPRIGHT_MAX_TILT:
         return f"{press}, tool upright"
     lean = lean_of(guidance, target)
     side = "" if lean is None else f" {lean_words(lean, names)}"
@@ -48,7 +59,7 @@ def landmark_words(landmark: LandmarkTarget) -> str:
 
 
 def gain_words(gain: Gain | None) -> str:
-    """Predict the error of sensor and arm after more landmark pokes; empty if unknown."""
+    """Say how landmark pokes should reduce the error of sensor and arm; empty if unknown."""
     if gain is None:
         return ""
     now, after = number(in_millimetres(gain.now), 1), millimetres(gain.after)
@@ -56,12 +67,12 @@ def gain_words(gain: Gain | None) -> str:
 
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
-    """Give the purpose of the poke, then the progress of the session."""
+    """Say what the poke is for, then how far the session is."""
     if guidance.closing is not None:
         at = guidance.closing
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
-        if at.lone is not None:
-            why = f"Only poke {at.lone} indicates a movement: press this point again to see if the tip slipped"
+        if at.suspect_poke is not None:
+            why = f"Only poke {at.suspect_poke} indicates a movement: press this point again to see if the tip slipped"
         return f"{why}{BETWEEN}Shift+N skips"
     if guidance.landmark is not None:
         return BETWEEN.join(filter(None, (landmark_words(guidance.landmark), gain_words(guidance.gain))))
@@ -78,16 +89,16 @@ def _reason(guidance: Guidance, target: Target) -> str:
             return "A check: does this poke agree with the estimate?"
         clause = needs_clause(missing[:1])
         return clause[:1].upper() + clause[1:]
-    what = REDUCED_ERROR_WORDS[guidance.method]
+    what = WHAT[guidance.method]
     if not np.isfinite(guidance.rms[row]):
         return f"{what.capitalize()} not known yet"
-    before = number(in_millimetres(target.before), 1)
-    return f"This poke should reduce the {what} error from {before} to {millimetres(target.after)}"
+    before = number(in_millimetres(target.rms_now), 1)
+    return f"This poke should reduce the {what} error from {before} to {millimetres(target.rms_after)}"
 
 
 def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Count the finished taxels among those in use."""
-    done, total = _count_finished(guidance, dead)
+    done, total = _done(guidance, dead)
     return f"{done} of {count(total, 'taxel')} finished"
 
 
@@ -105,8 +116,8 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Announce the end of the session: `"Finished: 80 of 84 (4 undetermined)"`."""
-    done, total = _count_finished(guidance, dead)
+    """Say that the session is finished: `"Finished: 80 of 84 (4 undetermined)"`."""
+    done, total = _done(guidance, dead)
     if not total:
         return "All taxels are disabled"
     return (
@@ -118,8 +129,8 @@ NOTHING_TO_CHECK = "The final check needs two points pressed before in this arm 
 
 
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Give the next step after the end, and the number of disabled taxels."""
-    unused = len(guidance.channels) - _count_finished(guidance, dead)[1]
+    """Say what follows when all is finished, and what was left out."""
+    unused = len(guidance.channels) - _done(guidance, dead)[1]
     left_out = f"{unused} disabled{BETWEEN}" if unused else ""
     return f"{left_out}Space: show the result and write the file"
 
@@ -154,7 +165,7 @@ def done_words(channels: Sequence[int], names: ChannelNames) -> str:
     return f"{named} and {more} more finished" if more > 0 else f"{named} finished"
 
 
-def _count_finished(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
+def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
     """Count finished taxels and all taxels in use."""
     used = set(guidance.channels.tolist()).difference(dead)
     return len(used & done_channels(guidance)), len(used)
@@ -176,17 +187,17 @@ def contacts_words(axes: AxisDiversity) -> str:
     return f"{count(len(axes.own), 'poke')}, {int(axes.own.sum())} strongest here" if len(axes.own) else ""
 
 
-def lean_words(lean: Lean, names: ChannelNames) -> str:
+def lean_words(lean: LeanDirection, names: ChannelNames) -> str:
     """Name the direction to lean to: `"toward 17-05"`."""
     return f"{'away from' if lean.away else 'toward'} {names.short(lean.channel)}"
 
 
-def hint_words(hint: Hint, target: Target, names: ChannelNames) -> str:
-    """Correct the press: `"Lean 8° more toward 17-05"`."""
-    if hint.ask is Ask.AIM:
+def hint_words(hint: PressHint, target: Target, names: ChannelNames) -> str:
+    """Say how to press better: `"Lean 8° more toward 17-05"`."""
+    if hint.ask is HintKind.AIM:
         where = "the ring" if target.channel is None else names.short(target.channel)
         return f"Move the tip {millimetres(hint.amount, 0)} toward {where}"
-    if hint.ask is Ask.LESS:
+    if hint.ask is HintKind.LESS:
         return f"Lean {degrees(hint.amount)} less"
     side = "" if hint.toward is None else f" {lean_words(hint.toward, names)}"
     return f"Lean {degrees(hint.amount)} more{side}"
@@ -196,11 +207,11 @@ def pressing_words(coaching: PokeError | None, target: Target | None, names: Cha
     """Compare the press with the requested poke: `"1.4 mm off target · lean 26° (wanted 28°)"`; or empty."""
     if coaching is None or target is None:
         return ""
-    if coaching.away > ELSEWHERE:
+    if coaching.away > OTHER_TAXEL_DISTANCE:
         return "" if coaching.landed is None else _landed_words(coaching.landed, names)
-    wanted = "" if target.tilt < STRAIGHT else f" (wanted {degrees(target.tilt)})"
+    wanted = "" if target.tilt < UPRIGHT_MAX_TILT else f" (wanted {degrees(target.tilt)})"
     lean = f"lean {degrees(coaching.tilt)}{wanted}"
-    if coaching.landed is not None and beside(coaching, target):
+    if coaching.landed is not None and is_on_other_taxel(coaching, target):
         return f"{_landed_words(coaching.landed, names)}{BETWEEN}{lean}"
     return f"{millimetres(coaching.away)} off target{BETWEEN}{lean}"
 
@@ -210,10 +221,10 @@ def _landed_words(channel: int, names: ChannelNames) -> str:
 
 
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:
-    """Ask for more or less force (empty if it is right), and give the force with its limit."""
+    """Say how to change the force, and the force with its limit; the first is empty if the force is right."""
     force, limits = newtons(float(np.linalg.norm(at.live.progress.force))), at.scene.contacts
-    if memory.force is Force.LOW:
+    if memory.force is ForceLevel.LOW:
         return "Press harder", f"{force}, needs {newtons(limits.force_min)}"
-    if memory.force is Force.HIGH:
+    if memory.force is ForceLevel.HIGH:
         return "Press softer", f"{force}, limit {newtons(limits.force_max)}"
     return "", force

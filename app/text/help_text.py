@@ -7,13 +7,13 @@ from pathlib import Path
 
 from skincal import __version__
 
-NO_DOCUMENTS = "This copy of skincal has no documents; {name} is in the folder docs of the source."
+NO_DOCUMENTS = "This copy of skincal has no documents; they are in the folder docs of the source."
 LICENCE = "BSD 3-Clause License: you may use, change and pass it on with its copyright notice, without any warranty."
 
 
-def unopened_words(page: Path) -> str:
-    """Say that the desktop cannot open a page."""
-    return f"No program of this desktop opens {page}. It is a text file for any editor."
+def unopened_words(folder: Path) -> str:
+    """Say that the desktop cannot open the documents."""
+    return f"No program of this desktop opens {folder}. The documents there are text files for any editor."
 
 
 def about_words(qt: str) -> str:

@@ -48,7 +48,7 @@ def curve_words(preview: RecordingPreview) -> str:
 
 
 def imported_words(imported: Imported) -> str:
-    """Announce the imported session."""
+    """Say what became of a recording."""
     pokes = count(imported.pokes, "poke")
     if imported.unpoked:
         return f"{imported.unpoked} The recording is the session {plain_text(str(imported.folder))}."

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from app.state.policies import is_news, newest_outcome
-from app.state.press_coach import SILENT, CoachMemory, Force, follow_press
+from app.state.press_coach import NO_HINT, CoachMemory, ForceLevel, follow_press
 from app.state.running import Running
-from app.state.view_state import FAULTS, LinkLook, ViewState
+from app.state.view_state import LINK_FAULTS, LinkStatus, ViewState
 from app.text.guidance_text import (
     BETWEEN,
     done_words,
@@ -33,7 +33,8 @@ from app.text.outcomes import (
     verdict_words,
 )
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
-from skincal.guide.guidance import PRESSING, Guidance, GuidePhase
+from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.press_coaching import PRESSING
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
@@ -112,7 +113,7 @@ class NowMemory:
     """Guidance of the tick before."""
     done: tuple[int, ...] = ()
     """Channels finished by the newest poke, ascending."""
-    coach: CoachMemory = SILENT
+    coach: CoachMemory = NO_HINT
     deed: LastOperation | None = None
     """Last action of the operator."""
     deed_until_s: float = -math.inf
@@ -158,7 +159,7 @@ def _deed(memory: NowMemory, at: ViewState) -> Said | None:
 
 
 def deed_words(deed: LastOperation) -> str:
-    """Name the operator's last action, with the key that reverses it: `"poke 438 undone (Ctrl+Y: redo)"`."""
+    """Say what the operator did, and how to reverse it: `"poke 438 undone (Ctrl+Y: redo)"`."""
     if deed.kind is OperationKind.UNDONE:
         return f"{deed.name} undone (Ctrl+Y: redo)"
     if deed.kind is OperationKind.REDONE:
@@ -167,7 +168,7 @@ def deed_words(deed: LastOperation) -> str:
 
 
 def _costs(at: ViewState) -> Said | None:
-    """Predict the pokes that each method needs, before the first poke on the skin; `None` if unknown."""
+    """Say how many pokes each method needs, before the first poke on the skin; `None` if unknown."""
     known = [(method, pokes) for method, pokes in at.costs.items() if pokes]
     if len(known) < 2 or at.snapshot.contacts:
         return None
@@ -216,10 +217,10 @@ def _trouble(at: ViewState) -> Now | None:
         return Now(Tone.CALM, "Paused", "Not recording. Space: continue")
     if at.running is Running.OFFLINE:
         return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
-    fault = next((link for link in at.live.links if at.look(link) in FAULTS), None)
+    fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)
-        how = "disconnected" if at.look(fault) is LinkLook.LOST else "stuck"
+        how = "disconnected" if at.look(fault) is LinkStatus.LOST else "stuck"
         detail = link_detail(fault, at) or "Reconnecting automatically"
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]} {how}", f"{detail[:1].upper()}{detail[1:]}")
     return None
@@ -233,13 +234,13 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
     asked = hint_words(hint, at.target, at.names) if hint is not None and at.target is not None else ""
     force, detail = force_words(memory.coach, at)
     if force:
-        tone = Tone.HOLD if memory.coach.force is Force.LOW else Tone.BAD
+        tone = Tone.HOLD if memory.coach.force is ForceLevel.LOW else Tone.BAD
         return Now(tone, force, BETWEEN.join(filter(None, (detail, asked or how))))
     return Now(Tone.HOLD, asked or "Hold still", f"{detail}{BETWEEN}{how}" if how else f"{detail}, keep the tip where it is")
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
-    """Show the result of the newest poke above the next step."""
+    """Say what to do next, with the result of the newest poke."""
     said, detail = _ended(outcome, memory, at)
     # A quick operator pokes again while this is still shown.
     following = _calm(memory.phase, at) if at.guidance is None or at.unsolved else _guided(at)
@@ -247,7 +248,7 @@ def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
 
 
 def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, str]:
-    """Describe the outcome of a poke, and its effect or advice."""
+    """Say how a poke ended, and what it changed or what to do better."""
     number = f"Poke {outcome.poke}"
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
@@ -279,7 +280,7 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
 
 
 def _next(at: ViewState) -> str:
-    """Name the next step, or the end; empty without a guide."""
+    """Say what to do next, or that all is finished; empty without a guide."""
     if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
         return enough_words(at.guidance, at.snapshot.dead)
     if at.guidance is None or at.target is None:
@@ -315,24 +316,24 @@ def _ask_pose(at: ViewState) -> Now:
 
 def _no_data(at: ViewState) -> Now:
     links = at.live.links
-    wrong = next((link for link in links if at.look(link) is LinkLook.WRONG), None)
+    wrong = next((link for link in links if at.look(link) is LinkStatus.WRONG), None)
     if wrong is not None:
         name, verdict = link_name(wrong), _SHORT_VERDICTS[wrong.verdict.answer]
         return Now(Tone.BAD, f"{name[:1].upper()}{name[1:]}: {verdict}", f"{link_detail(wrong, at)}{CHANGE_HINT}")
-    missing = [link for link in links if at.look(link) in (LinkLook.WAITING, LinkLook.SILENT)]
+    missing = [link for link in links if at.look(link) in (LinkStatus.WAITING, LinkStatus.SILENT)]
     if missing:
         return Now(
             Tone.WAIT,
             f"Waiting for {', '.join(_SHORT_NAMES.get(link.link, link.link) for link in missing)}",
             link_detail(missing[0], at),
         )
-    if links and all(at.look(link) is LinkLook.ENDED for link in links):
+    if links and all(at.look(link) is LinkStatus.ENDED for link in links):
         return Now(Tone.CALM, "Recording ended", "All of it has been read")
     return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
 
 
 def modules_enough_words() -> str:
-    """Announce that the modules method is finished while another method is shown."""
+    """Say that the modules method is finished while another method is shown."""
     settings = GuideSettings()
     pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
     words = f"The modules method is finished: {pokes} pokes on every module, expected errors of at most {wanted:g} mm."

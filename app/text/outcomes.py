@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.state.policies import GOOD_RMS, Mark
-from app.state.view_state import LinkLook, ViewState, link_look
+from app.state.view_state import LinkStatus, ViewState, link_status
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.geometry import move_wrench, pitch
 from skincal.model.readings import LinkAnswer, LinkHealth
@@ -55,13 +55,13 @@ def peak_channel(outcome: Outcome) -> int | None:
 
 
 def landed_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Describe the outcome of a poke away from its landmark: `"accepted for 17-04: "`."""
+    """Say what a poke away from its landmark counts for: `"accepted for 17-04: "`."""
     peak = peak_channel(outcome)
     return f"accepted for {names.short(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Describe the outcome of a poke; `verdict_detail` has the numbers of a long reason."""
+    """Say how a poke ended; `verdict_detail` has the numbers of a long reason."""
     if isinstance(outcome, Rejection):
         return f"rejected: {_headline_reason(outcome)}"
     return accepted_words(outcome, names)
@@ -77,7 +77,7 @@ def accepted_words(contact: Contact, names: ChannelNames, asked: int | None = No
 
 
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
-    """Describe the effect of a poke, or give advice."""
+    """Say what a poke changed, or what to do better."""
     if isinstance(outcome, Rejection):
         words = rejection_words(outcome)
         left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(REASON_WORDS[outcome.reason]).strip(': ')}. "
@@ -157,7 +157,7 @@ class LinkWords:
     """Texts for one link."""
 
     name: str
-    look: LinkLook
+    look: LinkStatus
     short: str
     """For the status line: `"force/torque sensor 1000 Hz"`."""
     rate: str
@@ -172,11 +172,11 @@ def link_words(health: LinkHealth, now_ns: int, clock_offset: float = 0.0, *, co
     """Make the texts for a link.
 
     A silent link shows the time of its last bytes rather than their age, so that the screen stays still while nothing streams.
-    `now_ns` is the host's monotonic clock, `clock_offset`, s, converts it to the time of day; `connected` as for `link_look`.
+    `now_ns` is the host's monotonic clock, `clock_offset`, s, converts it to the time of day; `connected` as for `link_status`.
     """
-    look = link_look(health, now_ns, connected=connected)
+    look = link_status(health, now_ns, connected=connected)
     shown_rate, last = look.value, _last_words(health, clock_offset)
-    if look is LinkLook.STREAMING:
+    if look is LinkStatus.STREAMING:
         shown_rate, last = rate(health.rate), age((now_ns - health.last_host_ns) * 1e-9)
     losses = sorted(((loss.value, n) for loss, n in health.losses.items() if n), key=lambda item: -item[1])
     detail = _link_detail(health, look, last)
@@ -190,12 +190,12 @@ def link_lines(at: ViewState) -> tuple[LinkWords, ...]:
 
 
 def link_detail(link: LinkHealth, at: ViewState) -> str:
-    """Describe the problem of a link; empty if there is none."""
+    """Say what is wrong with a link; empty if nothing is."""
     return _link_detail(link, at.look(link), _last_words(link, at.clock_offset))
 
 
 def preview_words(health: LinkHealth) -> str:
-    """Describe the readings of a previewed link, or why it does not open."""
+    """Say what a previewed link carries, or why it does not open."""
     words = link_verdict_words(health.verdict)
     return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 
@@ -206,11 +206,11 @@ def _last_words(health: LinkHealth, clock_offset: float) -> str:
     return time.strftime("%H:%M:%S", time.localtime(health.last_host_ns * 1e-9 + clock_offset))
 
 
-def _link_detail(health: LinkHealth, look: LinkLook, last: str) -> str:
-    if look is LinkLook.SILENT:
+def _link_detail(health: LinkHealth, look: LinkStatus, last: str) -> str:
+    if look is LinkStatus.SILENT:
         return f"Connected, but no data since {last}. Check that the device sends."
-    if look is LinkLook.WAITING and health.last_host_ns == 0:
+    if look is LinkStatus.WAITING and health.last_host_ns == 0:
         return health.text or "Connected, no data yet. Check the address, the baud rate and that the device sends."
-    if look in (LinkLook.WRONG, LinkLook.FROZEN):
+    if look in (LinkStatus.WRONG, LinkStatus.FROZEN):
         return link_verdict_words(health.verdict)
-    return "" if look in (LinkLook.STREAMING, LinkLook.AWAY) else health.text
+    return "" if look in (LinkStatus.STREAMING, LinkStatus.AWAY) else health.text

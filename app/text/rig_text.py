@@ -24,7 +24,7 @@ def offer_text(offer: Offer) -> str:
     """Label the button of an available correction."""
     if offer.frame is not None:
         return "Correct the sensor frame"
-    return "Update the correction of sensor and arm" if offer.anew else "Correct sensor and arm"
+    return "Update the correction of sensor and arm" if offer.replaces else "Correct sensor and arm"
 
 
 def offer_words(offer: Offer) -> str:
@@ -48,7 +48,7 @@ def corrected_words(action: Correct) -> str:
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
-    """Give the distance by which a correction moves, or has moved, the taxels of a method; empty if unknown."""
+    """Say how far a correction moves, or has moved, the taxels of a method; empty if unknown."""
     other = review.before.get(method, review.after.get(method))
     if other is None:
         return ""
@@ -76,7 +76,7 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Summarise the errors of sensor and arm, which held-out pokes of the skin hardly show."""
+    """Say what is known about errors of sensor and arm, which held-out pokes of the skin hardly show."""
     if offers:
         return f"{offer_words(offers[0])} C: apply. Rig tab: details."
     in_use = " ".join(correction_sentence(correction) for correction in used)

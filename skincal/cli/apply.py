@@ -60,16 +60,16 @@ def apply(
     refusal it stops.
     """
     from skincal.cli import report
-    from skincal.robot.skin_manager import applied_words, apply_positions, check_port, question_words
+    from skincal.robot.skin_manager import apply_positions, check_port, command_text, result_text
 
     check_port(to)
     positions, verdict = _positions(source, (method, part), layout, (correct, replay))
     lines = [] if verdict is None else [f"{verdict}."]
     if dry_run:
         asked = [
-            question_words(question)
+            command_text(command)
             for channel in positions.rows
-            for question in (positions.question(channel), positions.trust(channel))
+            for command in (positions.set_pose_command(channel), positions.set_confidence_command(channel))
         ]
         result = {"part": positions.part, "would_send": asked, "verdict": verdict}
         report.print_result({**result, "text": [*lines, *asked, f"{len(positions.rows)} taxels; {DRY_RUN_NOTICE}"]}, as_json)
@@ -78,11 +78,11 @@ def apply(
     if kept.exists() and kept.samefile(source):
         # Going back may end half way; the same command again must find what it began with.
         kept = kept.with_stem(f"{kept.stem}-undone")
-    applied = apply_positions(to, positions, kept, timeout, None if as_json else _say)
-    answers = [{"asked": asked, "answered": answered} for asked, answered in applied.asked]
+    applied = apply_positions(to, positions, kept, timeout, (lambda _: None) if as_json else _say)
+    answers = [{"asked": asked, "answered": answered} for asked, answered in applied.answers]
     result: dict[str, Any] = {"part": positions.part, "changed": applied.changed, "same": applied.same}
-    result |= {"before": applied.before, "verdict": verdict, "answers": answers}
-    report.print_result({**result, "text": [*lines, applied_words(applied, positions.part)]}, as_json)
+    result |= {"before": applied.backup, "verdict": verdict, "answers": answers}
+    report.print_result({**result, "text": [*lines, result_text(applied, positions.part)]}, as_json)
 
 
 def _say(line: str) -> None:

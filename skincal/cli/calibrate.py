@@ -147,9 +147,9 @@ def _solved(pipeline: Pipeline, known: Mapping[int, FloatArray] | None, *, per_p
 
 def _distance(tried: TriedDistance) -> dict[str, Any]:
     """Return a known distance, and what pokes say of it, as JSON."""
-    lengths = {"told_mm": tried.told.length, "found_mm": tried.found, "sd_mm": tried.sd}
+    lengths = {"told_mm": tried.distance.length, "found_mm": tried.found, "sd_mm": tried.sd}
     in_mm = {key: None if value is None else value * 1e3 for key, value in lengths.items()}
-    return {"taxels" if tried.told.of_taxels else "modules": tried.told.ends, "use": tried.use.value, **in_mm}
+    return {"taxels" if tried.distance.of_taxels else "modules": tried.distance.ends, "use": tried.use.value, **in_mm}
 
 
 def _opened(session: Path, from_bytes: bool, layout: Path | None) -> Pipeline:

@@ -15,7 +15,7 @@ from skincal.cli.calibrate import Json
 from skincal.cli.record import stopping
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError, plural
-from skincal.model.readings import Batch, Chunk, JointsBatch, LinkEvent, LinkState, Loss, SkinBatch, Stream, WrenchBatch
+from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Stream
 
 if TYPE_CHECKING:
     from skincal.streams.decoders.auto_detect import LinkDecoder
@@ -57,7 +57,7 @@ class Watched:
         self._verdict_words = link_verdict_words
         # Without the width of a skin everything fits: who names one stream hears of another in its place.
         named = carries if len(carries) == 1 else ()
-        self._ear = LinkMonitor(
+        self._monitor = LinkMonitor(
             named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, tuple(Stream))
         )
         self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
@@ -71,18 +71,17 @@ class Watched:
     def take(self, item: Chunk | LinkEvent) -> None:
         """Take what the reader brought."""
         if isinstance(item, LinkEvent):
-            self._ear.follow(item)
+            self._monitor.on_event(item)
             self.states.add(item.state)
             if item.state is LinkState.OPEN:
                 self._decoder = self._make()
             return
         batches = [batch for _, batch in self._decoder.feed(item.data, item.host_ns)]
         if item.data:
-            self._ear.hear(item.data, item.host_ns, batches)
+            self._monitor.on_data(item.data, item.host_ns, batches)
         for batch in batches:
-            stream, words = _newest(batch)
-            self.readings[stream] += len(batch.seq)
-            self.newest[stream] = words
+            self.readings[batch.stream] += len(batch.seq)
+            self.newest[batch.stream] = _newest(batch)
 
     def figures(self) -> dict[str, Any]:
         """Return the verdict, format, rates since the last call, newest readings, losses and what the device says."""
@@ -90,31 +89,29 @@ class Watched:
         passed_s, self._began_s = max(now_s - self._began_s, 1e-3), now_s
         rates = {stream.value: round(count / passed_s, 1) for stream, count in self.readings.items()}
         self.readings.clear()
-        losses: Counter[Loss] = self._decoder.counts
+        decoder = self._decoder.current
         return {
-            "verdict": self._verdict_words(self._ear.judge(time.monotonic_ns())),
-            "format": self._decoder.name,
+            "verdict": self._verdict_words(self._monitor.diagnose(time.monotonic_ns())),
+            "format": decoder.name,
             "rates": rates,
             "newest": {stream.value: words for stream, words in self.newest.items()},
-            "units": {stream.value: words for stream, words in self._decoder.units.items() if stream in self.newest},
-            "losses": {loss.value: count for loss, count in losses.items() if count},
-            "beside": {name: asdict(found) for name, found in self._decoder.side_readings.items()},
-            "note": self._decoder.device_message,
+            "units": {stream.value: words for stream, words in decoder.units.items() if stream in self.newest},
+            "losses": {loss.value: count for loss, count in decoder.counts.items() if count},
+            "beside": {name: asdict(found) for name, found in decoder.side_readings.items()},
+            "note": decoder.device_message,
         }
 
 
-def _newest(batch: Batch) -> tuple[Stream, str]:
+def _newest(batch: Batch) -> str:
     import numpy as np
 
-    if isinstance(batch, WrenchBatch):
-        force, moment = batch.wrench[-1, :3].tolist(), batch.wrench[-1, 3:].tolist()
-        flags = " beyond its range" if batch.saturated[-1] else " invalid" if batch.invalid[-1] else ""
-        return Stream.WRENCH, f"F {_numbers(force, 2)} N, M {_numbers(moment, 3)} N m{flags}"
-    if isinstance(batch, JointsBatch):
-        return Stream.JOINTS, f"{_numbers(np.degrees(batch.angles[-1]).tolist(), 1)} deg"
-    assert isinstance(batch, SkinBatch)
     values = batch.values[-1]
-    return Stream.SKIN, f"{len(values)} values, {np.nanmin(values):g} to {np.nanmax(values):g}"
+    if batch.stream is Stream.WRENCH:
+        flags = " beyond its range" if batch.saturated[-1] else " invalid" if batch.invalid[-1] else ""
+        return f"F {_numbers(values[:3].tolist(), 2)} N, M {_numbers(values[3:].tolist(), 3)} N m{flags}"
+    if batch.stream is Stream.JOINTS:
+        return f"{_numbers(np.degrees(values).tolist(), 1)} deg"
+    return f"{len(values)} values, {np.nanmin(values):g} to {np.nanmax(values):g}"
 
 
 def _numbers(values: list[float], digits: int) -> str:

@@ -190,8 +190,9 @@ def _make_operator(
 def _asked(hand: Auto | Told, targets: str | None) -> Generator[None]:
     """Have a hand poke what is asked at a port, where one is named."""
     from skincal.robot.target_lines import NoTarget
-    from skincal.robot.target_server import TargetClient, parse_port
+    from skincal.robot.target_server import parse_port
     from skincal.simulate.operator import Guided
+    from skincal.simulate.robot_client import TargetClient
 
     if targets is None or not isinstance(hand, Guided):
         yield

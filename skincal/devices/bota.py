@@ -16,8 +16,8 @@ from dataclasses import replace
 from importlib.util import find_spec
 from typing import ClassVar
 
-from skincal.devices.decoding import INVALID_BIT, SATURATED_BIT, DeviceTime, FixedFrameSplitter, FrameDecoder, FrameSplitter
-from skincal.devices.family import Command, DeviceAddress, Family, Form, Handshake, Questions, Route, TableRow, Vector
+from skincal.devices.decoding import INVALID_BIT, SATURATED_BIT, DeviceTime, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.family import Command, DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import TEMPERATURE, Loss, Stream
 
@@ -43,14 +43,14 @@ def crc_x25(data: bytes) -> int:
     return (_REVERSED[mirrored & 0xFF] << 8 | _REVERSED[mirrored >> 8]) ^ 0xFFFF
 
 
-def _is_frame(frame: bytes) -> bool:
+def _frame_end(buffer: bytes, at: int) -> int:
+    frame = buffer[at : at + FRAME_BYTES]
     if crc_x25(frame[1:-2]) != frame[-2] | frame[-1] << 8:
-        return False
+        return 0
     _, *wrench, _, temperature = DATA.unpack_from(frame, 1)
     # Sixteen bits fit by chance once in 65,536 bytes AA of a line at the wrong baud rate.
-    return TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and all(
-        not math.isfinite(value) or abs(value) < PLAUSIBLE_MAX for value in wrench
-    )
+    is_plausible = all(not math.isfinite(value) or abs(value) < PLAUSIBLE_MAX for value in wrench)
+    return at + FRAME_BYTES if TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and is_plausible else 0
 
 
 class BotaHandshake(Handshake):
@@ -72,21 +72,16 @@ class BotaDecoder(FrameDecoder):
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
         self._time = DeviceTime()
-        self._state = ""
 
     def _make_splitter(self) -> FrameSplitter:
-        return FixedFrameSplitter(b"\xaa", FRAME_BYTES, _is_frame)
-
-    @property
-    def device_message(self) -> str:
-        return self._state or self._problem
+        return HeadSplitter(b"\xaa", FRAME_BYTES, _frame_end)
 
     def _decode(self, frame: bytes) -> Loss | None:
         status, *wrench, raw_us, temperature = DATA.unpack_from(frame, 1)
         self.valid_records += 1
         self._add_side_reading(TEMPERATURE, temperature)
         said = [words for bit, words in STATUS_SENTENCES.items() if status & bit]
-        self._state = f"The sensor says: {'; '.join(said)}" if said else ""
+        self._status = f"The sensor says: {'; '.join(said)}" if said else ""
         flags = (SATURATED_BIT if status & OVERRANGE else 0) | (INVALID_BIT if status & (INVALID | RAW) else 0)
         return self._add(Stream.WRENCH, -1, self._time.unwrap(raw_us), wrench, flags)
 
@@ -142,23 +137,6 @@ FAMILY = Family(
         ),
     ),
     decoders={"bota": BotaDecoder},
-    table=(
-        TableRow(
-            'Bota Rokubi, SensONE, MiniONE (serial, "gen0")',
-            "its port, such as `/dev/ttyUSB0`, or `bota:/dev/ttyUSB0`",
-            "simulator, vectors",
-            "up to 1004 Hz",
-            "skipped samples, beyond range, invalid, raw; temperature",
-        ),
-        TableRow(
-            'newer Bota sensors ("Gen A") by the maker\'s `bota-driver`',
-            "`bota://192.168.0.45` (Ethernet), `bota:///dev/ttyACM0`, `bota:///COM7` (serial)",
-            "dummy (1.1.16), a fake of its API",
-            "270 Hz (dummy)",
-            "the same",
-        ),
-    ),
-    wiring=(('Bota "gen0"', "USB serial, 460800 8N1; rate 51200 over its sinc length: 512 is 100 Hz, 51 is 1004 Hz"),),
     vectors=(
         Vector(
             "bota",

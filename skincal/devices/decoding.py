@@ -10,13 +10,13 @@ import struct
 from abc import ABC, abstractmethod
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.readings import Batch, JointsBatch, Loss, SideReading, SkinBatch, Stream, WrenchBatch
+from skincal.model.readings import Batch, Loss, SideReading, Stream
 
 SEQ_MODULUS = 1 << 16
 """The counters of SKT/1 and SKB/1 have 16 bits."""
@@ -153,72 +153,62 @@ class GapCounter:
 # ------------------------------------------------------------------ splitters
 
 
-class FrameSplitter(Protocol):
-    """Cuts bytes into frames. How the bytes were cut on the way makes no difference."""
-
-    @property
-    def has_partial_frame(self) -> bool:
-        """Whether bytes of an unfinished frame are kept, or bytes are being skipped."""
-        ...
-
-    def split(self, data: bytes) -> list[bytes | None]:
-        """Return the frames that `data` completes; `None` stands for a run of bytes that is no frame."""
-        ...
-
-
-class MarkSplitter:
-    """Cuts bytes at `mark`. Bytes after the last mark are kept, at most `limit`."""
-
-    def __init__(self, mark: bytes, limit: int) -> None:
-        self._mark = mark
-        self._limit = limit
-        self._rest = b""
-        self._skipping = False
-
-    @property
-    def has_partial_frame(self) -> bool:
-        return bool(self._rest) or self._skipping
-
-    def split(self, data: bytes) -> list[bytes | None]:
-        """Return the completed frames without their mark; `None` stands for one that was too long."""
-        cut = (self._rest + data).split(self._mark)
-        self._rest = cut.pop()
-        # The rest of a frame that was counted as too long when it was dropped.
-        if cut and self._skipping:
-            del cut[0]
-            self._skipping = False
-        frames: list[bytes | None] = [frame if len(frame) <= self._limit else None for frame in cut]
-        if len(self._rest) > self._limit:
-            self._rest = b""
-            # Counted once, however many chunks the frame spans.
-            if not self._skipping:
-                frames.append(None)
-            self._skipping = True
-        return frames
-
-
 class ProtocolError(ValueError):
     """Bytes break the protocol; the message is a sentence without the device's address."""
 
 
-class LengthSplitter:
+class FrameSplitter(ABC):
+    """Cuts bytes into frames. How the bytes were cut on the way makes no difference."""
+
+    fault: str = ""
+    """What breaks the protocol, a sentence; then nothing more is a frame. Empty while nothing does."""
+    _rest: bytes = b""
+    """Bytes of an unfinished frame."""
+    _lost: bool = False
+    """Whether the last bytes were no frame: a run of them counts once."""
+
+    @abstractmethod
+    def split(self, data: bytes) -> list[bytes | None]:
+        """Return the frames that `data` completes; `None` stands for a run of bytes that is no frame."""
+
+
+class MarkSplitter(FrameSplitter):
+    """Cuts bytes at `mark`, which no frame keeps. A frame longer than `limit` bytes is `None`."""
+
+    def __init__(self, mark: bytes, limit: int) -> None:
+        self._mark = mark
+        self._limit = limit
+
+    @property
+    def has_partial_frame(self) -> bool:
+        """Whether bytes of an unfinished frame are kept or skipped."""
+        return bool(self._rest) or self._lost
+
+    def split(self, data: bytes) -> list[bytes | None]:
+        cut = (self._rest + data).split(self._mark)
+        self._rest = cut.pop()
+        # The rest of a frame that was counted as too long when it was dropped.
+        if cut and self._lost:
+            del cut[0]
+            self._lost = False
+        frames: list[bytes | None] = [frame if len(frame) <= self._limit else None for frame in cut]
+        if len(self._rest) > self._limit:
+            self._rest = b""
+            if not self._lost:
+                frames.append(None)
+            self._lost = True
+        return frames
+
+
+class LengthSplitter(FrameSplitter):
     """Cuts frames whose head says their length. Nothing is a frame after bytes that break the protocol.
 
-    Parameters
-    ----------
-    next_frame : returns the frame that begins at a place of a buffer and the place of its end, or `None` while it is
-        incomplete. Raises ProtocolError.
+    `next_frame` returns the frame that begins at a place of a buffer and the place of its end, or `None` while it is
+    incomplete. It raises ProtocolError.
     """
 
     def __init__(self, next_frame: Callable[[bytes, int], tuple[bytes, int] | None]) -> None:
         self._next_frame = next_frame
-        self._rest = b""
-        self.fault = ""
-        """What breaks the protocol, a sentence; empty while nothing does."""
-
-    @property
-    def has_partial_frame(self) -> bool:
-        return bool(self._rest or self.fault)
 
     def split(self, data: bytes) -> list[bytes | None]:
         frames: list[bytes | None] = []
@@ -231,8 +221,7 @@ class LengthSplitter:
                 frames.append(frame)
             self._rest = rest[at:]
         except ProtocolError as error:
-            self.fault = str(error)
-            self._rest = b""
+            self.fault, self._rest = str(error), b""
             frames.append(None)
         return frames
 
@@ -260,40 +249,41 @@ def packet_splitter(limit: int) -> LengthSplitter:
     return LengthSplitter(next_packet)
 
 
-class FixedFrameSplitter:
-    """Cuts frames of one `length` that begin with `head` and pass `is_valid`. A run of other bytes is one `None`.
+class HeadSplitter(FrameSplitter):
+    """Searches for frames that begin with `head`. A run of other bytes is one `None`.
 
-    After bytes that are no frame the search goes on at the next byte, since a head may also stand inside a frame. `between` is
-    what the device may say between two frames; it is ignored and is shorter than a frame.
+    After bytes that are no frame the search goes on at the next byte, since a head may also stand inside a frame.
+
+    Parameters
+    ----------
+    bytes_min : shortest frame
+    frame_end : returns the end of the frame that begins at a place of a buffer, 0 if none does, `None` if more bytes are needed
+    between : ignored bytes that the device may send between two frames; shorter than a frame
     """
 
-    def __init__(self, head: bytes, length: int, is_valid: Callable[[bytes], bool], between: bytes = b"") -> None:
-        self._head, self._length, self._is_valid, self._between = head, length, is_valid, between
-        self._rest = b""
-        self._lost = False
-
-    @property
-    def has_partial_frame(self) -> bool:
-        return bool(self._rest) or self._lost
+    def __init__(
+        self, head: bytes, bytes_min: int, frame_end: Callable[[bytes, int], int | None], between: bytes = b""
+    ) -> None:
+        self._head, self._bytes_min, self._frame_end, self._between = head, bytes_min, frame_end, between
 
     def split(self, data: bytes) -> list[bytes | None]:
         frames: list[bytes | None] = []
         rest, at = self._rest + data, 0
-        while len(rest) - at >= self._length:
-            frame = rest[at : at + self._length]
-            if frame.startswith(self._head) and self._is_valid(frame):
-                frames.append(frame)
-                at += self._length
-                self._lost = False
-                continue
-            if self._between and not self._lost and rest.startswith(self._between, at):
+        while len(rest) - at >= self._bytes_min:
+            end = self._frame_end(rest, at) if rest.startswith(self._head, at) else 0
+            if end is None:
+                break
+            if end:
+                frames.append(rest[at:end])
+                at, self._lost = end, False
+            elif self._between and not self._lost and rest.startswith(self._between, at):
                 at += len(self._between)
-                continue
-            if not self._lost:
-                frames.append(None)
-            self._lost = True
-            found = rest.find(self._head, at + 1)
-            at = found if found >= 0 else max(len(rest) - len(self._head) + 1, at + 1)
+            else:
+                if not self._lost:
+                    frames.append(None)
+                self._lost = True
+                found = rest.find(self._head, at + 1)
+                at = found if found >= 0 else max(len(rest) - len(self._head) + 1, at + 1)
         self._rest = rest[at:]
         return frames
 
@@ -304,11 +294,10 @@ class FixedFrameSplitter:
 class FrameDecoder(ABC):
     """Decodes frames into batches of readings, for the streams that a link carries.
 
-    Readings of other streams are dropped without a count. The first frame after opening may have lost its beginning, so it is
-    not counted as a loss if it cannot be read.
+    Readings of other streams are dropped without a count.
     """
 
-    name: ClassVar[str]
+    name: ClassVar[str] = ""
     mark: ClassVar[bytes]
     """End of a frame, unless `_make_splitter` is overridden."""
     limit: ClassVar[int]
@@ -317,6 +306,8 @@ class FrameDecoder(ABC):
     """Loss that is counted for bytes that are no frame."""
     has_checksum: ClassVar[bool] = False
     """Whether one good frame proves the format; then the decoder is tried on unknown bytes."""
+    starts_whole: ClassVar[bool] = False
+    """Whether a connection begins with a whole frame. Else the first frame is not counted as lost if it cannot be read."""
     single_stream: ClassVar[bool] = False
     """Whether a file of this format carries one stream only."""
     needs_recipe: ClassVar[bool] = False
@@ -328,12 +319,16 @@ class FrameDecoder(ABC):
         """Records that are surely of this format."""
         self._problem = ""
         """What was last wrong with the device's records, a sentence; empty if nothing was."""
+        self._status = ""
+        """What the device reports of itself now, a sentence; empty if nothing."""
+        self._carries = carries
         widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
         self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
         # Readings of each stream since the last batch: number, device's clock, values, status.
         self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)
         self._splitter = self._make_splitter()
-        self._first = True
+        self._gaps = GapCounter()
+        self._first = not self.starts_whole
         self.units = dict(DEFAULT_UNITS)
         """Names and unit of the values of a reading."""
         self.side_readings: dict[str, SideReading] = {}
@@ -345,7 +340,8 @@ class FrameDecoder(ABC):
     @property
     def device_message(self) -> str:
         """What the device got wrong or reported last, a sentence; empty if nothing."""
-        return self._problem
+        fault = self._splitter.fault
+        return f"{fault[:1].upper()}{fault[1:]}" or self._status or self._problem
 
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete, one batch a stream."""
@@ -411,16 +407,18 @@ class FrameDecoder(ABC):
         if not finite.all():
             self.counts[Loss.NOT_A_NUMBER] += int(np.count_nonzero(~finite.all(axis=1)))
             values = np.where(finite, values, np.nan) if stream is Stream.SKIN else values
-        if stream is Stream.SKIN:
-            return SkinBatch(seq, device_s, values)
         if stream is Stream.JOINTS:
-            return JointsBatch(seq, device_s, np.radians(values))  # every format has degrees
-        bits = np.zeros(len(seq), np.int64) if status is None else status
+            values = np.radians(values)  # every format has degrees
+        bits = np.zeros(len(seq), np.int64) if status is None or stream is not Stream.WRENCH else status
         saturated, invalid = (bits & SATURATED_BIT) != 0, (bits & INVALID_BIT) != 0
         for loss, flags in ((Loss.SATURATED, saturated), (Loss.INVALID, invalid)):
             if flags.any():
                 self.counts[loss] += int(np.count_nonzero(flags))
-        return WrenchBatch(seq, device_s, values, saturated, invalid)
+        return Batch(stream, seq, device_s, values, saturated, invalid)
+
+    def _count_gap(self, seq: int) -> None:
+        """Count the numbers that are missing before the device's own number of a record."""
+        self._count_missing(self._gaps.missing_before(seq))
 
     def _add_side_reading(self, name: str, value: float) -> None:
         new = SideReading(value, value, value)

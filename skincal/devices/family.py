@@ -169,24 +169,10 @@ class Vector:
 
 
 @dataclass(frozen=True, slots=True)
-class TableRow:
-    """A row of the manual's table of devices."""
-
-    device: str
-    address: str
-    tried_by: str
-    rate: str
-    reports: str
-
-
-@dataclass(frozen=True, slots=True)
 class Family:
     """Everything that the program knows of one family of devices."""
 
     routes: tuple[Route, ...]
     decoders: Mapping[str, type[FrameDecoder]] = field(default_factory=dict[str, type[FrameDecoder]])
     """Decoders by the name of their format. Names never change: journals have them."""
-    table: tuple[TableRow, ...] = ()
-    wiring: tuple[tuple[str, str], ...] = ()
-    """Rows of the manual's table of wiring: device, how it reaches the computer."""
     vectors: tuple[Vector, ...] = ()

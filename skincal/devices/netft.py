@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from skincal.devices.decoding import INVALID_BIT, SATURATED_BIT, FrameDecoder, FrameSplitter, pack, packet_splitter
-from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Questions, Route, TableRow, Vector
+from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import Loss, Stream
 
@@ -161,21 +161,16 @@ class RdtDecoder(FrameDecoder):
     """Decodes RDT records in packets."""
 
     name: ClassVar[str] = "ATI RDT"
+    starts_whole: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._first = False  # A datagram comes whole or not at all.
         self._page: SensorPage | None = None
         self._last: int | None = None
         self._total = 0
-        self._state = ""
 
     def _make_splitter(self) -> FrameSplitter:
         return packet_splitter(PAGE_MAX_BYTES)
-
-    @property
-    def device_message(self) -> str:
-        return self._state or self._problem
 
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]
@@ -201,7 +196,7 @@ class RdtDecoder(FrameDecoder):
             return Loss.LATE
         self.valid_records += 1
         page, flags = self._page, 0
-        if status != 0 or self._state:
+        if status != 0 or self._status:
             flags = self._read_status(status, page.table)
         values = [count / page.per_newton for count in counts[:3]] + [count / page.per_newton_metre for count in counts[3:]]
         return self._add(Stream.WRENCH, self._total, math.nan, values, flags)
@@ -224,7 +219,7 @@ class RdtDecoder(FrameDecoder):
         """Keep a status word as a sentence; return the flags of the reading."""
         bits = [bit for bit in range(31) if status >> bit & 1 and bit != 3]
         words = [table.words.get(bit, f"bit {bit}, see its manual") for bit in bits]
-        self._state = f"The sensor says (status {status:08X}): {', '.join(words) or 'an error'}" if status & ~8 else ""
+        self._status = f"The sensor says (status {status:08X}): {', '.join(words) or 'an error'}" if status & ~8 else ""
         if status & table.saturated:
             return SATURATED_BIT
         return INVALID_BIT if status & ~table.harmless or (status == ANY_ERROR_BIT and table.harmless != ALL_BITS) else 0
@@ -285,34 +280,6 @@ FAMILY = Family(
         ),
     ),
     decoders={"rdt": RdtDecoder},
-    table=(
-        TableRow(
-            "ATI Net F/T, Ethernet Axia; Schunk FTN-Axia",
-            "`netft://192.168.1.1`",
-            "simulator, vectors",
-            "up to the sensor's, 7 kHz",
-            "saturation and errors by the model's own table; gaps counted by number",
-        ),
-        TableRow(
-            "OnRobot HEX (Ethernet)",
-            "`netft://192.168.1.1?device=hex`",
-            "vectors",
-            "as set",
-            "status word, shown as a number",
-        ),
-    ),
-    wiring=(
-        (
-            "Net F/T, Axia, FTN-Axia",
-            "Ethernet; from the factory 192.168.1.1, so give the computer's port 192.168.1.2 with the mask 255.255.255.0. "
-            "UDP 49152 for readings, TCP 80 for the page",
-        ),
-        (
-            "OnRobot HEX",
-            "Ethernet; seen at 192.168.1.1 and at 192.168.0.3 to 192.168.0.5. Rate: 1000 over the period in ms that is set at "
-            "the device",
-        ),
-    ),
     vectors=(
         Vector("rdt", (Stream.WRENCH,), pack(PAGE, given_page(1e6, 1e6, "Net F/T")) + pack(RECORDS, _RECORD), (_WRENCH,)),
         Vector(

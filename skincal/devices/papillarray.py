@@ -16,13 +16,15 @@ from __future__ import annotations
 import struct
 from typing import ClassVar
 
-from skincal.devices.decoding import STAMP_MAX_S, US_PER_S, FrameDecoder, FrameSplitter, GapCounter
-from skincal.devices.family import Family, Form, Handshake, Route, TableRow, Vector
+from skincal.devices.decoding import STAMP_MAX_S, US_PER_S, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
 BEGIN, END = bytes.fromhex("55667788"), bytes.fromhex("AABBCCDD")
 FRAME_MAX_BYTES = 8192
 """Bytes. If a frame is longer, its beginning was none."""
+END_MARKS_MAX = 8
+"""End marks tried for one frame: four bytes of data look like one once in 4 billion."""
 HUB = struct.Struct("<IQ")
 PILLAR = struct.Struct("<H6f")
 HUB_KIND, PILLARS_KIND = 1, 3
@@ -30,68 +32,19 @@ ITEMS_MAX = 64
 """Sensors of a hub, and pillars of a sensor: the maker has 2 and 9."""
 
 
-class PillarFrameSplitter:
-    """Cuts frames. The end mark may also occur inside a frame; then the next end mark is tried."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-        self._tried = 0
-        """End marks before this place were tried."""
-        self._lost = False
-
-    @property
-    def has_partial_frame(self) -> bool:
-        return bool(self._rest) or self._lost
-
-    def split(self, data: bytes) -> list[bytes | None]:
-        frames: list[bytes | None] = []
-        # In portions: what is kept is never longer than two frames, however much came.
-        for at in range(0, len(data), FRAME_MAX_BYTES):
-            self._rest += data[at : at + FRAME_MAX_BYTES]
-            frames += self._next_frames()
-        return frames
-
-    def _next_frames(self) -> list[bytes | None]:
-        frames: list[bytes | None] = []
-        while self._to_begin(frames):
-            end = self._rest.find(END, max(self._tried, len(BEGIN)))
-            if end >= 0 and _fits(self._rest[len(BEGIN) : end]):
-                frames.append(self._rest[len(BEGIN) : end])
-                self._drop(end + len(END))
-                self._lost = False
-            elif end >= 0:
-                self._tried = end + 1
-            elif len(self._rest) > FRAME_MAX_BYTES:
-                self._lose(frames)
-                # The last beginning, not the next: else hostile bytes would be searched over and over.
-                last = self._rest.rfind(BEGIN, 1)
-                self._drop(last if last > 0 else len(self._rest) - len(BEGIN) + 1)
-            else:
-                self._tried = max(len(self._rest) - len(END) + 1, 0)
-                break
-        return frames
-
-    def _to_begin(self, frames: list[bytes | None]) -> bool:
-        """Drop the bytes before a begin mark; return whether there is one."""
-        begin = self._rest.find(BEGIN)
-        keep = begin if begin >= 0 else max(len(self._rest) - len(BEGIN) + 1, 0)
-        if keep:
-            self._lose(frames)
-            self._drop(keep)
-        return begin >= 0
-
-    def _lose(self, frames: list[bytes | None]) -> None:
-        if not self._lost:
-            frames.append(None)
-        self._lost = True
-
-    def _drop(self, count: int) -> None:
-        self._rest = self._rest[count:]
-        self._tried = 0
-
-
-def _fits(data: bytes) -> bool:
-    return len(data) > 2 and sum(data[:-2]) & 0xFFFF == data[-2] | data[-1] << 8
+def _frame_end(buffer: bytes, at: int) -> int | None:
+    """Find the end of a frame. The end mark may also occur inside a frame; then the next end mark is tried."""
+    begin, last = at + len(BEGIN), at + FRAME_MAX_BYTES
+    if not 1 <= buffer[begin] <= 4:
+        return 0
+    end = begin
+    for _ in range(END_MARKS_MAX):
+        end = buffer.find(END, end + 1, last)
+        if end < 0:
+            return None if len(buffer) < last else 0
+        if end - begin > 2 and sum(buffer[begin : end - 2]) & 0xFFFF == buffer[end - 2] | buffer[end - 1] << 8:
+            return end + len(END)
+    return 0
 
 
 class PapillArrayHandshake(Handshake):
@@ -108,22 +61,19 @@ class PapillArrayDecoder(FrameDecoder):
     loss_of_garbage: ClassVar[Loss] = Loss.BAD_CHECKSUM
     has_checksum: ClassVar[bool] = True
 
-    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        super().__init__(channels, carries)
-        self._gaps = GapCounter()
-
     def _make_splitter(self) -> FrameSplitter:
-        return PillarFrameSplitter()
+        return HeadSplitter(BEGIN, len(BEGIN) + 1, _frame_end)
 
     def _decode(self, frame: bytes) -> Loss | None:
+        data = frame[len(BEGIN) : -len(END)]
         try:
-            blocks = _blocks(frame)
+            blocks = _blocks(data)
             number, time_us = HUB.unpack_from(blocks[HUB_KIND])
-            forces = _pillars(blocks[PILLARS_KIND], frame[0])
+            forces = _pillars(blocks[PILLARS_KIND], data[0])
         except (KeyError, ValueError, struct.error):
             return Loss.UNREADABLE
         self.valid_records += 1
-        self._count_missing(self._gaps.missing_before(number))
+        self._count_gap(number)
         values = [value for force in forces for value in force]
         whole = self._width(Stream.SKIN) == len(values)
         self.units[Stream.SKIN] = f"{'Fx Fy Fz of' if whole else 'the force along'} each pillar, in N"
@@ -196,15 +146,5 @@ FAMILY = Family(
         ),
     ),
     decoders={"papillarray": PapillArrayDecoder},
-    table=(
-        TableRow(
-            "Contactile PapillArray (PTS v2)",
-            "its port, or `papillarray:/dev/ttyACM0`",
-            "simulator, vectors",
-            "100 Hz",
-            "gaps counted by number",
-        ),
-    ),
-    wiring=(("PapillArray", "USB serial of the hub; any baud rate"),),
     vectors=(Vector("papillarray", (Stream.SKIN,), _VECTOR, ((3.0, 6.0),), repeat=_VECTOR, channels=2),),
 )

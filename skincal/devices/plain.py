@@ -10,7 +10,7 @@ import shlex
 import sys
 from dataclasses import replace
 
-from skincal.devices.family import Command, DeviceAddress, Family, Form, Questions, Route, TableRow
+from skincal.devices.family import Command, DeviceAddress, Family, Form, Questions, Route
 
 RUN, RECORDED_RUN = "run:", "ran:"
 
@@ -38,17 +38,5 @@ FAMILY = Family(
         Route(usage="socket://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
         Route(usage="lines://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
         Route(usage="run:./my_sensor --rate 100", form=Form.COMMAND, transport="command", prepare=_with_command),
-    ),
-    table=(
-        TableRow(
-            "anything that prints lines", "`lines://HOST:PORT`", "tests", "any", "with SKT/1: checksum, number, clock, status"
-        ),
-        TableRow("what a command prints", "`run:./my_sensor --rate 100`", "tests", "any", "the same; how it ended"),
-    ),
-    wiring=(
-        (
-            "boards of your own",
-            "as text 84 taxels at 50 Hz are 17.9 kB/s: more than the 11.5 kB/s of 115200 baud; SKB/1 fits with 9 kB/s",
-        ),
     ),
 )

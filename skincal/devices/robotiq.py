@@ -12,8 +12,8 @@ import math
 import struct
 from typing import ClassVar
 
-from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_WIDTH, FixedFrameSplitter, FrameDecoder, FrameSplitter
-from skincal.devices.family import Family, Form, Handshake, Route, TableRow, Vector
+from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_WIDTH, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
 HEAD = b"\x20\x4e"
@@ -50,8 +50,9 @@ def crc_modbus(data: bytes) -> int:
     return crc
 
 
-def _is_frame(frame: bytes) -> bool:
-    return crc_modbus(frame[:-2]) == frame[-2] | frame[-1] << 8
+def _frame_end(buffer: bytes, at: int) -> int:
+    frame = buffer[at : at + FRAME.size]
+    return at + FRAME.size if crc_modbus(frame[:-2]) == frame[-2] | frame[-1] << 8 else 0
 
 
 class RobotiqHandshake(Handshake):
@@ -79,7 +80,7 @@ class RobotiqDecoder(FrameDecoder):
     has_checksum: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
-        return FixedFrameSplitter(HEAD, FRAME.size, _is_frame, START_ANSWER)
+        return HeadSplitter(HEAD, FRAME.size, _frame_end, START_ANSWER)
 
     def _decode(self, frame: bytes) -> Loss | None:
         _, *counts, _ = FRAME.unpack(frame)
@@ -128,28 +129,6 @@ FAMILY = Family(
         Route(usage="robotiq://192.168.1.2", form=Form.HOST, transport="tcp", format="robotiq-text", port=63351),
     ),
     decoders={"robotiq": RobotiqDecoder, "robotiq-text": RobotiqTextDecoder},
-    table=(
-        TableRow(
-            "Robotiq FT 300, FT 300-S",
-            "`robotiq:/dev/ttyUSB0`",
-            "simulator, vectors",
-            "100 Hz",
-            "nothing: full-scale readings count as saturated",
-        ),
-        TableRow(
-            "the same behind a UR controller with Robotiq's URCap",
-            "`robotiq://192.168.1.2`",
-            "simulator",
-            "the controller's",
-            "nothing",
-        ),
-    ),
-    wiring=(
-        (
-            "Robotiq FT 300",
-            "USB to RS-485 adapter, 19200 8N1, fixed 100 Hz; behind the URCap TCP 63351 of the controller",
-        ),
-    ),
     vectors=(
         Vector("robotiq", (Stream.WRENCH,), _VECTOR, ((12.34, -5.67, 98.1, 0.123, -1.234, 0.005),), repeat=_VECTOR),
         Vector("robotiq-text", (Stream.WRENCH,), _TEXT_VECTOR, ((1.5, -2.25, 30.0, 0.125, -0.5, 0.0625),), repeat=_TEXT_VECTOR),

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
-from skincal.devices.family import Family, Form, Handshake, HandshakeError, Route, TableRow, Vector
+from skincal.devices.family import Family, Form, Handshake, HandshakeError, Route, Vector
 from skincal.model.readings import Loss, Stream
 
 HEAD = struct.Struct("!HB")
@@ -100,21 +100,16 @@ class RtdeDecoder(FrameDecoder):
     """Decodes what a controller sends."""
 
     name: ClassVar[str] = "UR RTDE"
+    starts_whole: ClassVar[bool] = True
     needs_recipe: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        self._packets = LengthSplitter(_next_packet)
         super().__init__(channels, carries)
-        self._first = False  # A connection begins with a packet.
         self._streams = [stream for stream in carries if stream in FIELDS]
         self.units[Stream.JOINTS] = "base, shoulder, elbow and the three of the wrist in degrees"
 
     def _make_splitter(self) -> FrameSplitter:
-        return self._packets
-
-    @property
-    def device_message(self) -> str:
-        return self._packets.fault or self._problem
+        return LengthSplitter(_next_packet)
 
     def _decode(self, frame: bytes) -> Loss | None:
         if frame[0] != DATA:
@@ -154,16 +149,6 @@ FAMILY = Family(
         ),
     ),
     decoders={"rtde": RtdeDecoder},
-    table=(
-        TableRow(
-            "Universal Robots: sensor at the flange, joint angles",
-            "`rtde://192.168.1.2`",
-            "simulator, vectors",
-            "125 Hz",
-            "nothing; one clock for both",
-        ),
-    ),
-    wiring=(("Universal Robots", "Ethernet to the controller, TCP 30004"),),
     vectors=(
         Vector(
             "rtde",

@@ -16,8 +16,8 @@ import json
 import math
 from typing import Any, ClassVar, cast
 
-from skincal.devices.decoding import SEQ_MAX, FrameDecoder, FrameSplitter, GapCounter, pack, packet_splitter
-from skincal.devices.family import Family, Form, Route, TableRow, Vector
+from skincal.devices.decoding import SEQ_MAX, FrameDecoder, FrameSplitter, pack, packet_splitter
+from skincal.devices.family import Family, Form, Route, Vector
 from skincal.model.readings import Loss, Stream
 
 MESSAGE_MAX_BYTES = 1 << 18
@@ -29,11 +29,10 @@ class XelaDecoder(FrameDecoder):
     """Decodes the server's messages."""
 
     name: ClassVar[str] = "XELA"
+    starts_whole: ClassVar[bool] = True
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._first = False  # A message comes whole or not at all.
-        self._gaps = GapCounter()
         self._calibrated: bool | None = None
         """Whether calibrated forces are used; `None` before the first reading."""
 
@@ -56,7 +55,7 @@ class XelaDecoder(FrameDecoder):
             values = self._values(sensors)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
             return Loss.UNREADABLE
-        self._count_missing(self._gaps.missing_before(number))
+        self._count_gap(number)
         self.valid_records += 1
         return self._add(Stream.SKIN, number, math.nan, values)
 
@@ -94,7 +93,5 @@ FAMILY = Family(
         ),
     ),
     decoders={"xela": XelaDecoder},
-    table=(TableRow("XELA uSkin server", "`xela://127.0.0.1:5000`", "simulator", "the server's", "gaps counted by number"),),
-    wiring=(("XELA", "the maker's server runs on a computer with the sensors; TCP 5000"),),
     vectors=(Vector("xela", (Stream.SKIN,), _VECTOR, ((10.0, 11.0, 255.0),), repeat=_VECTOR, channels=3),),
 )

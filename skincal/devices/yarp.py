@@ -9,9 +9,6 @@ asked for on such a port: publishers that convert themselves on the way out can 
 
 A port that answers (RPC) is spoken to over the same carrier, without asking to be a reader: a message whose port command is
 `d` and whose payload is a bottle; the answer is a message that is a bottle from its first byte.
-
-Angles of joint ports are degrees. Of `measures:o` the sixth group holds six-axis sensors, the ninth skin patches, each
-measure with a stamp of its own; of `stateExt:o` the first element is the joints' angles.
 """
 
 from __future__ import annotations
@@ -25,20 +22,17 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import ClassVar, TypeAlias
+from typing import ClassVar
 
 import numpy as np
 
-from skincal.devices.decoding import NO_SEQ, SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, GapCounter, ProtocolError
-from skincal.devices.family import DeviceAddress, Family, Form, Handshake, HandshakeError, Questions, Route, TableRow, Vector
+from skincal.devices.bottles import Value, is_measures, values_of
+from skincal.devices.decoding import NO_SEQ, SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, LengthSplitter, ProtocolError
+from skincal.devices.family import DeviceAddress, Family, Form, Handshake, HandshakeError, Questions, Route, Vector
 from skincal.devices.link import FailureKind, LinkError
-from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 from skincal.model.readings import Loss, Stream
-
-Value: TypeAlias = "float | str | FloatArray | list[Value]"
-"""One value of a bottle; a list of numbers is an array."""
 
 YARP_INT = struct.Struct("<2si2s")
 FAST_TCP, MESSAGE = 7780, 10
@@ -52,11 +46,6 @@ READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
 HELLO = YARP_INT.pack(b"YA", FAST_TCP, b"RP") + INT32.pack(len(READER_NAME)) + READER_NAME
 BECOME_READER = struct.pack("<2si2s2B8si4s4s", b"YA", MESSAGE, b"RP", 1, 1, b"\xff" * 8, 8, bytes(4), bytes(4)) + b"~r\x00\x01"
-MEASURES_WRENCH, MEASURES_SKIN, MEASURES_LISTS = 5, 8, 10
-"""Index of the six-axis sensors and of the skin patches in the groups of `measures:o`; fewest groups (newer versions: 12)."""
-STATE_EXT_LENGTHS = (22, 24)
-"""Elements of `stateExt:o`, of 3.x and of 4.0."""
-
 _LIST, _DICT, _STRING, _BLOB, _VOCAB = 256, 512, 4, 12, 9
 _NUMBERS = {32: "<i1", 64: "<i2", 1: "<i4", 17: "<i8", 128: "<f4", 10: "<f8"}
 """Numbers by their tag; a list of one kind has 256 more."""
@@ -109,64 +98,44 @@ class YarpHandshake(Handshake):
 # ------------------------------------------------------------------ messages
 
 
-class MessageSplitter:
-    """Cuts the bytes of a port into the bodies of its messages. Nothing is a message after bytes that break the protocol."""
+class MessageSplitter(LengthSplitter):
+    """Cuts the bytes of a port into the bodies of its messages. The port's number comes before the first one."""
 
     def __init__(self) -> None:
+        super().__init__(self._next_message)
         self.port: int | None = None
         """Number of the port; `None` before the port has sent it."""
-        self.fault = ""
-        """What breaks the protocol, a sentence; empty while nothing does."""
-        self._rest = bytearray()
+        self._is_first = True
 
-    @property
-    def has_partial_frame(self) -> bool:
-        return bool(self._rest or self.fault)
-
-    def split(self, data: bytes) -> list[bytes | None]:
-        bodies: list[bytes | None] = []
-        if self.fault:
-            return bodies
-        self._rest += data
-        try:
-            while (frame := self._next()) is not None:
-                bodies.append(frame)
-        except ProtocolError as error:
-            self.fault = str(error)
-            self._rest.clear()
-            bodies.append(None)
-        return bodies
-
-    def _next(self) -> bytes | None:
-        if self.port is None:
-            if len(self._rest) < YARP_INT.size:
+    def _next_message(self, data: bytes, at: int) -> tuple[bytes, int] | None:
+        if self._is_first:
+            if len(data) < YARP_INT.size:
                 return None
-            self.port = self._yarp_int()
-            del self._rest[: YARP_INT.size]
-        if len(self._rest) < HEAD_BYTES:
+            self.port, at = _yarp_int(data, 0), YARP_INT.size
+        if len(data) - at < HEAD_BYTES:
             return None
-        if self._yarp_int() != MESSAGE:
+        if _yarp_int(data, at) != MESSAGE:
             raise ProtocolError("what it sends is no YARP message")
-        count_in, count_out = self._rest[YARP_INT.size], self._rest[YARP_INT.size + 1]
-        start = HEAD_BYTES + 4 * (count_in + count_out)
-        if len(self._rest) < start:
+        count_in, count_out = data[at + YARP_INT.size], data[at + YARP_INT.size + 1]
+        begin = at + HEAD_BYTES + 4 * (count_in + count_out)
+        if len(data) < begin:
             return None
-        lengths = struct.unpack_from(f"<{count_in + count_out}i", self._rest, HEAD_BYTES)
+        lengths = struct.unpack_from(f"<{count_in + count_out}i", data, at + HEAD_BYTES)
         if min(lengths, default=0) < 0 or sum(lengths) > MESSAGE_MAX_BYTES:
             raise ProtocolError(f"it announces a message of {sum(lengths)} bytes; at most {MESSAGE_MAX_BYTES} are taken")
-        end = start + sum(lengths)
-        if len(self._rest) < end:
+        end = begin + sum(lengths)
+        if len(data) < end:
             return None
+        self._is_first = False
         # The block of the reply's direction, always empty, stands behind the others.
-        frame = bytes(self._rest[start : start + sum(lengths[:count_in])])
-        del self._rest[:end]
-        return frame
+        return data[begin : begin + sum(lengths[:count_in])], end
 
-    def _yarp_int(self) -> int:
-        begin, number, end = YARP_INT.unpack_from(self._rest)
-        if begin != b"YA" or end != b"RP":
-            raise ProtocolError("what answers there is no YARP port")
-        return number
+
+def _yarp_int(data: bytes, at: int) -> int:
+    begin, number, end = YARP_INT.unpack_from(data, at)
+    if begin != b"YA" or end != b"RP":
+        raise ProtocolError("what answers there is no YARP port")
+    return number
 
 
 def split_envelope(body: bytes) -> tuple[int, float, bytes]:
@@ -288,47 +257,14 @@ def _flat(value: Value) -> Iterator[float | str]:
 # ------------------------------------------------------------------ readings
 
 
-def as_vector(value: Value) -> FloatArray | None:
-    """Read a list of numbers, or one that is alone in a list; `None` for anything else."""
-    if isinstance(value, list) and len(value) == 1 and isinstance(value[0], (list, np.ndarray)):
-        return as_vector(value[0])
-    if isinstance(value, np.ndarray):
-        return value
-    if isinstance(value, list) and value and all(isinstance(each, float) for each in value):
-        return np.array(value, np.float64)
-    return None
-
-
-def measures(groups: list[Value], which: int) -> list[tuple[FloatArray, float]]:
-    """Read numbers and stamp, seconds, of each measurement of one group of `measures:o`."""
-    group = groups[which]
-    found: list[tuple[FloatArray, float]] = []
-    for measure in group if isinstance(group, list) else []:
-        if isinstance(measure, list) and len(measure) == 2 and isinstance(measure[1], float):
-            values = as_vector(measure[0])
-            if values is not None and abs(measure[1]) < STAMP_MAX_S:
-                found.append((values, measure[1]))
-    return found
-
-
 class YarpPortDecoder(FrameDecoder):
     """Decodes the messages of a YARP port."""
 
     name: ClassVar[str] = "YARP port"
-
-    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        self._messages = MessageSplitter()
-        super().__init__(channels, carries)
-        self._first = False  # A connection begins with its first message, whole.
-        self._carries = carries
-        self._gaps = GapCounter()
+    starts_whole: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
-        return self._messages
-
-    @property
-    def device_message(self) -> str:
-        return f"{self._messages.fault[:1].upper()}{self._messages.fault[1:]}" or self._problem
+        return MessageSplitter()
 
     def _decode(self, frame: bytes) -> Loss | None:
         try:
@@ -337,39 +273,24 @@ class YarpPortDecoder(FrameDecoder):
         except ProtocolError as error:
             self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
-        self._count_missing(self._gaps.missing_before(seq))
-        readings = self._find_readings(value, stamp)
-        if not readings:
+        self._count_gap(seq)
+        found = {stream: values for stream in self._carries if (values := values_of(value, stream)) is not None}
+        if not found:
+            kind = "measurements hold none of what is wanted; name a port of a sensor or skin"
+            other = "messages hold other things than numbers; name a port of a sensor, skin or joints"
+            self._problem = f"The port's {kind if is_measures(value) else other}"
             return Loss.BAD_WIDTH
         self.valid_records += 1
-        problems = [self._add(stream, seq, at, values) for stream, values, at in readings]
+        if not is_measures(value):
+            # A vector does not say of which stream it is.
+            fitting = (stream for stream, (values, _) in found.items() if self._has_width(stream, len(values)))
+            stream = next(fitting, self._carries[0])
+            found = {stream: found[stream]}
+        problems = [
+            self._add(stream, seq, stamp if math.isfinite(stamp) else own_stamp, values)
+            for stream, (values, own_stamp) in found.items()
+        ]
         return next((problem for problem in problems if problem), None)
-
-    def _find_readings(self, value: Value, stamp: float) -> list[tuple[Stream, FloatArray, float]]:
-        """Find the readings of the streams that the link carries, each with the device's time."""
-        if isinstance(value, list) and len(value) >= MEASURES_LISTS and all(isinstance(each, list) for each in value):
-            return self._measured(value, stamp)
-        vector = as_vector(value)
-        if vector is None and isinstance(value, list) and len(value) in STATE_EXT_LENGTHS:
-            vector = as_vector(value[0])
-        if vector is None:
-            self._problem = "The port's messages hold other things than numbers; name a port of a sensor, skin or joints"
-            return []
-        fitting = (stream for stream in self._carries if self._has_width(stream, len(vector)))
-        return [(next(fitting, self._carries[0]), vector, stamp)]
-
-    def _measured(self, groups: list[Value], stamp: float) -> list[tuple[Stream, FloatArray, float]]:
-        readings: list[tuple[Stream, FloatArray, float]] = []
-        sensors, patches = measures(groups, MEASURES_WRENCH), measures(groups, MEASURES_SKIN)
-        if Stream.WRENCH in self._carries and sensors:
-            values, at = sensors[0]
-            readings.append((Stream.WRENCH, values, stamp if math.isfinite(stamp) else at))
-        if Stream.SKIN in self._carries and patches:
-            values = np.concatenate([values for values, _ in patches])
-            readings.append((Stream.SKIN, values, stamp if math.isfinite(stamp) else patches[0][1]))
-        if not readings:
-            self._problem = "The port's measurements hold none of what is wanted; name a port of a sensor or skin"
-        return readings
 
 
 # ------------------------------------------------------------------ finding a port
@@ -474,16 +395,6 @@ FAMILY = Family(
         ),
     ),
     decoders={"yarp-port": YarpPortDecoder},
-    table=(
-        TableRow(
-            "iCub, R1, ergoCub by YARP: F/T, skin, joints",
-            "`yarp:/icub/right_arm/analog:o`, `yarp://SERVER:10000/icub/skin/right_forearm`",
-            "simulator, captured (3.12.3)",
-            "the port's",
-            "gaps counted by the envelope",
-        ),
-    ),
-    wiring=(("YARP", "the robot's network: TCP 10000 to the name server, and the numbers that it gives"),),
     vectors=(
         Vector(
             "yarp-port",

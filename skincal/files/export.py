@@ -31,7 +31,7 @@ from skincal.files.formats import ExportFormat
 from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, parse_icub, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import PlacedLayout, place_layout
-from skincal.mesh.load import Finding, load_surface
+from skincal.mesh.load import MeshFinding, load_surface
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError, list_channels, plural
@@ -521,7 +521,7 @@ def _part(calibration: Calibration) -> _Part:
 
 
 @lru_cache(maxsize=1)
-def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[Finding, ...]]:
+def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[MeshFinding, ...]]:
     """Load a mesh once for the files of one calibration, which are written one after another."""
     return load_surface(spec)
 

@@ -237,16 +237,16 @@ def _misses(
     answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN where the taxel is unknown."""
-    if method is Method.FREE and solution.free is not None:
-        places, known = solution.factors.solutions, solution.free
-        there = known.sds <= SD_MAX
-    elif solution.surface is not None:
-        places, known = solution.surface.points, solution.surface.uncertain
-        there = (solution.surface.triangles >= 0) & (known.sds <= SD_MAX)
+    if method is Method.FREE and solution.has_free:
+        places, known = solution.answer["solution"], solution.answer["free"]
+        there = known["sd"] <= SD_MAX
+    elif solution.has_surface:
+        places, known = solution.answer["point"], solution.answer["on_surface"]
+        there = (solution.answer["triangle"] >= 0) & (known["sd"] <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
     # What is not known is set to 0 to keep the algebra finite, and becomes NaN below.
-    covariances = np.where(there[:, None, None], known.covariances, 0.0)
+    covariances = np.where(there[:, None, None], known["covariance"], 0.0)
     places = np.where(there[:, None], places, 0.0)
     pairs, lever = answers.pairs[out], places - answers.sensors[out]
     precision = row_precision(pairs, lever, answers.forces[out], offset_square(answers.weights[out], noise), noise)

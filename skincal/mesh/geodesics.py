@@ -1,7 +1,6 @@
-"""Straight ways over a mesh, many at once: each triangle in a plane of its own, unfolded into its neighbours' planes.
+"""Straight paths over a mesh, many at once: each triangle in a plane of its own, unfolded into its neighbours' planes.
 
-How they are found, and why they are straight: `skincal/solver/source/walk.h`. A walk has the same bits whichever others are
-walked with it.
+The algorithm: `skincal/solver/source/walk.h`. A path has the same bits for any other paths that are walked with it.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from skincal.solver.machine import INTEGER, WORD, Machine
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshPoints:
-    """n places on a surface, each with a direction along it."""
+    """n points on a surface, each with a direction along it."""
 
     triangles: IntArray
     """(n,)."""
@@ -27,34 +26,35 @@ class MeshPoints:
     x: FloatArray
     """(n, 3) float, unit, in the planes of the triangles."""
 
-    def take(self, rows: IntArray | slice) -> MeshPoints:
-        """Return some of them."""
+    def select(self, rows: IntArray | slice) -> MeshPoints:
         return MeshPoints(self.triangles[rows], self.points[rows], self.x[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Geodesics:
-    """A surface whose triangles have an area, ready to be walked on."""
+    """Surface prepared for walking; its triangles have an area."""
 
     machine: Machine
     ground: int
-    """The place of its `Ground` there."""
+    """Place of its `Ground` in the machine."""
 
     def walk(self, start: MeshPoints, ways: FloatArray) -> MeshPoints:
-        """Return where straight walks from each of n places end; x there is the start's x, carried along.
+        """Walk straight from each of n points to the ends; x there is the start's x, carried along.
 
-        `ways` are (n, 2) float, metres: how far along the start's x, and along normal x x.
+        `ways` are (n, 2) float, metres: the distances along the start's x, and along normal x x.
         """
         with self.machine.call() as call:
-            points, x = call.changed(start.points), call.changed(start.x)
-            triangles = call.changed(start.triangles, INTEGER)
-            call.run("walk", [self.ground, len(ways), call.give(ways), points, x, triangles])
-            return MeshPoints(call.taken(triangles).astype(np.int64), call.taken(points), call.taken(x))
+            points, x = call.put_inout(start.points), call.put_inout(start.x)
+            triangles = call.put_inout(start.triangles, INTEGER)
+            call.run("walk", [self.ground, len(ways), call.put(ways), points, x, triangles])
+            return MeshPoints(call.get(triangles).astype(np.int64), call.get(points), call.get(x))
 
 
 @cached_per_surface
 def geodesics_of(surface: Surface) -> Geodesics:
-    """Return the surface ready to be walked on."""
+    """Prepare a surface for walking."""
     machine, place = surface_in_solver(surface)
     over = neighbours(surface.triangles) // 3
-    return Geodesics(machine, machine.keep(np.array([place, machine.keep(over.astype(np.int32))], dtype=WORD)))
+    return Geodesics(
+        machine, machine.put_permanent(np.array([place, machine.put_permanent(over.astype(np.int32))], dtype=WORD))
+    )

@@ -1,12 +1,12 @@
-"""The surface's point nearest to a target in a metric, exactly: the optimum over all triangles (paper, II-B).
+"""Nearest point of a surface in a metric, exactly: the optimum over all triangles (paper, II-B).
 
-The metric is given by its root: minimise |root p - offset|^2, so nothing is squared. How it is found, and why each answer
-has the same bits whichever others are asked with it and wherever the search starts: `skincal/solver/source/search.h`.
+The metric is given by its root: minimise |root p - offset|^2, so nothing is squared. The search, and why an answer has the same
+bits for any start and any other queries: `skincal/solver/source/search.h`.
 
-The search goes down a wide tree over the triangles. These are ordered by halving along the longest side of their box; each
-eight that follow one another are a node, eight such nodes a node of the next level, and so on. Of a node are kept: a point
-of the surface, the centre; the radius of a ball about it that holds all its triangles; the middle of their normals, and how
-far these turn from it. Surface and tree are written into the solver's memory once, and are gone with the surface.
+It goes down a wide tree over the triangles. These are ordered by halving along the longest side of their box. Eight successive
+triangles are a node, eight such nodes a node of the next level, and so on. A node has a point of the surface, the centre; the
+radius of a ball about it that holds its triangles; the mean of their normals, and the largest angle from it. Surface and tree
+are written into the solver's memory once, and freed with the surface.
 """
 
 from __future__ import annotations
@@ -22,39 +22,36 @@ from skincal.mesh.surface import Surface, cached_per_surface
 from skincal.solver.machine import INTEGER, Machine
 
 GRAZING = 1e-12
-"""A triangle faces a push when push . normal is below minus this (both unit); the solver's own, for those who compare."""
-LEVELS = 16
-"""Levels of a tree for which there is room: eight children a node make 16 enough for any mesh."""
+"""A triangle faces a push if push . normal is below minus this (both unit); the solver's own value."""
+MAX_LEVELS = 16
+"""Largest depth of a tree: with eight children a node it is enough for any mesh."""
 _HALVINGS = 3
 WIDTH = 1 << _HALVINGS
-"""Children of a node: fewer cost more steps, more cost more numbers."""
-ROUND = 1e-6
-"""Share by which radii are widened: ten times the rounding of single precision."""
-_TOP = WIDTH
-"""Nodes of the first level, at most: all of them are tried with every metric."""
+"""Children of a node: fewer take more steps, more take more numbers."""
+RADIUS_MARGIN = 1e-6
+"""Share by which radii are enlarged: ten times the rounding of single precision."""
 _CONE_SLACK = 1e-6
-"""Sine of an angle by which a cone of normals is widened: ten times the rounding of its numbers."""
-_NOWHERE = -1e15
-"""m. The radius of a node without triangles: its lower bound exceeds every distance."""
+"""Sine of the angle by which a cone of normals is enlarged: ten times the rounding of its numbers."""
+_EMPTY_RADIUS_M = -1e15
+"""Of a node without triangles: its lower bound exceeds every distance."""
 Level = NDArray[np.float32]
-"""The nodes of one level in groups of eight that have one parent, (groups, 64): the first components of their centres (8), the
-second, the third, their radii, the middles of their normals (24), their sines. The last group is filled up.
-
-A node's triangles face a push surely where push . middle < -sine, and surely not where push . middle > sine."""
+"""Nodes of one level in groups of eight with one parent, (groups, 64): x, y and z of their centres (8 each), their radii, the
+mean normals (24), their sines. The last group is filled up. A node's triangles surely face a push if push . normal < -sine, and
+surely do not if push . normal > sine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearestPoints:
-    """The best point of a surface for each of t metrics."""
+    """Best point of a surface for each of t metrics."""
 
     points: FloatArray
-    """(t, 3) float, metres; NaN where there is none."""
+    """(t, 3) float, metres; NaN without one."""
     triangles: IntArray
-    """(t,) int; -1 where no triangle faces the push."""
+    """(t,) int; -1 if no triangle faces the push."""
     values: FloatArray
-    """(t,) float, |root p - offset|^2 there; infinite where there is none."""
+    """(t,) float, |root p - offset|^2 there; infinite without one."""
     tried: IntArray
-    """(t,) int: how many triangles were solved."""
+    """(t,) int: number of triangles solved."""
 
 
 def nearest_in_metric(
@@ -66,32 +63,29 @@ def nearest_in_metric(
     ----------
     roots : (t, 3, 3) float, of any rank
     offsets : (t, 3) float
-    pushes : (t, 3) float or None; where given, only triangles with push . normal < 0 count
+    pushes : (t, 3) float; if given, only triangles with push . normal < 0 count
     every : try every triangle: slower, with the same answer
 
-    Returns
-    -------
-    Among equally near points the one first met by the push, then the triangle that faces it most, then the lowest
-    index.
+    Among equally near points it is the one first met by the push, then the triangle that faces it most, then the lowest index.
     """
     count = len(roots)
     machine, place = surface_in_solver(surface)
     with machine.call() as call:
-        given = 0 if pushes is None else call.give(pushes)
+        given = 0 if pushes is None else call.put(pushes)
         nowhere = np.full(count, -1)
-        points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
-        found = call.changed(nowhere, INTEGER)
-        asked = [place, count, int(every), call.give(roots), call.give(offsets), given]
-        # The words of `Search` in `skincal/solver/source/solver.c`; no start is likely, and no second minimum is asked for.
-        call.run("nearest", [*asked, call.give(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
-        numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
-        return NearestPoints(call.taken(points), numbers[0], call.taken(values), numbers[1])
+        points, values, tried = call.reserve((count, 3)), call.reserve((count,)), call.reserve((count,), INTEGER)
+        found = call.put_inout(nowhere, INTEGER)
+        asked = [place, count, int(every), call.put(roots), call.put(offsets), given]
+        # The fields of `Search` in `skincal/solver/source/solver.c`, without a likely start and a second minimum.
+        call.run("nearest", [*asked, call.put(nowhere, INTEGER), 0, 0, 0, points, values, found, tried])
+        numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
+        return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])
 
 
 def nearest_points(surface: Surface, points: FloatArray) -> tuple[FloatArray, IntArray]:
     """Find for each of `points` (n, 3), metres, the surface's nearest point (n, 3), exactly, and its triangle (n,).
 
-    Of equally near triangles it is the lowest.
+    Of equally near triangles it is the first one.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     found = nearest_in_metric(surface, np.broadcast_to(np.eye(3), (len(points), 3, 3)), points, None)
@@ -104,8 +98,8 @@ class SurfaceTable(ctypes.Structure):
     _fields_ = (
         ("triangle_count", ctypes.c_uint32),
         ("level_count", ctypes.c_uint32),
-        ("levels", ctypes.c_uint32 * LEVELS),
-        ("node_counts", ctypes.c_uint32 * LEVELS),
+        ("levels", ctypes.c_uint32 * MAX_LEVELS),
+        ("node_counts", ctypes.c_uint32 * MAX_LEVELS),
         ("order", ctypes.c_uint32),
         ("places", ctypes.c_uint32),
         ("corners", ctypes.c_uint32),
@@ -126,7 +120,7 @@ class SurfaceTable(ctypes.Structure):
 
 @cached_per_surface
 def surface_in_solver(surface: Surface) -> tuple[Machine, int]:
-    """Return the machine that holds a copy of `surface` with its search tree, and the place of its table there."""
+    """Write `surface` with its search tree into a machine; return it with the place of the table in it."""
     machine, tree, (starts, fans) = Machine(), build_tree(surface), find_fans(surface)
     table = SurfaceTable(
         triangle_count=len(surface.triangles),
@@ -136,33 +130,33 @@ def surface_in_solver(surface: Surface) -> tuple[Machine, int]:
         origin=tuple(tree.origin),
     )
     for i, level in enumerate(tree.levels):
-        table.levels[i], table.node_counts[i] = machine.keep(level), level.size // 8
+        table.levels[i], table.node_counts[i] = machine.put_permanent(level), level.size // 8
     whole = {"order": tree.order, "places": tree.places, "triangles": surface.triangles, "fan_starts": starts, "fans": fans}
     for name, numbers in whole.items():
-        setattr(table, name, machine.keep(numbers.astype(np.int32)))
+        setattr(table, name, machine.put_permanent(numbers.astype(np.int32)))
     for name, lengths in (("corners", tree.corners), ("vertices", surface.vertices), ("normals", surface.normals)):
-        setattr(table, name, machine.keep(lengths))
-    table.slim = machine.keep(surface.slim.astype(np.uint8))
-    table.walked = machine.keep(np.zeros(len(surface.triangles), dtype=np.int32))
-    table.lowest = machine.keep(np.zeros(len(surface.vertices)))
-    table.lowest_stamp = machine.keep(np.zeros(len(surface.vertices), dtype=np.int32))
-    return machine, machine.keep(np.frombuffer(bytes(table), dtype=np.uint8))
+        setattr(table, name, machine.put_permanent(lengths))
+    table.slim = machine.put_permanent(surface.is_sliver.astype(np.uint8))
+    table.walked = machine.put_permanent(np.zeros(len(surface.triangles), dtype=np.int32))
+    table.lowest = machine.put_permanent(np.zeros(len(surface.vertices)))
+    table.lowest_stamp = machine.put_permanent(np.zeros(len(surface.vertices), dtype=np.int32))
+    return machine, machine.put_permanent(np.frombuffer(bytes(table), dtype=np.uint8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchTree:
-    """The nodes over a surface's nt triangles; node i of a level has the nodes 8 i to 8 i + 7 of the level before."""
+    """Nodes over a surface's nt triangles; node i of a level has the nodes 8 i to 8 i + 7 of the level before."""
 
     origin: FloatArray
-    """(3,) float, metres: the middle of the surface's box."""
+    """(3,) float, metres: centre of the surface's box."""
     extent: float
-    """m. No vertex is farther from the origin."""
+    """m, largest distance of a vertex from the origin."""
     order: IntArray
-    """(nt,) the triangle that is node i of level 0."""
+    """(nt,) triangle of each node of level 0."""
     places: IntArray
-    """(nt,) the node that each triangle is."""
+    """(nt,) node of each triangle."""
     corners: FloatArray
-    """(nt, 3, 3) float, metres, from the origin: of the triangles in the order of the nodes."""
+    """(nt, 3, 3) float, metres, from the origin, in the order of the nodes."""
     levels: tuple[Level, ...]
 
 
@@ -176,7 +170,7 @@ def build_tree(surface: Surface) -> SearchTree:
     order = _halved((columns[:, 0] + columns[:, 1] + columns[:, 2]) / 3)
     columns, facing = columns.take(order, axis=2), surface.normals.T.take(order, axis=1)
     levels, size = [_packed(_leaves(columns, facing))], 1
-    while size * _TOP < len(order):
+    while size * WIDTH < len(order):
         size *= WIDTH
         levels.append(_packed(_joined(columns, facing, size)))
     places = np.empty_like(order)
@@ -193,7 +187,7 @@ class _Nodes:
     middles: FloatArray
     """(3, n), unit."""
     sines: FloatArray
-    """(n,) of the angle by which normals turn from the middle; 2 where that is a right angle or more."""
+    """(n,) of the largest angle of a normal from the mean; 2 for a right angle or more."""
 
 
 def _squares(vectors: FloatArray) -> FloatArray:
@@ -201,7 +195,7 @@ def _squares(vectors: FloatArray) -> FloatArray:
 
 
 def _leaves(columns: FloatArray, normals: FloatArray) -> _Nodes:
-    """Return each triangle as a node: a ball about the middle of its longest side where that holds it, else about its mean."""
+    """Make each triangle a node: a ball about the middle of its longest side if that holds it, else about its mean."""
     sides = [_squares(columns[:, (i + 1) % 3] - columns[:, i]) for i in range(3)]
     longest = np.argmax(sides, axis=0)
     column = np.arange(len(longest))
@@ -214,10 +208,10 @@ def _leaves(columns: FloatArray, normals: FloatArray) -> _Nodes:
 
 
 def _joined(columns: FloatArray, normals: FloatArray, size: int) -> _Nodes:
-    """Join each `size` triangles that follow one another: a ball about the corner that is nearest to their mean."""
+    """Join each `size` successive triangles: a ball about the corner nearest to their mean."""
     count = int(columns.shape[2])
     groups = -(-count // size)
-    # The last triangle again and again fills up the last group; no ball and no cone grows by it.
+    # Copies of the last triangle fill up the last group; they enlarge no ball and no cone.
     filled = np.minimum(np.arange(groups * size), count - 1)
     corners = columns.take(filled, axis=2).reshape(3, 3, groups, size).transpose(0, 2, 1, 3).reshape(3, groups, 3 * size)
     normals = normals.take(filled, axis=1).reshape(3, groups, size)
@@ -227,27 +221,27 @@ def _joined(columns: FloatArray, normals: FloatArray, size: int) -> _Nodes:
     middle = normals.sum(axis=2)
     length = np.sqrt(_squares(middle))
     middle = np.divide(middle, length, out=np.zeros_like(middle), where=length > 0)
-    # Of the chord, since a cosine near 1 has lost the angle.
+    # From the chord: a cosine near 1 has lost the angle.
     chord = _squares(normals - middle[:, :, None]).max(axis=1)
     sine = np.where((chord < 2) & (length > 0), np.sqrt(chord * np.maximum(1 - chord / 4, 0.0)), 2.0)
     return _Nodes(centre, radii, middle, sine)
 
 
 def _packed(nodes: _Nodes) -> Level:
-    """Round to single precision, outward, and fill up the last group with nodes that no bound keeps."""
+    """Round to single precision, outward, and fill up the last group with empty nodes."""
     count = len(nodes.radii)
     groups = -(-count // WIDTH)
     filled = np.minimum(np.arange(groups * WIDTH), count - 1)
     table = np.empty((8, groups * WIDTH))
     table[:3], table[4:7] = nodes.centres.take(filled, axis=1), nodes.middles.take(filled, axis=1)
-    table[3], table[7] = nodes.radii.take(filled) * (1 + ROUND), nodes.sines.take(filled) + _CONE_SLACK
-    table[3, count:] = _NOWHERE
+    table[3], table[7] = nodes.radii.take(filled) * (1 + RADIUS_MARGIN), nodes.sines.take(filled) + _CONE_SLACK
+    table[3, count:] = _EMPTY_RADIUS_M
     single = table.astype(np.float32)
     return np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
 
 
 def _halved(centres: FloatArray) -> IntArray:
-    """Order points (3, n) so that those that follow one another are near: halves along the longest side, down to 8."""
+    """Order points (3, n) so that successive ones are near: halve along the longest side, down to 8."""
     count = int(centres.shape[1])
     order, starts = np.arange(count), np.zeros(1, dtype=np.int64)
     while True:
@@ -260,7 +254,7 @@ def _halved(centres: FloatArray) -> IntArray:
         segment = np.repeat(np.arange(len(starts)), sizes)
         low, high = low[side, np.arange(len(starts))], high[side, np.arange(len(starts))]
         span = np.where(high > low, high - low, 1.0) * 1.001
-        # The segment before the point, the place within it behind it: one sort for all segments.
+        # Segment before the decimal point, position in it behind: one sort for all segments.
         key = segment + (ranked[side[segment], np.arange(count)] - low[segment]) / span[segment]
         # Stable: which of equals comes first must not depend on the processor.
         order = order[key.argsort(kind="stable")]
@@ -269,13 +263,13 @@ def _halved(centres: FloatArray) -> IntArray:
 
 
 def _first_half(sizes: IntArray) -> IntArray:
-    """Return about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
+    """Compute about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
     exponent = np.frexp(np.maximum(sizes - 1, 1).astype(float))[1] - 1
     whole = 1 << (exponent // _HALVINGS * _HALVINGS)
     return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS))
 
 
 def find_fans(surface: Surface) -> tuple[IntArray, IntArray]:
-    """Return (nv + 1,) where the triangles around each vertex begin in the second array, and these triangles."""
+    """List the triangles around each vertex: (nv + 1,) their begins in the second array, and that array."""
     flat, count = surface.triangles.ravel(), len(surface.vertices)
     return np.r_[0, np.cumsum(np.bincount(flat, minlength=count))], flat.argsort(kind="stable") // 3

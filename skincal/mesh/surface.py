@@ -1,11 +1,9 @@
-"""A surface: triangles with outward normals, which of them meet at which edge, and how flat each is.
+"""Surface of triangles with outward normals: its edges, how flat its triangles are, and where a line meets it.
 
 A side of a triangle is numbered h = 3 triangle + side; side s runs from corner s to corner (s + 1) mod 3.
 
-Where a line meets the part: a force axis, or a line of sight.
-
-For a line p + s d and a triangle with corners a, b, c wound outward, project everything along d: the line hits the triangle
-if its point lies within the projected triangle, and enters there (d . n < 0) if the projection is wound clockwise.
+For a line p + s d and a triangle with corners a, b, c wound outward, project everything along d: the line hits the triangle if
+its point is inside the projected triangle, and enters there (d . n < 0) if the projection is wound clockwise.
 """
 
 from __future__ import annotations
@@ -26,14 +24,14 @@ from skincal.model.errors import InputError
 
 SLIVER_RATIO = 100.0
 """Longest side over height of a triangle that is reported as a sliver: its smallest angle is below 0.6 degrees."""
-_SWEEP = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
-"""A unit direction along which no CAD grid lines up, so that few points fall together when projected on it."""
+_SWEEP_DIRECTION = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
+"""Unit direction with which no CAD grid is aligned, so that few points coincide when projected on it."""
 Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A triangle mesh, link frame, metres. Two copies of a surface are never equal; compare `sha256`."""
+    """Triangle mesh, link frame, metres. Two copies are never equal; compare `sha256`."""
 
     vertices: FloatArray
     """(nv, 3) float."""
@@ -60,28 +58,28 @@ class Surface:
         return np.linalg.norm(self.corners - self.centres.T[:, None], axis=2).max(axis=1)
 
     @cached_property
-    def slim(self) -> NDArray[np.bool_]:
-        """(nt,) whether a triangle is a sliver: over `SLIVER_RATIO` times as long as high."""
-        height, longest = heights(self.corners)
+    def is_sliver(self) -> NDArray[np.bool_]:
+        """(nt,) whether a triangle is over `SLIVER_RATIO` times as long as high."""
+        height, longest = triangle_heights(self.corners)
         return longest > SLIVER_RATIO * height
 
 
 def make_surface(vertices: FloatArray, triangles: IntArray, sha256: str = "") -> Surface:
-    """Return the surface of `triangles` (nt, 3) as wound over `vertices` (nv, 3), metres, link frame; none has zero area."""
+    """Make the surface of `triangles` (nt, 3) as wound over `vertices` (nv, 3), metres, link frame; none has zero area."""
     vertices = np.ascontiguousarray(vertices, dtype=float)
     triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     return Surface(vertices, triangles, triangle_normals(vertices[triangles]), sha256)
 
 
 def cached_per_surface(make: Callable[[Surface], Made]) -> Callable[[Surface], Made]:
-    """Return `make` such that it works once for each surface; what it made is gone with the surface, and must not hold it."""
+    """Decorate `make` to run once for each surface; its result is freed with the surface, and must not refer to it."""
     kept: WeakKeyDictionary[Surface, Made] = WeakKeyDictionary()
     lock = threading.Lock()
 
     @wraps(make)
     def find(surface: Surface) -> Made:
         with lock:
-            # Made under the lock: another thread that asks for the same waits, rather than make it, too.
+            # Made under the lock: another thread that asks for the same waits.
             if surface not in kept:
                 kept[surface] = make(surface)
             return kept[surface]
@@ -91,16 +89,16 @@ def cached_per_surface(make: Callable[[Surface], Made]) -> Callable[[Surface], M
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edges:
-    """The edges of a set of triangles."""
+    """Edges of a set of triangles."""
 
     open: IntArray
-    """(k,) sides that no other triangle shares: the rim."""
+    """(k,) sides of one triangle alone: the rim."""
     non_manifold: int
     """Edges shared by three or more triangles."""
     pairs: IntArray
     """(m, 2) sides that two triangles share."""
     against: IntArray
-    """(m,) 1 where both triangles of the pair run along the edge in the same direction, so one is turned; else 0."""
+    """(m,) 1 if both triangles run along the edge in the same direction, so that one is turned; else 0."""
 
 
 def find_edges(triangles: IntArray) -> Edges:
@@ -118,7 +116,7 @@ def find_edges(triangles: IntArray) -> Edges:
 
 
 def neighbours(triangles: IntArray) -> IntArray:
-    """Return (nt, 3): the side on the other side of each side, -1 at the rim and at non-manifold edges."""
+    """Find (nt, 3) the adjacent side of each side; -1 at the rim and at non-manifold edges."""
     pairs = find_edges(triangles).pairs
     other = np.full(triangles.size, -1, dtype=np.int64)
     other[pairs[:, 0]], other[pairs[:, 1]] = pairs[:, 1], pairs[:, 0]
@@ -126,20 +124,20 @@ def neighbours(triangles: IntArray) -> IntArray:
 
 
 def triangle_normals(corners: FloatArray) -> FloatArray:
-    """Return (nt, 3) unit normals of `corners` (nt, 3, 3) as wound, right-handed."""
-    normals, _ = _across(corners)
+    """Compute (nt, 3) unit normals of `corners` (nt, 3, 3) as wound, right-handed."""
+    normals, _ = _normals_and_sides(corners)
     return normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def heights(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the smallest height and the longest side of each triangle of `corners` (nt, 3, 3), metres."""
-    normals, longest = _across(corners)
+def triangle_heights(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute the smallest height and the longest side of each triangle of `corners` (nt, 3, 3), metres."""
+    normals, longest = _normals_and_sides(corners)
     double_area = np.linalg.norm(normals, axis=1)
     return np.divide(double_area, longest, out=np.zeros_like(longest), where=longest > 0), longest
 
 
-def _across(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return normals (nt, 3) of twice the area's length, and the longest sides (nt,).
+def _normals_and_sides(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute normals (nt, 3), twice the area long, and the longest sides (nt,).
 
     The two shortest sides are crossed: they lose the fewest digits for a needle.
     """
@@ -152,17 +150,17 @@ def _across(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def pairs_within(points: FloatArray, reach: float, most: float = inf) -> IntArray:
-    """Return (m, 2): the pairs of `points` (n, 3) within `reach`, metres, each once, by a sweep along one direction; exact.
+    """Find (m, 2) the pairs of `points` (n, 3) within `reach`, metres, each once, by a sweep along one direction; exact.
 
     All pairs of 4,200 taxels would take 400 MB, and scipy's tree half a second to import.
 
-    Raises InputError: `most` pairs and more lie within `reach` along that direction.
+    Raises InputError: more than `most` pairs are within `reach` along that direction.
     """
-    along = points @ _SWEEP
+    along = points @ _SWEEP_DIRECTION
     order = np.argsort(along, kind="stable")
     along = along[order]
     pairs = [np.empty((0, 2), dtype=np.int64)]
-    # A little farther than the reach, so that rounding parts no pair.
+    # A little farther than the reach: rounding loses no pair.
     limit = reach * (1.0 + 1e-9) + 1e-12 * np.abs(along).max(initial=0.0)
     here, step, tried = np.arange(len(order)), 1, 0
     while here.size:
@@ -181,11 +179,14 @@ def pairs_within(points: FloatArray, reach: float, most: float = inf) -> IntArra
 
 
 def entry_points(surface: Surface, point: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return (k, 3) every point, metres, where a line enters the surface, in its order; none where it meets inner sides only.
+    """Find (k, 3) the points, metres, where a line enters the surface from outside, in its order.
 
-    `point` (3,), metres, lies on the line; `direction` (3,), unit, is the way the force pushes.
+    `point` (3,), metres, is on the line; `direction` (3,), unit, is that of the force.
     """
-    across = _plane_across(direction)
+    helper = np.eye(3)[np.argmin(np.abs(direction))]
+    first = np.cross(helper, direction)
+    first /= np.linalg.norm(first)
+    across = np.stack([first, np.cross(direction, first)])
     # Few triangles have an enclosing ball that the line meets.
     away = across @ surface.centres - (across @ point)[:, None]
     near = np.flatnonzero(away[0] ** 2 + away[1] ** 2 <= surface.radii**2)
@@ -200,22 +201,14 @@ def entry_points(surface: Surface, point: FloatArray, direction: FloatArray) -> 
     return points[np.argsort(points @ direction)]
 
 
-def _plane_across(direction: FloatArray) -> FloatArray:
-    """(2, 3) unit vectors u, v across `direction` with u x v = direction."""
-    helper = np.eye(3)[np.argmin(np.abs(direction))]
-    first = np.cross(helper, direction)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
-
-
 def _area(p: FloatArray, q: FloatArray) -> FloatArray:
     return p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
 
 
 def contact_point(surface: Surface | None, point: FloatArray, direction: FloatArray, near: FloatArray) -> FloatArray:
-    """Return (3,) where a poke touches, metres: the entry nearest to `near`, else the axis's own point nearest to it.
+    """Find the contact point of a poke, (3,) metres: the entry nearest to `near`, else the axis's point nearest to it.
 
-    `point` and `direction` are the force axis; `near` is where the taxels are that answered, or the middle of the part.
+    `point` and `direction` are the force axis; `near` is the position of the taxels that answered, or the part's centre.
     """
     entries = np.empty((0, 3)) if surface is None else entry_points(surface, point, direction)
     if len(entries):
@@ -224,23 +217,5 @@ def contact_point(surface: Surface | None, point: FloatArray, direction: FloatAr
 
 
 def point_on_skin(surface: Surface | None, place: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return the skin's point over or under a believed place, (3,) float, metres; the place itself without a surface."""
+    """Find the skin's point over or under a believed position, (3,) metres; the position itself without a surface."""
     return contact_point(surface, place, -normal, place)
-
-
-def first_visible_point(surface: Surface, place: FloatArray, direction: FloatArray) -> FloatArray | None:
-    """Return (3,) where a line of sight meets a part's outer side, metres; None where it misses, or sees an inner side first.
-
-    The eye is at `place` (3,) and looks along `direction` (3,), unit.
-    """
-    outer, inner = (_first(entry_points(surface, place, way), place, direction) for way in (direction, -direction))
-    if outer is None or (inner is not None and (inner - place) @ direction < (outer - place) @ direction):
-        return None
-    return outer
-
-
-def _first(points: FloatArray, place: FloatArray, direction: FloatArray) -> FloatArray | None:
-    """Return which of (n, 3) points on a line is nearest before an eye there; None where none is before it."""
-    away = (points - place) @ direction
-    away[away <= 0.0] = np.inf
-    return points[away.argmin()] if np.isfinite(away).any() else None

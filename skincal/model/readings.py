@@ -7,10 +7,10 @@ in which the device sent them; a batch of one is common.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum
 from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     # The commands' help needs no arrays, and numpy takes a quarter of its time.
@@ -79,48 +79,28 @@ class LinkEvent:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WrenchBatch:
-    """Wrenches of one device, sensor frame."""
+class Batch:
+    """Readings of one stream, in the order in which the device sent them."""
 
+    stream: Stream
     seq: IntArray
-    """(n,) device's counter, unwrapped; -1 where the format has none."""
+    """(n,) device's counter, unwrapped; -1 if the format has none."""
     device_s: FloatArray
-    """(n,) device's clock, seconds, unwrapped; NaN where the format has none."""
-    wrench: FloatArray
-    """(n, 6) float, fx fy fz (N) mx my mz (N m)."""
-    saturated: NDArray[np.bool_]
-    """(n,) the device says that a reading is beyond its range; such a reading is kept and never used."""
-    invalid: NDArray[np.bool_]
-    """(n,) the device says that a reading is not valid; never used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SkinBatch:
-    """Skin frames of one device: raw values as sent, one per channel."""
-
-    seq: IntArray
-    device_s: FloatArray
+    """(n,) device's clock, seconds, unwrapped; NaN if the format has none."""
     values: FloatArray
-    """(n, channels) float, the device's own unit; NaN is a channel that the device says is dead."""
+    """(n, width) float. Wrench: fx fy fz (N) mx my mz (N m), sensor frame. Skin: raw value of each channel, in the device's own
+    unit; NaN: the device says that the channel is dead. Joints: radians."""
+    saturated: NDArray[np.bool_]
+    """(n,) the device says that a wrench is beyond its range; such a reading is kept and never used."""
+    invalid: NDArray[np.bool_]
+    """(n,) the device says that a wrench is not valid; never used."""
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointsBatch:
-    """Joint angles of the arm."""
-
-    seq: IntArray
-    device_s: FloatArray
-    angles: FloatArray
-    """(n, joints) float, radians."""
-
-
-Batch: TypeAlias = WrenchBatch | SkinBatch | JointsBatch
-
-
-def cut(batch: Batch, ends: Sequence[int]) -> list[Batch]:
-    """Return the readings of a batch in parts; each part ends before one of `ends`, which ascend to its length."""
-    arrays = [getattr(batch, item.name) for item in fields(batch)]
-    return [type(batch)(*[array[begin:end] for array in arrays]) for begin, end in pairwise([0, *ends])]
+    def cut(self, ends: Sequence[int]) -> list[Batch]:
+        """Cut the readings into parts; each part ends before one of `ends`, which ascend to their number."""
+        return [
+            Batch(self.stream, self.seq[a:b], self.device_s[a:b], self.values[a:b], self.saturated[a:b], self.invalid[a:b])
+            for a, b in pairwise([0, *ends])
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,18 +1,18 @@
-"""Health of modules: whether they lie as the layout plans them, and the layout put right where they do not.
+"""Health of modules: find modules that are not as planned, and correct the layout.
 
-**Misfits.** Mirrored, turned and swapped modules follow from the estimates of single taxels, which know nothing of modules. A
-module's estimates, seen along their mean normal, are fitted by its pads, as planned and mirrored, moved and turned freely;
-that pose is compared with the plan's, less the rigid motion that most modules share. Modules are wrong by ten millimetres
-where one of these mistakes was made, and by two where none was.
+**Misplaced modules.** Mirrored, turned and swapped modules follow from the estimates of single taxels, which know nothing of
+modules. A module's estimates, seen along their mean normal, are fitted by its pads, as planned and mirrored, moved and turned
+freely. That pose is compared with the plan's, less the rigid motion that most modules share. One of these mistakes moves a
+module by ten millimetres; without one it is off by two.
 
-**Mending.** A mirrored or turned module gets its mirror and angle changed. A swapped one is right in all but whose channels it
-has, so the place where it was found gets its channels; that takes modules that lie in each other's places all around. How a
-module lies in another's place is seen only once it is planned there, so the corrected layout is judged again by the same
-estimates, until nothing is left. A correction whose plan does not lie nearer to the estimates is none.
+**Repair.** A mirrored or turned module gets its mirror and angle changed. Two or more modules that lie in each other's places
+exchange their first channels. This needs a complete cycle. How a module lies in another's place is seen only once it is planned
+there, so the corrected layout is judged again by the same estimates, until nothing is left. A correction is dropped if its plan
+is not nearer to the estimates.
 
-**Spacing**: how far neighbouring taxels lie apart over how far the layout plans it.
+**Spacing**: distance of neighbouring taxels over the planned distance.
 
-What it finds is an offer; nothing is changed by it. The sentences on it are made by `skincal.words`.
+The results are offers; nothing is changed by them. The sentences are made by `skincal.words`.
 """
 
 from __future__ import annotations
@@ -23,47 +23,42 @@ from enum import Enum
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, fit_rotation, tangent_axes
 from skincal.model.skin import Layout, Module
 from skincal.modules.pose import ModuleModel, module_pads
-from skincal.taxels.contact_table import orthonormal_pair
 from skincal.taxels.differences import places_of
 from skincal.taxels.result import Estimate
 
-FEWEST = 5
-"""Places of a module's taxels, `APART` from each other, below which nothing is said of it: taxels that answered to one poke
-alone are all estimated where it was."""
-APART = 1e-4
-"""m: places that differ by less are one."""
-MIRRORED = 0.6
-"""The mirrored pads must fit this much better: the paper's modules fit to 2.1 mm straight and 10.4 mm mirrored."""
-TURN_MIN = float(np.radians(30.0))
-"""rad: a module that is turned by less against most others is laid badly, not mounted wrongly."""
-TURN_ABOUT = float(np.radians(25.0))
-"""rad: a turn that lays the module on its own outline is meant by turns that are seen this near to it."""
-TURN_STEP, TURN_NEAR = float(np.radians(30.0)), float(np.radians(8.0))
-"""rad: other mistakes are made in such steps, and are seen this near to them: a module's turn is seen to 3 degrees (sd)."""
-TURNED = 0.6
-"""The turned pads must fit this much better than the planned ones, moved alone: few estimates that lie close together fit any
-turn."""
+MIN_DISTINCT_POSITIONS = 5
+"""Of a module's taxels: those that answered only one poke are all estimated in its place."""
+SAME_POSITION_M = 1e-4
+MIRROR_FIT_RATIO = 0.6
+"""The mirrored pads must fit better by it: the paper's modules fit to 2.1 mm straight and 10.4 mm mirrored."""
+MIN_TURN_RAD = float(np.radians(30.0))
+"""A module turned by less against most others is placed badly, not mounted wrongly."""
+SYMMETRY_TOLERANCE_RAD = float(np.radians(25.0))
+"""A turn this near to a symmetry of the module's outline means that symmetry."""
+TURN_STEP_RAD, TURN_STEP_TOLERANCE_RAD = float(np.radians(30.0)), float(np.radians(8.0))
+"""Other mistakes are made in such steps, and are seen this near to them: a module's turn is seen to 3 degrees (sd)."""
+TURN_FIT_RATIO = 0.6
+"""The turned pads must fit better by it than the planned ones, shifted: few estimates close together fit any turn."""
 SWAP_SHARE = 0.3
-"""A module lies where another one is planned when it is nearer to that place than this share of its way from its own."""
-FAR = 0.008
-"""m: modules farther than this from where the others put them count less for what all are moved by alike."""
-ARM = 0.02
-"""m: a module's normal counts as a point this far above it, so that a flat skin is not turned upside down."""
-ROUNDS = 5
-"""Of weighing the modules anew, for the motion that most of them share."""
-ALIKE = 1e-3
-"""m: corners of an outline that lie nearer than this are the same."""
-NEIGHBOUR = 1.3
-"""Taxels of one module within this many spacings are neighbours: 1.0 apart, the next ring is 1.7."""
-MEND_ROUNDS = 3
-"""Corrections one after another: that a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
+"""A module is in another one's place if it is nearer to that than this share of its distance from its own."""
+ROBUST_SCALE_M = 0.008
+"""Modules with a larger residual count less for the common motion."""
+NORMAL_LEVER_M = 0.02
+"""A module's normal counts as a point this far above it, so that a flat skin is not turned upside down."""
+REWEIGHTINGS = 5
+SAME_CORNER_M = 1e-3
+"""Corners of an outline that are nearer are the same."""
+NEIGHBOUR_SPACINGS = 1.3
+"""Taxels of one module within so many spacings are neighbours; the next ring is at 1.7."""
+MAX_REPAIRS = 3
+"""Corrections in turn: whether a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
 
 
 class MisplacementKind(Enum):
-    """What is wrong with a module; the value says it in a word."""
+    """Mistake of a module; the value is a word for it."""
 
     MIRRORED = "mirrored"
     TURNED = "turned"
@@ -72,66 +67,66 @@ class MisplacementKind(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MisplacedModule:
-    """One module that does not lie as planned, and what would put it right."""
+    """A module that is not as planned, and its correction."""
 
     module: int
     """Its id."""
     kind: MisplacementKind
     before: float
-    """m, rms: how far its taxels lie from the plan, less what all modules are moved by alike."""
+    """m, rms distance of its taxels from the plan, without the common motion."""
     after: float
-    """m, rms: the same with the correction."""
+    """m, the same with the correction."""
     turn: float = 0.0
-    """rad: what the layout's angle is to be changed by; of a mirrored one once its mirror is changed."""
+    """rad: change of the layout's angle; of a mirrored module after its mirror is changed."""
     other: int | None = None
-    """Id of the module in whose place it lies."""
+    """Id of the module in whose place it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """A module as its estimates show it."""
+    """Pose of a module by its estimates."""
 
     places: FloatArray
-    """(n, 3) float, metres, of `pads`."""
+    """(n, 3) float, metres, estimated."""
     planned: FloatArray
-    """(n, 3) float, metres: where the plan puts them."""
+    """(n, 3) float, metres, of the same taxels."""
     straight: float
-    """m, rms from the pads as planned, moved and turned freely."""
+    """m, rms distance from the pads as planned, moved and turned freely."""
     mirrored: float
-    """m, rms from the mirrored pads, likewise."""
+    """m, the same from the mirrored pads."""
     turn: float
-    """rad, of the better one against the plan."""
+    """rad, of the better fit, relative to the plan."""
     normals: FloatArray
     """(2, 3) float, unit: of the plan, and of the estimates."""
 
 
 def count_judged_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> int:
-    """Return of how many modules enough is known for `find_misplaced_modules` to judge them; parameters as there."""
-    return sum(_known(model, index, estimates) is not None for index in range(len(model.pads)))
+    """Count the modules that `find_misplaced_modules` can judge; parameters as there."""
+    return sum(_known_pads(model, index, estimates) is not None for index in range(len(model.pads)))
 
 
 def find_misplaced_modules(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[MisplacedModule, ...]:
-    """Return the modules that are mirrored, turned or swapped, in the layout's order.
+    """Find the modules that are mirrored, turned or swapped, in the layout's order.
 
     Parameters
     ----------
-    estimates : of single taxels by channel, of the surface method where there is a surface
+    estimates : of single taxels by channel, by the surface method if there is a surface
     """
     seen, motion = _all_seen(model, estimates)
     elsewhere = _in_place_of(model, seen, motion)
-    usual = _usual([module.turn for index, module in seen.items() if index not in elsewhere])
+    usual = _most_central_turn([module.turn for index, module in seen.items() if index not in elsewhere])
     found = (_misfit(model, index, module, elsewhere.get(index), usual) for index, module in seen.items())
     return tuple(misfit for misfit in found if misfit is not None)
 
 
 def miss_of(model: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
-    """Return how far taxels lie from the plan, less what most modules are moved by alike: rms, m; 0 where nothing is known."""
+    """Compute the rms distance of taxels from the plan without the common motion, m; 0 if nothing is known."""
     seen, _ = _all_seen(model, estimates)
     return _rms(np.concatenate([module.places - module.planned for module in seen.values()])) if seen else 0.0
 
 
 def _all_seen(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
-    """Return the modules of which enough is known, their plans moved by what most are moved by, and that motion (4, 4)."""
+    """Find the modules of which enough is known, their plans moved by the common motion, and that motion (4, 4)."""
     each = {index: _seen(model, index, estimates) for index in range(len(model.pads))}
     seen = {index: module for index, module in each.items() if module is not None}
     if not seen:
@@ -141,53 +136,51 @@ def _all_seen(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[di
     return {index: replace(module, planned=module.planned @ turn.T + shift) for index, module in seen.items()}, motion
 
 
-def _usual(turns: Sequence[float]) -> float:
-    """Return the turn that is nearest to all, the smallest of those equally near; 0 of none."""
+def _most_central_turn(turns: Sequence[float]) -> float:
+    """Find the turn with the smallest sum of differences from all, the smallest of equal ones; 0 of none."""
     every = np.array(sorted(turns, key=abs), dtype=np.float64)
     apart = np.abs(np.angle(np.exp(1j * (every[:, None] - every)))).sum(axis=1)
-    # To a billionth of a radian: which of two comes first must not hang on their last digit.
+    # Rounded: the order of two must not depend on their last digit.
     return float(every[int(np.argmin(apart.round(9)))]) if len(every) else 0.0
 
 
 def _common(seen: Sequence[_Seen]) -> FloatArray:
-    """Return the rigid motion (4, 4) from plan to places that most modules share; of one or two modules a shift alone."""
+    """Fit the rigid motion (4, 4) from plan to estimates that most modules share; a shift for one or two modules."""
     here = np.array([module.planned.mean(axis=0) for module in seen])
     there = np.array([module.places.mean(axis=0) for module in seen])
-    up, outward = (ARM * np.array([module.normals[row] for module in seen]) for row in range(2))
+    up, outward = (NORMAL_LEVER_M * np.array([module.normals[row] for module in seen]) for row in range(2))
     weights, motion = np.ones(len(here)), np.eye(4)
     motion[:3, 3] = np.median(there - here, axis=0)
-    for _ in range(ROUNDS if len(here) > 2 else 0):
+    for _ in range(REWEIGHTINGS if len(here) > 2 else 0):
         off = there - here @ motion[:3, :3].T - motion[:3, 3]
-        weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / FAR**2)
+        weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / ROBUST_SCALE_M**2)
         middle, centre = weights @ here / weights.sum(), weights @ there / weights.sum()
         weighed = weights[:, None]
-        left, _, right = np.linalg.svd((weighed * (there - centre)).T @ (here - middle) + (weighed * outward).T @ up)
-        turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+        turn = fit_rotation((weighed * (there - centre)).T @ (here - middle) + (weighed * outward).T @ up)
         motion[:3, :3], motion[:3, 3] = turn, centre - turn @ middle
     return motion
 
 
-def _known(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> dict[int, Estimate] | None:
-    """Return the estimates of a module's pads that have a position and a normal; None where these or the plan do not say."""
+def _known_pads(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> dict[int, Estimate] | None:
+    """Find the estimates of a module's pads with a position and a normal; `None` if they are too few or there is no plan."""
     own = {row: estimates[channel] for row, channel in enumerate(model.channels_of([module])) if channel in estimates}
     known = {row: estimate for row, estimate in own.items() if estimate.position is not None and estimate.normal is not None}
-    places = {tuple(np.round(estimate.position / APART)) for estimate in known.values() if estimate.position is not None}
-    return None if len(places) < FEWEST or model.plan(module) is None else known
+    places = {
+        tuple(np.round(estimate.position / SAME_POSITION_M)) for estimate in known.values() if estimate.position is not None
+    }
+    return None if len(places) < MIN_DISTINCT_POSITIONS or model.plan(module) is None else known
 
 
 def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
     plan, planned = model.plan(module), model.planned(module)
-    known = _known(model, module, estimates)
+    known = _known_pads(model, module, estimates)
     if plan is None or planned is None or known is None:
         return None
     rows, points = list(known), np.array([estimate.position for estimate in known.values()], dtype=np.float64)
     normal: FloatArray = np.sum(np.array([estimate.normal for estimate in known.values()], dtype=np.float64), axis=0)
     normal = normal / np.sqrt(normal @ normal)
     pads = model.pads[module][rows]
-    x = plan.x[0] - (plan.x[0] @ normal) * normal
-    length = float(np.sqrt(x @ x))
-    x = x / length if length > 0.1 else orthonormal_pair(normal[None])[0, 0]
-    y = np.asarray(np.cross(normal, x), dtype=np.float64)
+    x, y = tangent_axes(plan.x[0], normal, fallback=True)
     flat = np.stack([points @ x, points @ y], axis=1)
     straight, turn = _fit(pads, flat)
     mirrored, other = _fit(pads * np.array([-1.0, 1.0]), flat)
@@ -196,7 +189,7 @@ def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) ->
 
 
 def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
-    """Return how far places (n, 2) in the plane lie from pads moved and turned to them, rms, and the turn."""
+    """Fit pads to positions (n, 2) by a shift and a turn; return the rms distance and the turn."""
     own, there = pads - pads.mean(axis=0), flat - flat.mean(axis=0)
     turn = float(np.arctan2(np.sum(own[:, 0] * there[:, 1] - own[:, 1] * there[:, 0]), np.sum(own * there)))
     c, s = np.cos(turn), np.sin(turn)
@@ -204,19 +197,19 @@ def _fit(pads: FloatArray, flat: FloatArray) -> tuple[float, float]:
 
 
 def _rms(off: FloatArray) -> float:
-    """Return the root mean square of the lengths of (n, d)."""
+    """Root mean square of the lengths of (n, d)."""
     return float(np.sqrt(np.sum(off * off) / len(off)))
 
 
 def _misfit(
     model: ModuleModel, index: int, seen: _Seen, elsewhere: tuple[int, float] | None, usual: float
 ) -> MisplacedModule | None:
-    """Return what is wrong with a module; the largest mistake first.
+    """Find the mistake of a module, the largest one first.
 
     Parameters
     ----------
-    elsewhere : the module in whose place it lies and how far from it; None for its own place
-    usual : the turn that most have
+    elsewhere : the module in whose place it is, and the distance from it; None in its own place
+    usual : turn of most modules
     """
     module = model.layout.modules[index]
     before = _rms(seen.places - seen.planned)
@@ -226,22 +219,21 @@ def _misfit(
         return MisplacedModule(module.id, MisplacementKind.SWAPPED, before, after, other=model.layout.modules[other].id)
     beside = _apart(seen.places.mean(axis=0), seen.planned.mean(axis=0))
     turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
-    if seen.mirrored < MIRRORED * seen.straight:
-        turn = _meant(turn, module, mirrored=True)
+    if seen.mirrored < MIRROR_FIT_RATIO * seen.straight:
+        turn = _intended_turn(turn, module, mirrored=True)
         return MisplacedModule(module.id, MisplacementKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
-    # Moved to the estimates, and not turned.
     unturned = _rms((seen.places - seen.places.mean(axis=0)) - (seen.planned - seen.planned.mean(axis=0)))
-    if abs(turn) > TURN_MIN and seen.straight < TURNED * unturned:
-        turn = _meant(turn, module, mirrored=False)
+    if abs(turn) > MIN_TURN_RAD and seen.straight < TURN_FIT_RATIO * unturned:
+        turn = _intended_turn(turn, module, mirrored=False)
         return MisplacedModule(module.id, MisplacementKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
     return None
 
 
 def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArray) -> dict[int, tuple[int, float]]:
-    """Return the modules that lie in another's planned place: that one, and how far from it.
+    """Find the modules in another one's planned place: that one, and the distance from it.
 
-    Modules of which too little is known are looked at, too, but only where one lies so far off that it may be in their place:
-    on a large skin their plans cost more than all else.
+    The plans of modules without enough estimates are computed only if a module is so far off that it may be in their place: on
+    a large skin they take most of the time.
     """
     here = {index: module.places.mean(axis=0) for index, module in seen.items()}
     there = {index: module.planned.mean(axis=0) for index, module in seen.items()}
@@ -253,16 +245,16 @@ def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArr
             if index not in seen and (planned := model.planned(index)) is not None
         }
     nearest = {index: _nearest(place, there) for index, place in here.items()} if far else {}
-    astray = {index: place for index, place in nearest.items() if place[0] != index}
-    found = {index: place for index, place in astray.items() if place[1] < SWAP_SHARE * _apart(here[index], there[index])}
-    # A module with another in its place lies in the place of one that is astray, too, if less surely so.
-    while more := [other for other, _ in found.values() if other in astray and other not in found]:
-        found |= {index: _nearest(here[index], {k: there[k] for k in astray if k != index}) for index in more}
+    displaced = {index: place for index, place in nearest.items() if place[0] != index}
+    found = {index: place for index, place in displaced.items() if place[1] < SWAP_SHARE * _apart(here[index], there[index])}
+    # A module with another in its place is in the place of one that is off, too, if less surely.
+    while more := [other for other, _ in found.values() if other in displaced and other not in found]:
+        found |= {index: _nearest(here[index], {k: there[k] for k in displaced if k != index}) for index in more}
     return found
 
 
 def _nearest(place: FloatArray, centres: Mapping[int, FloatArray]) -> tuple[int, float]:
-    """Return which of some places is nearest to a place, and how far from it."""
+    """Find the nearest of some points, and its distance."""
     apart = np.sqrt(np.sum((np.array(list(centres.values())) - place) ** 2, axis=1))
     row = int(np.argmin(apart))
     return list(centres)[row], float(apart[row])
@@ -272,27 +264,27 @@ def _apart(place: FloatArray, other: FloatArray) -> float:
     return float(np.linalg.norm(place - other))
 
 
-def _meant(turn: float, module: Module, *, mirrored: bool) -> float:
-    """Return the turn that is meant by the one that is seen.
+def _intended_turn(turn: float, module: Module, *, mirrored: bool) -> float:
+    """Guess the exact turn from the measured one.
 
-    That is a turn that lays the module, mirrored or not, on its own outline, else one in steps of `TURN_STEP`, else whole
-    degrees. Of a mirrored module, a turn too small to be reported by itself counts as none.
+    It is a symmetry of the module's outline, mirrored or not, else a multiple of `TURN_STEP_RAD`, else whole degrees. Of a
+    mirrored module a small turn counts as none.
     """
     outline = module.kind.outline @ np.array([-1.0 if module.mirror else 1.0, 1j])
     before = outline - outline.mean()
     after = -before.conj() if mirrored else before
     for angle in np.radians([0.0, 60.0, 90.0, 120.0, 180.0, -60.0, -90.0, -120.0]).tolist():
         gap = np.abs(after[:, None] * np.exp(1j * angle) - before[None]).min(axis=1).max()
-        if gap < ALIKE and abs(np.angle(np.exp(1j * (angle - turn)))) < TURN_ABOUT:
+        if gap < SAME_CORNER_M and abs(np.angle(np.exp(1j * (angle - turn)))) < SYMMETRY_TOLERANCE_RAD:
             return float(angle)
-    if abs(turn) < TURN_MIN:
+    if abs(turn) < MIN_TURN_RAD:
         return 0.0
-    step = TURN_STEP * round(turn / TURN_STEP)
-    return step if abs(turn - step) < TURN_NEAR else float(np.radians(round(np.degrees(turn))))
+    step = TURN_STEP_RAD * round(turn / TURN_STEP_RAD)
+    return step if abs(turn - step) < TURN_STEP_TOLERANCE_RAD else float(np.radians(round(np.degrees(turn))))
 
 
 class UnrepairedKind(Enum):
-    """Why a change of the layout does not put modules right."""
+    """Reason why a change of the layout does not correct modules."""
 
     STILL_OFF = "off its place all the same"
     NO_RING = "in another's place, with no exchange that leads around"
@@ -302,18 +294,18 @@ class UnrepairedKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Unrepaired:
-    """Modules that cannot be put right, and why."""
+    """Modules that cannot be corrected, and why."""
 
     kind: UnrepairedKind
     modules: tuple[int, ...]
-    """Their ids; for `NO_RING` the module and the one in whose place it lies."""
+    """Their ids; for `NO_RING` the module and the one in whose place it is."""
     off: float = 0.0
-    """m, rms, `STILL_OFF`: how far the taxels would lie off with the correction."""
+    """m, rms, `STILL_OFF`: distance of the taxels with the correction."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModuleChange:
-    """What the layout is to say of one module; None where it is right."""
+    """New values of one module in the layout; `None` for unchanged ones."""
 
     module: int
     """Its id."""
@@ -324,7 +316,7 @@ class ModuleChange:
 
     @property
     def keys(self) -> dict[str, float | bool | int]:
-        """What is to stand in the layout's file, by its keys."""
+        """New values in the layout's file, by its keys."""
         degrees = None if self.angle is None else round(float(np.degrees(self.angle)), 6)
         whole = int(degrees) if degrees is not None and degrees == int(degrees) else degrees
         given = {"first_channel": self.first_channel, "angle_deg": whole, "mirror": self.mirror}
@@ -333,27 +325,22 @@ class ModuleChange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LayoutRepair:
-    """How a layout is put right."""
+    """Correction of a layout."""
 
     misfits: tuple[MisplacedModule, ...]
-    """What is wrong with it, by `find_misplaced_modules`."""
+    """Result of `find_misplaced_modules`."""
     layout: Layout
-    """The corrected one; as it was where nothing can be put right."""
+    """Corrected; unchanged if nothing can be corrected."""
     changes: tuple[ModuleChange, ...]
-    """Where it differs, in its order."""
+    """In its order."""
     left: tuple[Unrepaired, ...]
-    """What cannot be put right so."""
+    """Modules that cannot be corrected."""
 
 
 def repair_layout(model: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutRepair:
-    """Return how the layout of a model is put right so that `find_misplaced_modules` finds nothing more.
-
-    Parameters
-    ----------
-    model, estimates : as for `find_misplaced_modules`
-    """
+    """Correct the layout of a model until `find_misplaced_modules` finds nothing more; parameters as there."""
     given, first, left = model.layout, None, ()
-    for more in reversed(range(MEND_ROUNDS + 1)):
+    for more in reversed(range(MAX_REPAIRS + 1)):
         misfits = find_misplaced_modules(model, estimates)
         first = misfits if first is None else first
         layout, left = correct_layout(model.layout, misfits)
@@ -368,16 +355,11 @@ def repair_layout(model: ModuleModel, estimates: Mapping[int, Estimate]) -> Layo
 
 
 def correct_layout(layout: Layout, misfits: Sequence[MisplacedModule]) -> tuple[Layout, tuple[Unrepaired, ...]]:
-    """Return a layout with its misfits put right, and those that cannot be; the same layout where none can.
-
-    Parameters
-    ----------
-    misfits : of this layout
-    """
+    """Correct the misplaced modules of a layout; return it with those that cannot be corrected."""
     modules = {module.id: module for module in layout.modules}
     swapped = [misfit for misfit in misfits if misfit.kind is MisplacementKind.SWAPPED]
     channels, left = _exchanged(layout, swapped)
-    # What lies in a place that another was found in is not understood, be it turned or mirrored there.
+    # A module whose place holds another one is not understood, even if it looks turned or mirrored.
     unclear = {misfit.other for misfit in swapped} - channels.keys()
     for misfit in misfits:
         if misfit.kind is MisplacementKind.SWAPPED or misfit.module in unclear:
@@ -392,18 +374,18 @@ def correct_layout(layout: Layout, misfits: Sequence[MisplacedModule]) -> tuple[
 
 
 def changes_of(before: Layout, after: Layout) -> tuple[ModuleChange, ...]:
-    """Return where a layout of the same modules differs, in its order."""
-    found = [_change(module, other) for module, other in zip(before.modules, after.modules, strict=True)]
-    return tuple(change for change in found if change.keys)
-
-
-def _change(module: Module, other: Module) -> ModuleChange:
-    return ModuleChange(
-        module.id,
-        None if other.angle == module.angle else other.angle,
-        None if other.mirror == module.mirror else other.mirror,
-        None if other.first_channel == module.first_channel else other.first_channel,
-    )
+    """List the differences of a layout of the same modules, in its order."""
+    changes = list[ModuleChange]()
+    for module, other in zip(before.modules, after.modules, strict=True):
+        change = ModuleChange(
+            module.id,
+            None if other.angle == module.angle else other.angle,
+            None if other.mirror == module.mirror else other.mirror,
+            None if other.first_channel == module.first_channel else other.first_channel,
+        )
+        if change.keys:
+            changes.append(change)
+    return tuple(changes)
 
 
 def _turned(module: Module, misfit: MisplacedModule) -> Module:
@@ -414,13 +396,13 @@ def _turned(module: Module, misfit: MisplacedModule) -> Module:
 
 
 def _radius(module: Module) -> float:
-    """Return how far a module reaches from its middle, metres: one that lies farther from its place is not there."""
+    """Largest distance of a module's outline from its centre, metres: a module that is farther off is not in its place."""
     outline = module.kind.outline - module.kind.outline.mean(axis=0)
     return float(np.sqrt(np.sum(outline * outline, axis=1)).max())
 
 
 def _exchanged(layout: Layout, swapped: Sequence[MisplacedModule]) -> tuple[dict[int, int], list[Unrepaired]]:
-    """Return which module gets which first channel, by ids, and what is left."""
+    """Exchange first channels: the new one of each module, by id, and the modules that cannot be corrected."""
     goes = {misfit.module: misfit.other for misfit in swapped if misfit.other is not None}
     modules = {module.id: module for module in layout.modules}
     channels: dict[int, int] = {}
@@ -429,7 +411,7 @@ def _exchanged(layout: Layout, swapped: Sequence[MisplacedModule]) -> tuple[dict
         ring = _ring(start, goes)
         if not ring:
             left.append(Unrepaired(UnrepairedKind.NO_RING, (start, goes[start])))
-        elif _alike([modules[number] for number in ring]):
+        elif _have_same_pads([modules[number] for number in ring]):
             channels[goes[start]] = modules[start].first_channel
         elif start == min(ring):
             left.append(Unrepaired(UnrepairedKind.UNLIKE, ring))
@@ -437,46 +419,41 @@ def _exchanged(layout: Layout, swapped: Sequence[MisplacedModule]) -> tuple[dict
 
 
 def _ring(start: int, goes: Mapping[int, int]) -> tuple[int, ...]:
-    """Return the modules from `start` on, each in the place of the next, around; empty where there is an end."""
+    """List the cycle of modules from `start` on, each in the place of the next; empty without a cycle."""
     ring = [start]
     while (after := goes.get(ring[-1])) is not None and after not in ring:
         ring.append(after)
     return tuple(ring) if after == start else ()
 
 
-def _alike(modules: Sequence[Module]) -> bool:
-    """Return whether modules have the same pads, so that the channels of each fit the others."""
+def _have_same_pads(modules: Sequence[Module]) -> bool:
     first = modules[0].kind.pads
     return all(np.array_equal(first, module.kind.pads, equal_nan=True) for module in modules)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedNeighbours:
-    """Pairs of taxels of one module that the layout plans next to each other."""
+    """Pairs of neighbouring taxels of one module by the layout."""
 
     pairs: IntArray
     """(n, 2) channels."""
     modules: IntArray
     """(n,) indices in the layout."""
     planned: FloatArray
-    """(n,) float, metres: how far apart."""
+    """(n,) float, metres: planned distance."""
     width: int
     """Channels of a skin frame."""
     count: int
     """Modules of the layout."""
 
     def ratios(self, channels: IntArray, places: FloatArray) -> FloatArray:
-        """Return how far neighbours lie apart over how far the layout plans it, module by module.
+        """Compute (modules + 1,) the distance of neighbours over the planned one, the last over all; NaN without a known pair.
 
-        Least squares draws taxels together to where they are poked: below 1 shows it; scatter widens, above 1.
+        Least squares draws taxels together to where they are poked (below 1), and scatter widens (above 1).
 
         Parameters
         ----------
-        channels, places : (n,) int and (n, 3) float, metres; NaN where unknown
-
-        Returns
-        -------
-        (modules + 1,) float, the last over all modules; NaN where no pair is known
+        channels, places : (n,) int and (n, 3) float, metres; NaN if unknown
         """
         found = np.full((self.width, 3), np.nan)
         found[channels] = places
@@ -489,12 +466,12 @@ class PlannedNeighbours:
 
 
 def neighbours_of(layout: Layout) -> PlannedNeighbours:
-    """Return which taxels the layout plans next to each other; once for a layout, since it looks at every pair of a module."""
+    """Find the neighbouring taxels of a layout. It looks at every pair of a module, so keep the result."""
     pairs, modules, planned = [np.empty((0, 2), dtype=np.int64)], [np.empty(0, dtype=np.int64)], [np.empty(0)]
     for index, module in enumerate(layout.modules):
         pads = module_pads(module)
         apart = np.sqrt(np.sum((pads[:, None] - pads[None]) ** 2, axis=2))
-        first, second = np.nonzero(np.triu(apart <= NEIGHBOUR * layout.spacing, 1))
+        first, second = np.nonzero(np.triu(apart <= NEIGHBOUR_SPACINGS * layout.spacing, 1))
         pairs.append(module.channels[np.stack([first, second], axis=1)])
         modules.append(np.full(len(first), index, dtype=np.int64))
         planned.append(apart[first, second])
@@ -503,7 +480,7 @@ def neighbours_of(layout: Layout) -> PlannedNeighbours:
 
 
 def spacing_ratio(layout: Layout, estimates: Sequence[Estimate]) -> float | None:
-    """Return how far neighbours lie apart over how far the layout plans it, over all modules; None where no pair is known."""
+    """Compute the distance of neighbours over the planned one, over all modules; `None` without a known pair."""
     channels = np.array([estimate.channel for estimate in estimates], dtype=np.int64)
     ratio = float(neighbours_of(layout).ratios(channels, places_of(estimates))[-1])
     return ratio if ratio == ratio else None

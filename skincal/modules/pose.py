@@ -1,13 +1,13 @@
-"""Poses of modules: where a pose puts the module's pads, and how that changes with the pose.
+"""Poses of modules: positions of the pads at a pose, and their derivatives by the pose.
 
-On a surface a module has three unknowns: it is bent and not stretched, so its pose is a place on the surface and a
-direction along it, and its pads lie at the ends of straight geodesics (`skincal.mesh.geodesics`). On a mesh these unfold
-into a plane: with x', y' the directions of the module's x and y carried to a pad at (bx, by),
+On a surface a module has three unknowns. It is bent and not stretched, so its pose is a point on the surface and a direction
+along it, and its pads lie at the ends of straight geodesics (`skincal.mesh.geodesics`). On a mesh these unfold into a plane:
+with x', y' the directions of the module's x and y carried to a pad at (bx, by),
 
     dP/da = x',   dP/db = y',   dP/dtheta = bx y' - by x',
 
 exactly, within a triangle. Without a surface a module is flat and has six unknowns: a shift t and a turn w about its origin,
-dP/dt = I, dP/dw = -S(P - origin). Turns are counted as the way of a point `LEVER` from the origin, so all unknowns are
+dP/dt = I, dP/dw = -S(P - origin). A turn is counted as the path of a point `LEVER_M` from the origin, so all unknowns are
 metres.
 """
 
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed
+from skincal.geometry import FloatArray, IntArray, cross_matrix, crossed, tangent_axes
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, Module
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
     from skincal.model.scene import KnownDistance
 
-LEVER = 0.010
-"""m: a turn is counted as the way of a point this far from the module's origin, about as far as its outer pads."""
+LEVER_M = 0.010
+"""Distance from a module's origin at which turns are counted as metres: about that of its outer pads."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,25 +39,24 @@ class ModulePoses:
     points: FloatArray
     """(n, 3) float, metres: the modules' origins."""
     x: FloatArray
-    """(n, 3) float, unit: where the modules' x axes point there."""
+    """(n, 3) float, unit: the modules' x axes there."""
     normals: FloatArray
     """(n, 3) float, unit, outward, there."""
     triangles: IntArray
     """(n,) of the surface; -1 without one."""
 
-    def take(self, rows: IntArray) -> ModulePoses:
-        """Return some of them."""
+    def select(self, rows: IntArray) -> ModulePoses:
         return ModulePoses(self.points[rows], self.x[rows], self.normals[rows], self.triangles[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pads:
-    """Where n pads lie."""
+    """Positions of n pads."""
 
     points: FloatArray
     """(n, 3) float, metres, link frame."""
     gradients: FloatArray
-    """(n, 3, d) float: change of a pad's place with the d unknowns of its module."""
+    """(n, 3, d) float: derivative of a pad's position by the d unknowns of its module."""
     normals: FloatArray
     """(n, 3) float, unit, outward."""
     triangles: IntArray
@@ -65,32 +64,32 @@ class Pads:
 
 
 class ModulesOnSurface:
-    """A surface that modules are bent onto."""
+    """Surface that modules are bent onto."""
 
     unknowns = 3
-    """d, of each module."""
+    """Of each module."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
 
     def place_pads(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie: at the ends of geodesics."""
+        """Place pads at `flat` (n, 2), metres, of modules at `poses` (n,): at the ends of geodesics."""
         end = _walked(self.surface, poses, flat)
         normals = self.surface.normals[end.triangles]
         x, y = end.x, crossed(normals, end.x)
-        turn = (flat[:, :1] * y - flat[:, 1:] * x) / LEVER
+        turn = (flat[:, :1] * y - flat[:, 1:] * x) / LEVER_M
         return Pads(end.points, np.stack([x, y, turn], axis=2), normals, end.triangles)
 
     def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses (n,) moved by `moves` (n, 3): at the ends of geodesics, turned there."""
+        """Move the poses (n,) by `moves` (n, 3): to the ends of geodesics, turned there."""
         end = _walked(self.surface, poses, moves[:, :2])
         normals = self.surface.normals[end.triangles]
         y = crossed(normals, end.x)
-        c, s = np.cos(moves[:, 2:] / LEVER), np.sin(moves[:, 2:] / LEVER)
+        c, s = np.cos(moves[:, 2:] / LEVER_M), np.sin(moves[:, 2:] / LEVER_M)
         return ModulePoses(end.points, c * end.x + s * y, normals, end.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return (n, 1, 3) the axes that the last unknown turns places about, the normals: a module turns in its plane."""
+        """Rotation axes (n, 1, 3) of the last unknown: the normals."""
         return normals[:, None]
 
 
@@ -100,28 +99,28 @@ class ModulesInSpace:
     unknowns = 6
 
     def place_pads(self, poses: ModulePoses, flat: FloatArray) -> Pads:
-        """Return where pads at `flat` (n, 2), metres, of modules at `poses` (n,) lie, in the planes of the modules."""
+        """Place pads at `flat` (n, 2), metres, of modules at `poses` (n,), in the planes of the modules."""
         arms = flat[:, :1] * poses.x + flat[:, 1:] * crossed(poses.normals, poses.x)
-        gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER], axis=2)
+        gradients = np.concatenate([np.tile(np.eye(3), (len(flat), 1, 1)), -cross_matrix(arms) / LEVER_M], axis=2)
         return Pads(poses.points + arms, gradients, poses.normals, poses.triangles)
 
     def move(self, poses: ModulePoses, moves: FloatArray) -> ModulePoses:
-        """Return the poses (n,) moved by `moves` (n, 6): shifted and turned."""
-        turn = rotations(moves[:, 3:] / LEVER)
+        """Move the poses (n,) by `moves` (n, 6): shift and turn them."""
+        turn = rotations(moves[:, 3:] / LEVER_M)
         x, normals = (np.sum(turn * v[:, None], axis=2) for v in (poses.x, poses.normals))
         return ModulePoses(poses.points + moves[:, :3], x, normals, poses.triangles)
 
     def axes(self, normals: FloatArray) -> FloatArray:
-        """Return (n, 3, 3) the axes that the last three unknowns turn places about: those of the link."""
+        """Rotation axes (n, 3, 3) of the last three unknowns: those of the link."""
         return np.tile(np.eye(3), (len(normals), 1, 1))
 
 
 ModuleGround: TypeAlias = ModulesOnSurface | ModulesInSpace
-"""What modules lie on."""
+"""Ground of the modules."""
 
 
 def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> MeshPoints:
-    """Return where straight ways (n, 2) from poses end, metres."""
+    """Walk straight along the surface from poses, by `ways` (n, 2), metres."""
     # Imported only now: a scene without a mesh loads nothing of it.
     from skincal.mesh.geodesics import MeshPoints, geodesics_of
 
@@ -129,7 +128,7 @@ def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> MeshPoint
 
 
 def rotations(vectors: FloatArray) -> FloatArray:
-    """Return (n, 3, 3) the turns about `vectors` (n, 3) by their lengths, radians (Rodrigues)."""
+    """Make the rotations (n, 3, 3) about `vectors` (n, 3) by their lengths, radians (Rodrigues)."""
     angles = np.sqrt(np.sum(vectors * vectors, axis=1))[:, None, None]
     s = cross_matrix(vectors)
     squared = vectors[:, :, None] * vectors[:, None] - angles**2 * np.eye(3)
@@ -137,18 +136,17 @@ def rotations(vectors: FloatArray) -> FloatArray:
 
 
 def module_pads(module: Module) -> FloatArray:
-    """Return (k, 2) the places of a module's channels in its own plane, metres, mirrored where it is."""
+    """Positions (k, 2) of a module's channels in its own plane, metres, mirrored if the module is."""
     pads = module.kind.pads[~np.isnan(module.kind.pads[:, 0])]
     return pads * np.array([-1.0 if module.mirror else 1.0, 1.0])
 
 
 class ModuleModel:
-    """The modules of a layout, and where the plan puts them.
+    """Modules of a layout, with their poses by the plan.
 
     Parameters
     ----------
-    layout, anchor : of the scene; without an anchor the plan does not say where
-    surface : None where there is none
+    anchor : of the layout; without one only modules with an own anchor have a planned pose
     distances : known between its modules
     """
 
@@ -161,7 +159,7 @@ class ModuleModel:
         self.pads: list[FloatArray] = [module_pads(module) for module in layout.modules]
         """Of each module, `module_pads`."""
         self.place_of: IntArray = np.full(layout.width, -1, dtype=np.int64)
-        """(width,) which of its module's pads a channel is; -1 where there is no taxel."""
+        """(width,) index of a channel among its module's pads; -1 for no taxel."""
         for module in layout.modules:
             self.place_of[module.channels] = np.arange(len(module.channels))
         self._anchor = anchor
@@ -170,41 +168,41 @@ class ModuleModel:
         self._planned: dict[int, FloatArray] = {}
 
     def with_layout(self, layout: Layout) -> ModuleModel:
-        """Return the model of another layout of these modules on the same part, without known distances."""
+        """Make the model of another layout of these modules on the same part, without known distances."""
         model = ModuleModel(layout, self._anchor, self._surface)
         pairs = zip(self.layout.modules, layout.modules, strict=True)
-        # Laying a module out on a mesh costs milliseconds: a plan that is the same is not made anew.
+        # Placing a module on a mesh takes milliseconds: an equal plan is kept.
         same = [index for index, (before, after) in enumerate(pairs) if _same_plan(before, after)]
         model._plans = {index: self._plans[index] for index in same if index in self._plans}
         model._planned = {index: self._planned[index] for index in same if index in self._planned}
         return model
 
     def plan(self, module: int) -> ModulePoses | None:
-        """Return where the plan puts a module, one pose; None where it does not say, or is of another part."""
+        """Compute the planned pose of a module; `None` without an anchor, or if the anchor does not fit the part."""
         if module not in self._plans:
             own = self.layout.modules[module]
             try:
                 self._plans[module] = _planned(own, own.anchor or self._anchor, self.ground)
             except InputError:
-                # Laying the layout out reports it.
+                # Reported when the layout is placed.
                 self._plans[module] = None
         return self._plans[module]
 
     def planned(self, module: int) -> FloatArray | None:
-        """Return where the plan puts a module's pads, (k, 3) float, metres; None where it does not say."""
+        """Compute the planned positions of a module's pads, (k, 3) float, metres; `None` as for `plan`."""
         plan = self.plan(module)
         if plan is not None and module not in self._planned:
             pads = self.pads[module]
-            self._planned[module] = self.ground.place_pads(plan.take(np.zeros(len(pads), dtype=np.int64)), pads).points
+            self._planned[module] = self.ground.place_pads(plan.select(np.zeros(len(pads), dtype=np.int64)), pads).points
         return self._planned.get(module)
 
     def modules_of(self, channels: Iterable[int]) -> list[int]:
-        """Return the indices of the modules that some channels belong to, ascending."""
+        """List the indices of the modules of some channels, ascending."""
         owners = {int(self.layout.module_of[channel]) for channel in channels if 0 <= channel < self.layout.width}
         return sorted(owners - {-1})
 
     def channels_of(self, modules: Iterable[int]) -> list[int]:
-        """Return the taxels of modules, module by module."""
+        """List the channels of modules, module by module."""
         return [channel for module in modules for channel in self.layout.modules[module].channels.tolist()]
 
 
@@ -214,7 +212,7 @@ def _same_plan(module: Module, other: Module) -> bool:
 
 
 def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> ModulePoses | None:
-    """Return where the plan puts a module; None without an anchor."""
+    """Compute the planned pose of a module; `None` without an anchor."""
     if anchor is None:
         return None
     way = module.place - anchor.at
@@ -223,20 +221,14 @@ def _planned(module: Module, anchor: Anchor | None, ground: ModuleGround) -> Mod
 
         start = place_anchor(ground.surface, anchor, f"the anchor of module {module.id}")
         at = ModulePoses(start.points, start.x, ground.surface.normals[start.triangles], start.triangles)
-        return ground.move(at, np.array([[*way, module.angle * LEVER]]))
+        return ground.move(at, np.array([[*way, module.angle * LEVER_M]]))
     normal = anchor.normal / np.linalg.norm(anchor.normal)
-    x = anchor.x - (anchor.x @ normal) * normal
-    x = x / np.linalg.norm(x)
-    y = np.cross(normal, x)
+    x, y = tangent_axes(anchor.x, normal)
     own = np.cos(module.angle) * x + np.sin(module.angle) * y
     return ModulePoses((anchor.point + way[0] * x + way[1] * y)[None], own[None], normal[None], np.full(1, -1, dtype=np.int64))
 
 
 def join_poses(poses: Sequence[ModulePoses]) -> ModulePoses:
-    """Return all poses of several as one."""
-    return ModulePoses(
-        np.concatenate([pose.points for pose in poses]),
-        np.concatenate([pose.x for pose in poses]),
-        np.concatenate([pose.normals for pose in poses]),
-        np.concatenate([pose.triangles for pose in poses]),
-    )
+    """Concatenate poses."""
+    names = ("points", "x", "normals", "triangles")
+    return ModulePoses(*(np.concatenate([getattr(pose, name) for pose in poses]) for name in names))

@@ -21,10 +21,9 @@ from typing import TypeVar
 import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
-from skincal.geometry import FloatArray, IntArray, cross_matrix
+from skincal.geometry import FloatArray, IntArray, cross_matrix, orthonormal_pair
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
-from skincal.taxels.contact_table import orthonormal_pair
 
 FRAME, RIG = "frame", "rig"
 """Kinds of corrections: of the sensor's frame, and of the rig's small errors."""

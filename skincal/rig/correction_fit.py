@@ -122,7 +122,7 @@ class ModuleGroups(_Groups):
         modules: list[int] = self.touches.modules.tolist()
         own = [self.model.pads[module] for module in modules]
         of = np.repeat(np.arange(len(own)), [len(pads) for pads in own])
-        pads = self.model.ground.place_pads(self.poses.take(of), np.concatenate(own))
+        pads = self.model.ground.place_pads(self.poses.select(of), np.concatenate(own))
         places, gradients, normals = self.touches.contact_centres(pads)
         across = np.eye(3) - normals[:, :, None] * normals[:, None]
         return PlacedPokes(places, gradients, self.touches.offsets[:, None, None] * across)

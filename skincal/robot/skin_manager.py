@@ -1,12 +1,12 @@
-"""Positions to a running skinManager, by the questions that its RPC port takes, one taxel after another.
+"""Upload of taxel positions to a running skinManager through its RPC port, one taxel after another.
 
-`get skin` lists its parts, `get pose PART` tells x y z nx ny nz and a confidence for each taxel, `set pose PART TAXEL` and six
-numbers changes one, `set position PART TAXEL x y z CONFIDENCE` its confidence, too. A change is answered by 0, or by 1 and a
-sentence; what is not understood by a sentence alone. Source: robotology/icub-main `skinManager.cpp`, `compensator.cpp`.
-Versions differ in what a whole part's poses look like, not in these.
+`get skin` lists its parts, `get pose PART` returns x y z nx ny nz and a confidence for each taxel, `set pose PART TAXEL` and
+six numbers changes one, `set position PART TAXEL x y z CONFIDENCE` also its confidence. The answer to a change is 0, or 1 and
+a sentence; an unknown command is answered by a sentence alone. Source: robotology/icub-main (skinManager, compensator).
+Versions differ in the form of a whole part's poses, not in these commands.
 
-Only taxels with a position are sent, and of these only those that the robot has elsewhere: the others stay as they are.
-The old positions are in a file before the first is sent, and are read again after the last.
+Only taxels with a position are sent, and only if the robot has them elsewhere. The old positions are in a file before the first
+change, and the new ones are read again after the last.
 """
 
 from __future__ import annotations
@@ -27,68 +27,60 @@ from skincal.model.errors import InputError, list_channels, plain_text, plural, 
 from skincal.robot.yarp_rpc import YarpRpcClient, parse_rpc_address
 from skincal.taxels.result import Method
 
-Question: TypeAlias = "list[str | int | float]"
-Ask: TypeAlias = Callable[[Sequence[str | int | float]], list[float | str]]
+Command: TypeAlias = "list[str | int | float]"
 
-ANSWER_S = 2.0
+ANSWER_MAX_S = 2.0
 """s. skinManager answers between two of its cycles, of 20 to 50 ms; while it calibrates it may take a cycle more."""
-SAME = 2.0 * 10.0**-POSITION_DECIMALS
+SAME_POSITION_M = 2.0 * 10.0**-POSITION_DECIMALS
 """m. Positions nearer than this are the same: a file has so many decimals."""
-HAD = "positions that skinManager had before others were applied"
-"""By this line a file says that its zeros are what the robot had; in every other zeros say that no position is known."""
+BACKUP_MARKER = "positions that skinManager had before others were applied"
+"""Line of a backup file, whose zeros are what the robot had. In every other file zeros mean that no position is known."""
 UNCHANGED = "Nothing was changed."
-FEW = 12
-"""Values of an answer that are shown."""
-ANSWER_SHOWN = 120
-"""Characters of an answer in a sentence."""
+ANSWER_VALUES_SHOWN, ANSWER_CHARS_SHOWN = 12, 120
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Positions:
-    """What a robot is to have of one skin part."""
+    """Taxel positions of one skin part for a robot."""
 
     part: str
     width: int
     """Channels of the part."""
     rows: Mapping[int, FloatArray]
-    """Of each channel that is sent (6,) float: metres, and a unit normal; zeros: no taxel."""
+    """By channel: (6,) float, metres, and a unit normal; zeros: no taxel."""
 
     @property
     def number(self) -> int:
-        """By which the robot's programs know the part."""
+        """Number of the part in the robot's programs."""
         return SKIN_PARTS.index(self.part) + 1
 
-    def question(self, channel: int) -> Question:
-        """Return what sets one taxel."""
+    def set_pose_command(self, channel: int) -> Command:
+        """Build the command that sets position and normal of a taxel."""
         # Adding zero makes 0 of -0. Whole numbers would be taken for a taxel's number, so all of them are floats.
-        return [
-            "set",
-            "pose",
-            self.number,
-            channel,
-            *(round(value, POSITION_DECIMALS) + 0.0 for value in self.rows[channel].tolist()),
-        ]
+        numbers = [round(value, POSITION_DECIMALS) + 0.0 for value in self.rows[channel].tolist()]
+        return ["set", "pose", self.number, channel, *numbers]
 
-    def trust(self, channel: int) -> Question:
-        """Return what tells the robot whether there is a taxel, as it takes it from a file."""
-        place = self.question(channel)[4:7]
-        return ["set", "position", self.number, channel, *place, float(self.rows[channel][:3].any())]
+    def set_confidence_command(self, channel: int) -> Command:
+        """Build the command that says whether there is a taxel: confidence 1 or 0."""
+        position = self.set_pose_command(channel)[4:7]
+        return ["set", "position", self.number, channel, *position, float(self.has_taxel(channel))]
+
+    def has_taxel(self, channel: int) -> bool:
+        """Check whether the channel has a position."""
+        return bool(self.rows[channel][:3].any())
 
 
 def calibrated_positions(calibration: Calibration, method: Method, part: str | None) -> Positions:
-    """Return the positions of a session by one method; `part` as for `skin_part`. Raises InputError."""
+    """Take the positions of a session by one method; `part` as for `skin_part`. Raises InputError."""
     taxels = placed_taxels(calibration.estimates_by(method))
     rows = np.hstack([taxels.positions, taxels.normals])
     return _positions(skin_part(calibration, part), calibration.scene.skin.channels, taxels.channels.tolist(), rows)
 
 
 def file_positions(path: Path, part: str | None) -> Positions:
-    """Return the positions of a file in the iCub's format; rows of zeros only of one that brings back what the robot had.
-
-    Raises InputError.
-    """
+    """Read a file in the iCub's format. Rows of zeros are sent only from a backup. Raises InputError."""
     rows = read_icub(path)
-    sent = np.arange(len(rows)) if has_comment(path, HAD) else np.flatnonzero(rows[:, :3].any(axis=1))
+    sent = np.arange(len(rows)) if has_comment(path, BACKUP_MARKER) else np.flatnonzero(rows[:, :3].any(axis=1))
     return _positions(part or part_name(path), len(rows), sent.tolist(), rows[sent])
 
 
@@ -100,42 +92,42 @@ def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray)
     return Positions(part, width, dict(zip(channels, rows, strict=True)))
 
 
-def question_words(question: Sequence[str | int | float]) -> str:
-    """Return a question as one would type it."""
-    return " ".join(f"{word:.{POSITION_DECIMALS}f}" if isinstance(word, float) else str(word) for word in question)
+def command_text(command: Sequence[str | int | float]) -> str:
+    """Write a command as one would type it."""
+    return " ".join(f"{word:.{POSITION_DECIMALS}f}" if isinstance(word, float) else str(word) for word in command)
 
 
-def answer_words(answer: Sequence[float | str]) -> str:
-    """Return what a robot answered, short, on one line."""
-    if len(answer) > FEW:
+def answer_text(answer: Sequence[float | str]) -> str:
+    """Write a robot's answer on one line, shortened."""
+    if len(answer) > ANSWER_VALUES_SHOWN:
         return plural(len(answer), "value")
     words = " ".join(word if isinstance(word, str) else f"{word:g}" for word in answer)
-    return shortened(plain_text(words), ANSWER_SHOWN) or "nothing"
+    return shortened(plain_text(words), ANSWER_CHARS_SHOWN) or "nothing"
 
 
 @dataclass(slots=True)
-class Applied:
-    """What became of it."""
+class UploadResult:
+    """Result of an upload."""
 
-    asked: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
-    """Every question with its answer, in words."""
+    answers: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
+    """Every command with its answer."""
     changed: int = 0
     same: int = 0
-    """Taxels that the robot had there already."""
-    before: Path | None = None
-    """File with the positions that it had; None where nothing was to be changed."""
+    """Taxels whose position the robot had already."""
+    backup: Path | None = None
+    """File with the positions that the robot had; `None` if nothing had to change."""
 
 
-def applied_words(applied: Applied, part: str) -> str:
-    """Return what became of it."""
-    if applied.before is None:
-        return f"skinManager has all {applied.same} positions of {part} already; nothing was changed"
-    there = f", {applied.same} were there already" if applied.same else ""
-    return f"{plural(applied.changed, 'taxel')} of {part} changed, and read again{there}"
+def result_text(result: UploadResult, part: str) -> str:
+    """Say what an upload changed."""
+    if result.backup is None:
+        return f"skinManager has all {result.same} positions of {part} already; nothing was changed"
+    there = f", {result.same} were there already" if result.same else ""
+    return f"{plural(result.changed, 'taxel')} of {part} changed, and read again{there}"
 
 
 def check_port(address: str) -> None:
-    """Raise InputError where an address is of no port that could be asked; nothing is opened."""
+    """Raise InputError if an address is not a YARP port. Nothing is opened."""
     try:
         parse_rpc_address(address)
     except LinkError as failure:
@@ -143,133 +135,118 @@ def check_port(address: str) -> None:
 
 
 def apply_positions(
-    address: str, positions: Positions, before: Path, timeout_s: float, heard: Callable[[str], object] | None = None
-) -> Applied:
-    """Bring positions to the skinManager at an address; see `Application`. Raises InputError."""
+    address: str, positions: Positions, backup: Path, timeout_s: float, on_line: Callable[[str], object] = lambda _: None
+) -> UploadResult:
+    """Upload positions to the skinManager at an address.
+
+    Parameters
+    ----------
+    backup : file for the positions that the robot has now; an older file is kept next to it
+    on_line : gets every command with its answer, and the command that restores the old positions before anything is changed
+
+    Raises
+    ------
+    InputError
+        The robot has no such part, refuses, or gives another answer or none. The sentence says how many taxels were changed.
+    """
     try:
         port = YarpRpcClient(address, timeout_s)
     except LinkError as failure:
         raise InputError(f"{failure} {UNCHANGED}") from failure
     try:
-        return Application(port.ask, positions, before, f"skincal apply {before} --to {address}", heard).run()
+        return _Upload(port, positions, backup, on_line).run(address)
     finally:
         port.close()
 
 
-class Application:
-    """Brings positions to a robot.
+class _Upload:
+    """An upload in progress."""
 
-    Parameters
-    ----------
-    ask : puts one question; raises LinkError
-    before : file for the positions that the robot has now; an older one is kept beside it
-    back : command that brings them again
-    heard : is told every question with its answer, and the command before anything is changed
-    """
+    def __init__(self, port: YarpRpcClient, positions: Positions, backup: Path, on_line: Callable[[str], object]) -> None:
+        self._port, self._positions, self._backup, self._on_line = port, positions, backup, on_line
+        self._restore = f"{backup.name} brings the old positions again"
+        self._result = UploadResult()
 
-    def __init__(
-        self, ask: Ask, positions: Positions, before: Path, back: str, heard: Callable[[str], object] | None = None
-    ) -> None:
-        self._ask, self._positions, self._before, self._heard = ask, positions, before, heard
-        self._command, self._back = back, f"{before.name} brings the old positions again"
-        self.applied = Applied()
-
-    def run(self) -> Applied:
-        """Do all of it.
-
-        Raises
-        ------
-        InputError
-            The robot has no such part, refuses, answers otherwise or not at all; the sentence says how far it came.
-        """
-        positions, applied = self._positions, self.applied
-        self._demand_part()
-        had = self._poses(UNCHANGED)
-        due = [channel for channel in positions.rows if self._differs(had[channel], channel)]
-        applied.same = len(positions.rows) - len(due)
+    def run(self, address: str) -> UploadResult:
+        positions, result = self._positions, self._result
+        self._check_part()
+        old = self._read_poses(UNCHANGED)
+        due = [channel for channel in positions.rows if self._differs(old[channel], channel)]
+        result.same = len(positions.rows) - len(due)
         if not due:
-            return applied
-        # Also where the same was begun before: what it left of the older positions is kept beside it.
-        write_atomically(self._before, positions_text(positions.part, had[:, :6], HAD).encode())
-        applied.before = self._before
-        # Whole, and first: where it ends half way one has it to copy.
-        self._tell(f"the old positions are in {self._before}: `{self._command}` brings them again")
+            return result
+        # Also if the same upload was begun before: an older backup is kept next to this one.
+        write_atomically(self._backup, positions_text(positions.part, old[:, :6], BACKUP_MARKER).encode())
+        result.backup = self._backup
+        # The whole command, and before any change: after an upload that ends half way it can be copied.
+        command = f"skincal apply {self._backup} --to {address}"
+        self._on_line(f"the old positions are in {self._backup}: `{command}` brings them again")
         for channel in due:
-            self._set(positions.question(channel), len(due))
-            if had.shape[1] == 7 and self._doubted(had[channel], channel):
-                self._set(positions.trust(channel), len(due))
-            applied.changed += 1
-        self._check(due)
-        return applied
+            self._set(positions.set_pose_command(channel), len(due))
+            if old.shape[1] == 7 and self._has_wrong_confidence(old[channel], channel):
+                self._set(positions.set_confidence_command(channel), len(due))
+            result.changed += 1
+        self._check_new(due)
+        return result
 
-    def _put(self, question: Sequence[str | int | float]) -> list[float | str]:
-        answer = self._ask(question)
-        words = question_words(question), answer_words(answer)
-        self.applied.asked.append(words)
-        self._tell(": ".join(words))
+    def _ask(self, command: Command) -> list[float | str]:
+        answer = self._port.ask(command)
+        texts = command_text(command), answer_text(answer)
+        self._result.answers.append(texts)
+        self._on_line(": ".join(texts))
         return answer
 
-    def _tell(self, line: str) -> None:
-        if self._heard is not None:
-            self._heard(line)
-
-    def _read(self, question: Question, so_far: str) -> list[float | str]:
-        """Put a question that changes nothing; `so_far` is a sentence on what was changed before."""
+    def _read(self, command: Command, so_far: str) -> list[float | str]:
+        """Send a command that changes nothing; `so_far` is a sentence on what was changed before."""
         try:
-            return self._put(question)
+            return self._ask(command)
         except LinkError as failure:
-            raise InputError(f"{failure} Asked was {question_words(question)!r}. {so_far}") from failure
+            raise InputError(f"{failure} Asked was {command_text(command)!r}. {so_far}") from failure
 
-    def _demand_part(self) -> None:
-        known = self._read(["get", "skin"], UNCHANGED)
-        names = [each for each in known if isinstance(each, str) and each in SKIN_PARTS]
-        # Older versions do not know the question.
+    def _check_part(self) -> None:
+        names = [each for each in self._read(["get", "skin"], UNCHANGED) if isinstance(each, str) and each in SKIN_PARTS]
+        # Older versions do not know the command.
         if names and self._positions.part not in names:
             raise InputError(
                 f"this skinManager has {', '.join(names)}, and not {self._positions.part}: ask the one that runs this part, "
                 f"or give --part. {UNCHANGED}"
             )
 
-    def _poses(self, so_far: str) -> FloatArray:
-        """Return (width, 6) or, with confidences, (width, 7) float: what the robot has now."""
+    def _read_poses(self, so_far: str) -> FloatArray:
+        """Read the robot's poses: (width, 6) or, with confidences, (width, 7) float."""
         answer, width = self._read(["get", "pose", self._positions.number], so_far), self._positions.width
         numbers = [each for each in answer if isinstance(each, float)]
         if len(numbers) != len(answer) or len(answer) not in (6 * width, 7 * width) or not np.isfinite(numbers).all():
             expected = f"expected the {7 * width} numbers of {width} taxels of {self._positions.part}"
-            raise InputError(f"skinManager answers {answer_words(answer)!r} when asked for its poses; {expected}. {so_far}")
+            raise InputError(f"skinManager answers {answer_text(answer)!r} when asked for its poses; {expected}. {so_far}")
         return np.array(numbers).reshape(width, -1)
 
-    def _differs(self, had: FloatArray, channel: int) -> bool:
-        return float(np.abs(had[:6] - self._positions.rows[channel]).max()) > SAME or (
-            len(had) == 7 and self._doubted(had, channel)
-        )
+    def _differs(self, old: FloatArray, channel: int) -> bool:
+        distance = float(np.abs(old[:6] - self._positions.rows[channel]).max())
+        return distance > SAME_POSITION_M or (len(old) == 7 and self._has_wrong_confidence(old, channel))
 
-    def _doubted(self, had: FloatArray, channel: int) -> bool:
-        """Return whether the robot does not know that there is a taxel, or believes in one where there is none."""
-        return bool(had[6] > 0) != bool(self._positions.rows[channel][:3].any())
+    def _has_wrong_confidence(self, old: FloatArray, channel: int) -> bool:
+        return bool(old[6] > 0) != self._positions.has_taxel(channel)
 
-    def _set(self, question: Question, due: int) -> None:
-        words = question_words(question)
+    def _set(self, command: Command, due: int) -> None:
+        text = command_text(command)
         try:
-            answer = self._put(question)
+            answer = self._ask(command)
         except LinkError as failure:
-            raise InputError(f"{failure} {self._how_far(due, f'whether it did {words!r} is not known')}") from failure
+            raise InputError(f"{failure} {self._how_far(due, f', whether it did {text!r} is not known')}") from failure
         if answer[:1] not in ([0.0], ["ok"]):
-            raise InputError(f"skinManager answers {answer_words(answer)!r} to {words!r}. {self._how_far(due, '')}")
+            raise InputError(f"skinManager answers {answer_text(answer)!r} to {text!r}. {self._how_far(due)}")
 
-    def _how_far(self, due: int, doubt: str) -> str:
-        changed = self.applied.changed
-        if not changed and not doubt:
-            return UNCHANGED
-        also = f", {doubt}" if doubt else ""
-        return f"{changed} of {due} taxels were changed before{also}; {self._back}."
+    def _how_far(self, due: int, doubt: str = "") -> str:
+        changed = self._result.changed
+        return f"{changed} of {due} taxels were changed before{doubt}; {self._restore}." if changed or doubt else UNCHANGED
 
-    def _check(self, due: Sequence[int]) -> None:
-        """Ask for what the robot has now: it may say that it took what it did not."""
+    def _check_new(self, due: Sequence[int]) -> None:
+        """Read the poses again: the robot may have confirmed what it did not do."""
+        new = self._read_poses(f"{plural(len(due), 'taxel')} were changed, and could not be read again; {self._restore}.")
         rows = self._positions.rows
-        has = self._poses(f"{plural(len(due), 'taxel')} were changed, and could not be read again; {self._back}.")
-        wrong = [channel for channel in due if float(np.abs(has[channel][:6] - rows[channel]).max()) > SAME]
+        wrong = [channel for channel in due if float(np.abs(new[channel][:6] - rows[channel]).max()) > SAME_POSITION_M]
         if wrong:
             raise InputError(
-                f"skinManager took every position, but has others at channels {list_channels(wrong)}; {self._back}."
+                f"skinManager took every position, but has others at channels {list_channels(wrong)}; {self._restore}."
             )

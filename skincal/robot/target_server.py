@@ -1,7 +1,7 @@
-"""The port at which one robot is asked to poke: a thread that sends what is asked for and reads what the robot answers.
+"""Port at which one robot is asked to poke: a thread that sends targets and reads the robot's answers.
 
-It knows nothing of guides: who holds it tells it lines, and takes answers. What is asked for now is sent again to a robot that
-comes, or comes back. A client that does not keep to the lines, says too much or takes nothing is hung up on, for one sentence.
+The present target is sent again to a robot that connects. A client that breaks the protocol, floods the port or does not read
+is disconnected, with one sentence.
 """
 
 from __future__ import annotations
@@ -13,47 +13,43 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 
 from skincal.model.errors import InputError, plain_text
 from skincal.robot.target_lines import (
     GREETING,
     Answer,
-    AnswerKind,
     AskedLine,
     Judged,
     LineCutter,
     NoTarget,
-    PokeTarget,
     Refused,
     read_answer_line,
-    read_line,
-    write_answer,
     write_line,
 )
 from skincal.streams.transports.tcp import enable_keepalive
 
 LOCAL = "127.0.0.1"
-WAKE_S = 0.02
-"""s. How soon what is to be sent goes out."""
-LINES_A_SECOND = 50
+POLL_S = 0.02
+"""s. Longest delay until lines are sent."""
+LINES_PER_S_MAX = 50
 """More than a robot has to say: a poke takes a second."""
-PENDING_MAX = 1 << 16
-"""Bytes that wait for a robot that takes none: some hundred targets."""
-AGAIN_S = 0.5
-"""s. Who was hung up on is heard again so much later."""
-READ_BYTES = 4096
-SAID_AGAIN_S = 60.0
-"""s. Who comes, is hung up on and comes again costs one sentence in so long."""
-SAME_WORDS = 40
-"""Characters by which a sentence is known again."""
-HOLD_MAX = 1000
-"""Answers that wait to be taken; what comes beyond is of a flood."""
+PENDING_MAX_BYTES = 1 << 16
+"""Bytes that wait for a robot that does not read: some hundred targets."""
+RECONNECT_AFTER_S = 0.5
+"""s. After a disconnection no client is accepted for so long."""
+READ_MAX_BYTES = 4096
+REPEAT_AFTER_S = 60.0
+"""s. A robot that connects and is disconnected again and again causes one sentence in so long."""
+SAME_SENTENCE_CHARS = 40
+"""Sentences that begin with the same characters are the same."""
+QUEUED_MAX = 1000
+"""Lines and answers that wait; more are part of a flood."""
 
 
 def parse_port(text: str) -> tuple[str, int]:
-    """Return host and port of `PORT` or `HOST:PORT`; this machine alone where no host is named. Raises InputError."""
+    """Read host and port of `PORT` (this machine only) or `HOST:PORT`. Raises InputError."""
     host, colon, port = text.rpartition(":")
     host = host.strip("[]") if colon else LOCAL
     if not (port.isascii() and port.isdigit() and len(port) < 6 and int(port) < 65536 and host):
@@ -62,128 +58,121 @@ def parse_port(text: str) -> tuple[str, int]:
 
 
 class RobotCame(Enum):
-    """That a robot came, or came back."""
+    """A robot connected."""
 
     CAME = "came"
 
 
 class TargetServer:
-    """Listens at a port from the start.
-
-    Raises
-    ------
-    InputError
-        The port cannot be had.
-    """
+    """Serves targets at a port from the start. Raises InputError: the port cannot be opened."""
 
     def __init__(self, host: str, port: int) -> None:
         try:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
-            self._listening = socket.create_server((host, port), family=family, backlog=4)
+            self._listener = socket.create_server((host, port), family=family, backlog=4)
         except (OSError, UnicodeError, OverflowError) as error:
             why = getattr(error, "strerror", None) or error
             raise InputError(f"targets cannot be served at {host}:{port} ({why}); name another port.") from None
-        self._listening.setblocking(False)
-        self.host, self.port = host, int(self._listening.getsockname()[1])
+        self._listener.setblocking(False)
+        self.host, self.port = host, int(self._listener.getsockname()[1])
         self._lock = threading.Lock()
-        self._now: AskedLine = NoTarget.WAIT
-        self._out: deque[str] = deque(maxlen=HOLD_MAX)
-        self._heard: queue.Queue[Answer | RobotCame | str] = queue.Queue(HOLD_MAX)
+        self._target: AskedLine = NoTarget.WAIT
+        self._lines: deque[str] = deque(maxlen=QUEUED_MAX)
+        self._received: queue.Queue[Answer | RobotCame | str] = queue.Queue(QUEUED_MAX)
         self._client: socket.socket | None = None
         self._pending = b""
-        self._lines = LineCutter()
-        self._times: deque[float] = deque(maxlen=LINES_A_SECOND)
-        self._deaf_until_s = 0.0
-        self._said: dict[str, float] = {}
-        """When each sentence was said last, by how it begins; host's monotonic clock, seconds."""
+        self._cutter = LineCutter()
+        self._line_times: deque[float] = deque(maxlen=LINES_PER_S_MAX)
+        self._ignore_until_s = 0.0
+        self._reported_s: dict[str, float] = {}
+        """By the beginning of a sentence: when it was last reported, host's monotonic clock, seconds."""
         self._refusal = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="targets", daemon=True)
         self._thread.start()
 
-    # From the thread that asks
+    # Called from other threads
 
     def send(self, lines: Sequence[AskedLine]) -> None:
-        """Say these; the last that asks for something, or for nothing, is said again to who comes later."""
+        """Send lines. The last one that is no verdict is sent again to a robot that connects later."""
         with self._lock:
             for line in lines:
                 if not isinstance(line, Judged):
-                    self._now = line
-                self._out.append(write_line(line))
+                    self._target = line
+                self._lines.append(write_line(line))
 
     def take(self) -> list[Answer | RobotCame | str]:
-        """Return what was answered since the last call, and sentences on robots that came, went and were hung up on."""
+        """Return the answers since the last call, and sentences on robots that connected or were disconnected."""
         found: list[Answer | RobotCame | str] = []
         with contextlib.suppress(queue.Empty):
             while True:
-                found.append(self._heard.get_nowait())
+                found.append(self._received.get_nowait())
         return found
 
     def refuse(self, reason: str) -> None:
-        """Hang up on the robot, and say why: it answered what cannot be."""
+        """Disconnect the robot because of an impossible answer."""
         self._refusal = reason
 
     def close(self) -> None:
-        """Say the last lines, hang up and listen no more."""
+        """Send the last lines and close the port."""
         self._stop.set()
         self._thread.join()
 
-    # In the thread of its own
+    # Called in the server's thread
 
     def _run(self) -> None:
         try:
             while not self._stop.is_set():
-                self._turn()
+                self._poll_once()
             self._send_pending()
         finally:
-            self._hang_up()
-            self._listening.close()
+            self._close_client()
+            self._listener.close()
 
-    def _turn(self) -> None:
-        deaf = time.monotonic() < self._deaf_until_s
-        waits = [each for each in (None if deaf else self._listening, self._client) if each is not None]
-        ready = select.select(waits, [], [], WAKE_S)[0] if waits else []
-        if not waits:
-            self._stop.wait(WAKE_S)
-        # First: who hangs up and comes back at once finds the place free.
+    def _poll_once(self) -> None:
+        is_open = time.monotonic() >= self._ignore_until_s
+        sockets = [each for each in (self._listener if is_open else None, self._client) if each is not None]
+        ready = select.select(sockets, [], [], POLL_S)[0] if sockets else []
+        if not sockets:
+            self._stop.wait(POLL_S)
+        # First: a robot that disconnects and comes back at once finds the place free.
         if self._client is not None and self._client in ready:
-            self._read()
-        if self._listening in ready:
+            self._read(self._client)
+        if self._listener in ready:
             self._accept()
         self._send_pending()
         reason, self._refusal = self._refusal, ""
         if reason:
-            self._refuse(reason)
+            self._disconnect(reason)
 
     def _accept(self) -> None:
         try:
-            client, (host, *_) = self._listening.accept()
+            client, (host, *_) = self._listener.accept()
         except OSError:
             return
-        client.setblocking(False)
-        if self._client is not None:
-            with contextlib.suppress(OSError):
-                client.send(f"{GREETING}\n{write_line(Refused('another robot is connected'))}\n".encode())
-            client.close()
-            return
         try:
+            client.setblocking(False)
+            if self._client is not None:
+                client.send(f"{GREETING}\n{write_line(Refused('another robot is connected'))}\n".encode())
+                client.close()
+                return
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             enable_keepalive(client)
-        except OSError:  # macOS: EINVAL where the peer has closed the connection already
+        except OSError:  # macOS: EINVAL if the peer has closed the connection already
             client.close()
             return
         with self._lock:
-            self._out.clear()
-            self._pending = f"{GREETING}\n{write_line(self._now)}\n".encode()
-        self._client, self._lines = client, LineCutter()
-        self._times.clear()
+            self._lines.clear()
+            self._pending = f"{GREETING}\n{write_line(self._target)}\n".encode()
+        self._client, self._cutter = client, LineCutter()
+        self._line_times.clear()
         self._put(RobotCame.CAME)
-        self._tell(f"A robot came, from {host}.")
+        self._report(f"A robot came, from {host}.")
 
     def _send_pending(self) -> None:
         with self._lock:
-            lines = list(self._out)
-            self._out.clear()
+            lines = list(self._lines)
+            self._lines.clear()
         if self._client is None:
             return
         self._pending += "".join(f"{line}\n" for line in lines).encode()
@@ -192,119 +181,60 @@ class TargetServer:
         except BlockingIOError:
             pass
         except OSError:
-            self._gone()
-            return
-        if len(self._pending) > PENDING_MAX:
-            self._refuse("it takes nothing of what it is sent.")
+            self._disconnect()
+        if len(self._pending) > PENDING_MAX_BYTES:
+            self._disconnect("it takes nothing of what it is sent.")
 
-    def _read(self) -> None:
-        assert self._client is not None
+    def _read(self, client: socket.socket) -> None:
         try:
-            data = self._client.recv(READ_BYTES)
+            data = client.recv(READ_MAX_BYTES)
         except BlockingIOError:
             return
         except OSError:
             data = b""
         if not data:
-            self._gone()
+            self._disconnect()
             return
         try:
-            for line in self._lines.feed(data):
-                self._hear(line)
+            for line in self._cutter.feed(data):
+                self._take_line(line)
         except InputError as error:
-            self._refuse(str(error))
+            self._disconnect(str(error))
 
-    def _hear(self, line: str) -> None:
+    def _take_line(self, line: str) -> None:
         now_s = time.monotonic()
-        self._times.append(now_s)
-        if len(self._times) == LINES_A_SECOND and now_s - self._times[0] < 1.0:
-            raise InputError(f"it sends more than {LINES_A_SECOND} lines in a second.")
+        self._line_times.append(now_s)
+        if len(self._line_times) == LINES_PER_S_MAX and now_s - self._line_times[0] < 1.0:
+            raise InputError(f"it sends more than {LINES_PER_S_MAX} lines in a second.")
         answer = read_answer_line(line)
         if answer is not None:
             self._put(answer)
 
-    def _refuse(self, reason: str) -> None:
-        self._tell(f"The robot at the port for targets is hung up on: {reason}")
-        if self._client is not None:
-            with contextlib.suppress(OSError):
-                self._client.send(f"{write_line(Refused(reason))}\n".encode())
-        self._hang_up()
-        self._deaf_until_s = time.monotonic() + AGAIN_S
+    def _disconnect(self, reason: str = "") -> None:
+        """Close the connection; with a `reason` the robot is told why, and ignored for a while. Without one, it left itself."""
+        if reason:
+            self._report(f"The robot at the port for targets is hung up on: {reason}")
+            if self._client is not None:
+                with contextlib.suppress(OSError):
+                    self._client.send(f"{write_line(Refused(reason))}\n".encode())
+            self._ignore_until_s = time.monotonic() + RECONNECT_AFTER_S
+        else:
+            self._report("The robot hung up; what is asked for now is said again when it comes back.")
+        self._close_client()
 
-    def _gone(self) -> None:
-        self._tell("The robot hung up; what is asked for now is said again when it comes back.")
-        self._hang_up()
-
-    def _hang_up(self) -> None:
+    def _close_client(self) -> None:
         if self._client is not None:
             with contextlib.suppress(OSError):
                 self._client.shutdown(socket.SHUT_WR)
             self._client.close()
         self._client, self._pending = None, b""
 
-    def _tell(self, sentence: str) -> None:
-        kind, now_s = sentence[:SAME_WORDS], time.monotonic()
-        if now_s - self._said.get(kind, -SAID_AGAIN_S) >= SAID_AGAIN_S:
-            self._said[kind] = now_s
+    def _report(self, sentence: str) -> None:
+        kind, now_s = sentence[:SAME_SENTENCE_CHARS], time.monotonic()
+        if now_s - self._reported_s.get(kind, -REPEAT_AFTER_S) >= REPEAT_AFTER_S:
+            self._reported_s[kind] = now_s
             self._put(plain_text(sentence))
 
     def _put(self, item: Answer | RobotCame | str) -> None:
         with contextlib.suppress(queue.Full):
-            self._heard.put_nowait(item)
-
-
-class TargetClient:
-    """A robot's side, for simulated ones: connects, again and again until it is closed, and hands on what is asked.
-
-    Parameters
-    ----------
-    take : gets every line that asks for something; what it refuses is answered with a fault
-    """
-
-    def __init__(self, host: str, port: int, take: Callable[[AskedLine], object]) -> None:
-        self._place, self._take = (host, port), take
-        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="robot", daemon=True)
-        self._thread.start()
-
-    def say(self, answer: Answer) -> None:
-        """Answer, from any thread."""
-        self._answers.put(answer)
-
-    def close(self) -> None:
-        """Hang up for good."""
-        self._stop.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stop.is_set():
-            # Nobody listens yet, or no more, or who listens says what is no target: it is tried again.
-            with contextlib.suppress(OSError, InputError), socket.create_connection(self._place, AGAIN_S) as connection:
-                self._talk(connection)
-            self._stop.wait(AGAIN_S)
-
-    def _talk(self, connection: socket.socket) -> None:
-        lines = LineCutter()
-        connection.settimeout(WAKE_S)
-        while not self._stop.is_set():
-            with contextlib.suppress(queue.Empty):
-                while True:
-                    connection.sendall(f"{write_answer(self._answers.get_nowait())}\n".encode())
-            try:
-                data = connection.recv(READ_BYTES)
-            except TimeoutError:
-                continue
-            if not data:
-                return
-            for line in lines.feed(data):
-                self._hear(line)
-
-    def _hear(self, line: str) -> None:
-        asked = read_line(line)
-        try:
-            if asked is not None:
-                self._take(asked)
-        except InputError as error:
-            if isinstance(asked, PokeTarget):
-                self.say(Answer(AnswerKind.FAULT, asked.number, str(error)))
+            self._received.put_nowait(item)

@@ -51,10 +51,10 @@ def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: 
     `rig` is what landmark pokes say; None where nobody has looked, or there are none.
     """
     if part.cover is not None and part.surface is not None:
-        from skincal.guide.candidates import Cover
+        from skincal.guide.surface_search import SurfaceSearch
 
         # A guide notes in it what was poked, and another may be at work with the part's own.
-        part = replace(part, cover=Cover(part.surface))
+        part = replace(part, cover=SurfaceSearch(part.surface))
     guide, evidence = SessionGuide(part), ContactTable(snapshot.contacts).evidence
     return {method: guide.verdict(snapshot, method, evidence, rig) for method in methods}
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from skincal.contacts.outcome import Progress
 from skincal.geometry import FloatArray
-from skincal.guide.guidance import Guidance, PokeError, Smoothed, Target, compare_to_target, smooth_wrench
+from skincal.guide.guidance import Guidance, Target
+from skincal.guide.press_coaching import PokeError, SmoothedWrench, compare_to_target, smooth_wrench
 from skincal.mesh.surface import Surface, point_on_skin
 from skincal.model.actions import AskLandmark, BeginClosing
 from skincal.model.errors import InputError
@@ -43,7 +44,7 @@ class PressCoach:
 
     def __init__(self, surface: Surface | None) -> None:
         self._surface = surface
-        self._smoothed: Smoothed | None = None
+        self._smoothed: SmoothedWrench | None = None
         self._skin: tuple[Target, FloatArray] | None = None
         """The target and its place on the skin, (3,) float, metres."""
         self.coaching: PokeError | None = None

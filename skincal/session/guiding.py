@@ -13,10 +13,10 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
+from skincal.guide.believed_positions import DEFAULT_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import SPACING, PlannedPlaces, plan_from_layout, plan_without_positions
-from skincal.guide.progress import AxisDiversity, Facts, GuideSettings, Need, count_pokes_from_start, find_needs
+from skincal.guide.progress import AxisDiversity, ContactFacts, GuideSettings, Need, count_pokes_from_start, find_needs
 from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
@@ -95,10 +95,6 @@ class SessionGuide:
             return None
         now = snapshot, method
         if now != self._followed:
-            guide = self._guide_of(method)
-            if self._followed is None or self._followed[1] is not method or self._guidance is not self._skin_guidance:
-                # Meanwhile another target was shown, or none.
-                guide.forget_target()
             self._skin_guidance = self.next_skin_target(snapshot, method, evidence)
             self._followed = now
         assert self._skin_guidance is not None
@@ -119,9 +115,9 @@ class SessionGuide:
             _contacts(snapshot),
             {method: self._planned(method, every) for method, every in snapshot.estimates.items()},
             evidence,
+            lambda poke: _asked_target(asked.get(poke)),
             {poke.poke: poke for poke in (record.outcome for record in snapshot.pokes) if isinstance(poke, Rejection)},
             self.landmarks.rig_error_sd(snapshot),
-            lambda poke: _asked_target(asked.get(poke)),
         )
 
     def remaining_work(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
@@ -199,8 +195,8 @@ class SessionGuide:
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
             layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
-            spacing, on_surface = SPACING if layout is None else layout.spacing, self._surface is not None
-            self._guides[method] = Guide(self.plan, noise, method, spacing, cover=cover, on_surface=on_surface)
+            spacing, on_surface = DEFAULT_SPACING_M if layout is None else layout.spacing, self._surface is not None
+            self._guides[method] = Guide(self.plan, noise, method, spacing, search=cover, on_surface=on_surface)
         return self._guides[method]
 
     def _planned(self, method: Method, estimates: Sequence[Estimate]) -> Sequence[Estimate]:
@@ -373,8 +369,8 @@ class ClosingGuide:
             place = open_[0]
             if place is None or place.at is not at or place.name not in targets:
                 return None
-            lone = now.found.poke if place == now.once_more and now.found is not None else None
-            step = ClosingStep(place, len(again & set(names)), len(names), len(rounds), lone)
+            suspect = now.found.poke if place == now.once_more and now.found is not None else None
+            step = ClosingStep(place, len(again & set(names)), len(names), len(rounds), suspect)
             target = targets[place.name]
             marks = {landmark.name: landmark for landmark in snapshot.decisions.landmarks}
             mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
@@ -460,10 +456,7 @@ class ModulesEnough:
 
     def _needs(self, estimate: Estimate, pokes: int) -> tuple[Need, ...]:
         """Return what a taxel needs whose module has so many pokes; nothing else of the facts is looked at."""
-        nothing = float("nan")
-        return find_needs(
-            estimate, Facts(pokes, nothing, nothing, nothing, nothing), Method.MODULES, self._settings, self._skin
-        )
+        return find_needs(estimate, ContactFacts(pokes), Method.MODULES, self._settings, self._skin)
 
 
 def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -> Mapping[Method, int]:

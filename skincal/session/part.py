@@ -19,7 +19,7 @@ from skincal.model.scene import UNITS, Scene, SurfaceSpec, load_scene
 
 if TYPE_CHECKING:
     from skincal.files.reference import Reference
-    from skincal.guide.candidates import Cover
+    from skincal.guide.surface_search import SurfaceSearch
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
 
@@ -54,7 +54,7 @@ class Part:
     """What is to say of the mesh and of the anchors that stand on it."""
     plan: Reference | None = None
     """Where the layout places the taxels; None where it does not."""
-    cover: Cover | None = None
+    cover: SurfaceSearch | None = None
     """Where to look for taxels that no layout places; None where there is nothing to look for, or no surface."""
 
 
@@ -143,10 +143,10 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
     return Part(scene, surface, laid, layout.channels, findings, plan, cover=_cover(surface) if laid is None else None)
 
 
-def _cover(surface: Surface | None) -> Cover | None:
+def _cover(surface: Surface | None) -> SurfaceSearch | None:
     """Spread places over a surface; only where they are needed, since it takes half a second."""
     if surface is None:
         return None
-    from skincal.guide.candidates import Cover
+    from skincal.guide.surface_search import SurfaceSearch
 
-    return Cover(surface)
+    return SurfaceSearch(surface)

@@ -359,7 +359,7 @@ class Pipeline:
         if len(times):
             self._decoded_s = float(times[-1])
             self._record(lambda journal: journal.write_wrenches(times, wrenches))
-        for link, beside in self._intake.beside().items():
+        for link, beside in self._intake.side_readings().items():
             if (found := beside.get(TEMPERATURE)) is not None:
                 self._record(partial(JournalWriter.write_temperature, host_ns=host_ns, link=link, celsius=found.now))
 

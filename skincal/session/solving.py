@@ -164,7 +164,7 @@ class Solving:
             others = [self._alike[method] for method in reversed(self._alone)]
             table, kept = self._table, self._fitted
             found = estimate_modules(
-                table, self.module_model, modules, self._noise, others, dead, shared=self.shared, kept=kept
+                table, self.module_model, modules, self._noise, others, dead, shared=self.shared, fitted_modules=kept
             )
             self._estimates[Method.MODULES].update(found)
             if kept is not None:

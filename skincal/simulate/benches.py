@@ -21,7 +21,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.knowledge import PlannedPlaces, plan_from_layout
+from skincal.guide.believed_positions import PlannedPlaces, plan_from_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
 from skincal.mesh.search import nearest_points

@@ -18,7 +18,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.candidates import candidate_pushes
-from skincal.guide.guidance import Guidance, GuidePhase
+from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
 from skincal.mesh.search import nearest_points
@@ -228,7 +228,7 @@ def run_course(part: Bench, way: str, method: Method, conditions: Conditions, se
     session, guidance = last
     if guidance is None:
         contacts = {contact.poke: contact for contact in session.contacts}
-        guidance = _guide(part, method).update(contacts, session.snapshot().estimates, session.evidence)
+        guidance = _guide(part, method).update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
     done, falsely = _judged(guidance, session.snapshot().estimates[method], rig)
     pokes, mean, p95, spent = (np.array(column) for column in zip(*rows, strict=True))
     return ErrorCourse(pokes.astype(np.int64), mean, p95, spent, done, falsely, enough, given_up)
@@ -288,7 +288,8 @@ def _followed(
     session, seconds, hand = _session(part, method), 0.0, None
     guide = _guide(part, method, forever=way == "optimal")
     contacts: dict[int, Contact] = {}
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+    targets: dict[int, Target | None] = {}
+    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
     for count in range(1, limit + 1):
         if way == "diversity":
             meant = _least_spread(part, session, guidance, conditions)
@@ -304,7 +305,8 @@ def _followed(
         for contact in made:
             session.add(contact)
             contacts[contact.poke] = contact
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+        targets[count] = guidance.target
+        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
         yield count, seconds, session, guidance
 
 

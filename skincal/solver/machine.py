@@ -1,12 +1,20 @@
-"""A memory with the compiled solver in it, to which arrays are given and from which they are taken."""
+"""An instance of the compiled solver. Arrays are copied into its memory, a function runs, results are copied out.
+
+    with shared().call() as call:
+        matrix, answer = call.put(array), call.reserve((3,))
+        call.run("function", [matrix, answer])
+        result = call.get(answer)
+
+Addresses are 32-bit offsets into the memory. Threads take turns on one instance.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
 import threading
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,155 +23,148 @@ import numpy as np
 import wasmtime
 from numpy.typing import NDArray
 
-from skincal.solver.compiled import compiled
-
 PROGRAM = Path(__file__).with_name("solver.wasm")
-_PAGE = 1 << 16
-"""Bytes by which the memory grows."""
-_ALIGNED = 16
-"""Bytes. Every array begins at a multiple of it."""
 FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uint32)
 """The kinds of numbers that the solver reads."""
+_PAGE_BYTES = 1 << 16
+"""The memory grows by whole pages."""
+_ALIGNMENT_BYTES = 16
 
 
 @cache
 def _module() -> tuple[wasmtime.Engine, wasmtime.Module]:
-    """Return the program, compiled for this machine."""
-    engine = wasmtime.Engine()
-    return engine, compiled(engine, PROGRAM.read_bytes())
+    config = wasmtime.Config()
+    # Compiling takes 90 ms, reading the compiled program from the user's cache folder 3 ms. Without such a folder, it compiles.
+    with contextlib.suppress(wasmtime.WasmtimeError):
+        config.cache = True
+    engine = wasmtime.Engine(config)
+    return engine, wasmtime.Module(engine, PROGRAM.read_bytes())
 
 
 class Machine:
-    """A memory of its own, in which the solver runs; threads take turns.
+    """An instance of the solver with its own memory.
 
-    What is kept in it stays for all calls; what another machine has kept may be `kept` from the first. Its places are offsets
-    into the memory, 32 bits.
+    Arrays stored with `put_permanent` persist across calls. `initial` is a copy of another instance's stored arrays.
     """
 
-    def __init__(self, kept: NDArray[np.uint8] | None = None) -> None:
+    def __init__(self, initial: NDArray[np.uint8] | None = None) -> None:
         engine, module = _module()
         self._store = wasmtime.Store(engine)
-        exports: Any = wasmtime.Instance(self._store, module, []).exports(self._store)
-        self._exports = exports
-        self._memory: wasmtime.Memory = exports["memory"]
+        self._exports: Any = wasmtime.Instance(self._store, module, []).exports(self._store)
+        self._memory: wasmtime.Memory = self._exports["memory"]
         self._functions: dict[str, Any] = {}
-        self._asked, heap = self.value("asked_at"), self.value("heap")
-        self._first = self._kept = heap + -heap % _ALIGNED
-        self._twin: Machine | None = None
-        self._twin_of = 0
+        self._arguments_at, heap = self.value("asked_at"), self.value("heap")
+        self._permanent_from = self._permanent_until = heap + -heap % _ALIGNMENT_BYTES
+        self._clone: Machine | None = None
+        self._clone_until = 0
         self._bytes: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
-        self._look()
+        self._refresh_view()
         self._lock = threading.Lock()
-        if kept is not None:
-            self.keep(kept)
+        if initial is not None:
+            self.put_permanent(initial)
 
     def value(self, name: str) -> int:
-        """Return what a function of the solver without arguments returns."""
+        """Call a function of the solver that takes no arguments and returns a whole number."""
         return int(self._exports[name](self._store))
 
-    @property
-    def size(self) -> int:
-        """Bytes of the memory, which grows to what the largest call needs and stays."""
-        return len(self._bytes)
-
-    def keep(self, array: NDArray[Any]) -> int:
-        """Copy an array into the memory for good; return its place."""
+    def put_permanent(self, array: NDArray[Any]) -> int:
+        """Copy an array into the memory for the life of the instance. Return its address."""
         with self._lock:
-            place = self._kept
-            self._kept = _after(place, array.nbytes)
-            self.write(place, array, array.dtype)
-            return place
+            address = self._permanent_until
+            self._permanent_until = _next_address(address, array.nbytes)
+            self.write(address, array, array.dtype)
+            return address
 
-    def twin(self) -> Machine:
-        """Return the machine of a second thread, with all that is kept in this one at the same places."""
+    def clone_for_thread(self) -> Machine:
+        """Return the instance for a second thread, with this one's permanent arrays at the same addresses."""
         with self._lock:
-            if self._twin is None or self._twin_of != self._kept:
-                self._twin, self._twin_of = Machine(self.read(self._first, self._kept - self._first)), self._kept
-            return self._twin
+            if self._clone is None or self._clone_until != self._permanent_until:
+                size = self._permanent_until - self._permanent_from
+                self._clone, self._clone_until = Machine(self.read(self._permanent_from, size)), self._permanent_until
+            return self._clone
 
-    @contextmanager
+    @contextlib.contextmanager
     def call(self) -> Generator[Call]:
-        """Give a call the memory behind what is kept, for as long as it needs it."""
+        """Reserve the memory behind the permanent arrays for one call."""
         with self._lock:
-            yield Call(self, self._kept)
+            yield Call(self, self._permanent_until)
 
-    def write(self, place: int, array: NDArray[Any], kind: np.dtype[Any]) -> None:
-        """Copy an array to a place, as numbers of another kind if need be."""
-        end = place + array.size * kind.itemsize
+    def write(self, address: int, array: NDArray[Any], kind: np.dtype[Any]) -> None:
+        """Copy an array to an address, its numbers converted to `kind`. The memory grows if necessary."""
+        end = address + array.size * kind.itemsize
         if end > len(self._bytes):
-            self._memory.grow(self._store, (end - len(self._bytes) + _PAGE - 1) // _PAGE)
-            self._look()
-        self._bytes[place:end].view(kind).reshape(array.shape)[...] = array
+            self._memory.grow(self._store, (end - len(self._bytes) + _PAGE_BYTES - 1) // _PAGE_BYTES)
+            self._refresh_view()
+        self._bytes[address:end].view(kind).reshape(array.shape)[...] = array
 
-    def read(self, place: int, size: int) -> NDArray[np.uint8]:
-        """Return a copy of `size` bytes."""
-        return self._bytes[place : place + size].copy()
+    def read(self, address: int, size: int) -> NDArray[np.uint8]:
+        """Copy `size` bytes out of the memory."""
+        return self._bytes[address : address + size].copy()
 
     def run(self, name: str, words: Sequence[int], free: int) -> None:
-        """Run a function of the solver, which is asked `words` and may use the memory from `free` on."""
-        self.write(self._asked, np.array([free, *words]), WORD)
+        """Run a function of the solver with arguments `words`. It may use the memory from address `free` on."""
+        self.write(self._arguments_at, np.array([free, *words]), WORD)
+        # A look-up by name takes longer than a short solve.
         function = self._functions.get(name)
         if function is None:
             function = self._functions[name] = self._exports[name]
         try:
             function(self._store)
         finally:
-            # It may have made the memory larger.
-            self._look()
+            self._refresh_view()
 
-    def _look(self) -> None:
-        """See where the memory is, and how large."""
-        have = self._memory.data_len(self._store)
-        # Only growing moves the memory, and then its length is another.
-        if have != len(self._bytes):
+    def _refresh_view(self) -> None:
+        """Renew the numpy view after the memory has grown, which may have moved it."""
+        size = self._memory.data_len(self._store)
+        if size != len(self._bytes):
             address = ctypes.addressof(self._memory.data_ptr(self._store).contents)
-            self._bytes = np.frombuffer(memoryview((ctypes.c_uint8 * have).from_address(address)), dtype=np.uint8)
+            self._bytes = np.frombuffer(memoryview((ctypes.c_uint8 * size).from_address(address)), dtype=np.uint8)
 
 
 class Call:
-    """One call of the solver: arrays are given, room for the answers is taken, it runs, the answers are read."""
+    """One call of the solver and the memory that its arrays use."""
 
     def __init__(self, machine: Machine, free: int) -> None:
         self._machine = machine
         self._free = free
-        self._rooms: dict[int, tuple[tuple[int, ...], np.dtype[Any]]] = {}
+        self._results: dict[int, tuple[tuple[int, ...], np.dtype[Any]]] = {}
 
-    def give(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
-        """Return the place of a copy of `array`, of 64-bit floats unless said otherwise."""
-        place = self._free
-        self._machine.write(place, array, kind)
-        self._free = _after(place, array.size * kind.itemsize)
-        return place
+    def put(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
+        """Copy an array in, its numbers converted to `kind`. Return its address."""
+        address = self._free
+        self._machine.write(address, array, kind)
+        self._free = _next_address(address, array.size * kind.itemsize)
+        return address
 
-    def room(self, shape: tuple[int, ...], kind: np.dtype[Any] = FLOAT) -> int:
-        """Return a place for an answer; the solver makes the memory large enough."""
-        place = self._free
-        self._rooms[place] = (shape, kind)
-        self._free = _after(place, math.prod(shape) * kind.itemsize)
-        return place
+    def reserve(self, shape: tuple[int, ...], kind: np.dtype[Any] = FLOAT) -> int:
+        """Reserve an address for a result. The solver makes the memory large enough."""
+        address = self._free
+        self._results[address] = (shape, kind)
+        self._free = _next_address(address, math.prod(shape) * kind.itemsize)
+        return address
 
-    def changed(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
-        """Return the place of a copy of `array` that the solver changes, to be taken back."""
-        place = self.give(array, kind)
-        self._rooms[place] = (array.shape, kind)
-        return place
+    def put_inout(self, array: NDArray[Any], kind: np.dtype[Any] = FLOAT) -> int:
+        """Copy in an array that the solver changes, to be read with `get`. Return its address."""
+        address = self.put(array, kind)
+        self._results[address] = (array.shape, kind)
+        return address
 
     def run(self, name: str, words: Sequence[int]) -> None:
-        """Run the solver's function `name` with a table of numbers and places."""
+        """Run the solver's function `name` with numbers and addresses as its arguments."""
         self._machine.run(name, words, self._free)
 
-    def taken(self, place: int) -> NDArray[Any]:
-        """Return a copy of the answer at a place."""
-        shape, kind = self._rooms[place]
-        return self._machine.read(place, math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
+    def get(self, address: int) -> NDArray[Any]:
+        """Copy out the result at an address."""
+        shape, kind = self._results[address]
+        return self._machine.read(address, math.prod(shape) * kind.itemsize).view(kind).reshape(shape)
 
 
-def _after(place: int, size: int) -> int:
-    """Return the first place after `size` bytes; an array of none has a place of its own, too."""
-    return place + (max(size, 1) + _ALIGNED - 1) // _ALIGNED * _ALIGNED
+def _next_address(address: int, size: int) -> int:
+    """Return the first aligned address after `size` bytes. An empty array has an address of its own."""
+    return address + (max(size, 1) + _ALIGNMENT_BYTES - 1) // _ALIGNMENT_BYTES * _ALIGNMENT_BYTES
 
 
 @cache
 def shared() -> Machine:
-    """Return the machine of all who keep nothing in it."""
+    """Return the instance for callers that store no permanent arrays."""
     return Machine()

@@ -1,6 +1,6 @@
-"""Links of a session: their addresses, and the thread that reads one, stamps its bytes and queues them.
+"""Links of a session: their addresses, and the thread that reads a link, stamps its bytes and queues them.
 
-An address may come from a stranger's session, so `parse_address` alone decides what is opened.
+An address may come from a stranger's session, so `parse_address` alone decides what may be opened.
 """
 
 from __future__ import annotations
@@ -21,24 +21,43 @@ from skincal.devices.registry import parse_device
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 
-PORTS_LISTED_MAX = 200
-"""Ports of a YARP network that are listed: a whole iCub has some hundred."""
+YARP_PORTS_LISTED_MAX = 200
+"""A whole iCub has some hundred ports."""
 FILE_PREFIX = "file:"
 UNKNOWN_SCHEME_RE = re.compile(r"([a-z][a-z0-9+.-]+):.", re.IGNORECASE)
 """Begin of an address that is neither a port nor a path: at least two letters, since Windows has drives of one."""
 ADDRESS_HELP = "a serial port such as /dev/ttyUSB0 or COM3, socket://HOST:PORT, a file, or a device (docs/devices.md)"
 ADDRESS_MAX_CHARS = 1000
-"""Maximum length of an address. The full address is shown to the operator before connecting."""
+"""The full address is shown to the operator before connecting."""
 SHARED_LINK = "board"
 """Name of a link that carries several streams."""
-QUEUED_MAX_BYTES = 1 << 20
-"""Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
-ITEM_OVERHEAD_BYTES = 200
-"""Memory of an item beyond its bytes, so that many small items count, too."""
-DROP_NS = 500_000_000
-"""ns. A link that is too fast is not read for this long, so that at most two events a second say so."""
 SERIAL_ROUTE = Route(usage="/dev/ttyUSB0", form=Form.SERIAL, transport="serial")
 FILE_ROUTE = Route(usage="file:PATH", form=Form.PATH, transport="file")
+
+QUEUED_MAX_BYTES = 1 << 20
+"""Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
+CHUNK_OVERHEAD_BYTES = 200
+"""Memory of a chunk beyond its bytes, so that many small chunks count, too."""
+DROP_NS = 500_000_000
+"""ns. A link that is too fast is dropped for this long, so that it causes at most two messages a second."""
+READ_MAX_S = 0.1
+"""s. Longest wait in one read, and so until a stop is noticed."""
+RETRY_S, RETRY_MAX_S = 0.1, 5.0
+"""s. Pause before a link is opened again; it doubles with each short connection, up to the maximum."""
+RETRY_DOUBLINGS_MAX = 6
+STABLE_AFTER_S = 1.0
+"""s. A connection that ends sooner is short: a server that has no room closes it at once."""
+JOIN_MAX_S = 2.0
+"""s. Longest wait for the thread at a stop: longer than a connection may take."""
+BACKPRESSURE_MAX_S, BACKPRESSURE_POLL_S = 5.0, 0.02
+"""s. A device that must not lose bytes is not read for so long while the queue is full; the system keeps some of TCP."""
+NEW_REASON_S = 1.0
+"""s. A new reason why a lost link does not open is reported when it has lasted so long: a port that comes back may deny
+access until the system has set its owner."""
+EXPECTED_WHILE_LOST = (FailureKind.ABSENT, FailureKind.REFUSED)
+"""Failures that only say that the link is still away."""
+STATE_AFTER_FAILURE = {FailureKind.ENDED: LinkState.ENDED, FailureKind.PROTOCOL_ERROR: LinkState.FAILED}
+"""State of a link that is not opened again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +118,19 @@ def _is_file(path: str) -> bool:
         return False
 
 
-def format_of(address: str, given: str) -> str:
-    """Name the decoder of a link: the given one, or for `auto` the one of its address."""
-    if given != AUTO:
-        return given
+def _device_route(address: str) -> Route | None:
+    """Return the route of a device's address; `None` for other and wrong addresses."""
     try:
         device = parse_device(address)
     except InputError:
-        return given
-    return given if device is None else device.route.format
+        return None
+    return None if device is None else device.route
+
+
+def format_of(address: str, given: str) -> str:
+    """Name the decoder of a link: the given one, or for `auto` the one of its address."""
+    route = _device_route(address) if given == AUTO else None
+    return given if route is None else route.format
 
 
 def describe_links(addresses: Mapping[Stream, str | None]) -> tuple[LinkSpec, ...]:
@@ -156,148 +179,112 @@ def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
     from skincal.devices.yarp import ask_names, name_server
     from skincal.streams.opening import NetworkQuestions
 
-    return sorted(ask_names("No YARP", name_server(), "", NetworkQuestions()).items())[:PORTS_LISTED_MAX]
-
-
-READ_MAX_S = 0.1
-"""s. Longest wait in one read: how soon a stop is seen."""
-RETRY_S = 0.1
-"""s. Pause between attempts to open a link that is away."""
-STABLE_AFTER_S = 1.0
-"""s. A link that is lost sooner after it was opened was lost hastily: a server that has no room hangs up at once."""
-RETRY_MAX_S = 5.0
-"""s. A link that is lost hastily again and again is opened anew ever later, up to this."""
-JOIN_MAX_S = 2.0
-"""s. Longest wait for the thread at a stop: longer than a connection may take."""
-BACKPRESSURE_MAX_S, BACKPRESSURE_POLL_S = 5.0, 0.02
-"""s. So long a device that a gap would spoil is not read while a busy program has no room; the system keeps some of TCP."""
-NEW_REASON_S = 1.0
-"""s. A new reason why a lost link does not open is reported when it has lasted so long: a port that comes back may deny
-access until the system has set its owner."""
-
-EXPECTED_WHILE_LOST = (FailureKind.ABSENT, FailureKind.REFUSED)
-"""Reasons that say no more than that the link is still away."""
-STATE_AFTER_FAILURE = {FailureKind.ENDED: LinkState.ENDED, FailureKind.PROTOCOL_ERROR: LinkState.FAILED}
-"""State of a link that is read no further."""
+    return sorted(ask_names("No YARP", name_server(), "", NetworkQuestions()).items())[:YARP_PORTS_LISTED_MAX]
 
 
 class ChunkQueue:
-    """What readers bring, in order, for the one that takes it; of each link no more waits than `QUEUED_MAX_BYTES`.
+    """Queue of what readers bring. Of each link at most `QUEUED_MAX_BYTES` wait. Any thread may call any method.
 
-    Bytes beyond that are dropped for `DROP_NS`, and a `LinkEvent` that says how many takes their place: garbage at the speed of
-    a network costs other links nothing, and what is shown is not from long ago. Any thread may call any method.
+    Bytes beyond that are dropped for `DROP_NS`, and a `LinkEvent` with their number takes their place. So garbage at the speed
+    of a network does not slow other links, and nothing old is shown.
     """
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._waiting: Counter[str] = Counter()
-        self._dropped: Counter[str] = Counter()
-        self._until_ns: dict[str, int] = {}
+        """Memory of the waiting chunks of each link, bytes."""
+        self._dropping: dict[str, tuple[int, int]] = {}
+        """By link: until when its bytes are dropped, ns, and how many were."""
 
     def put(self, item: Any) -> bool:
-        """Take the next item, if it has room; what is no `Chunk` always has. Return whether it was taken."""
+        """Add an item and return whether it was taken; only a `Chunk` may be refused."""
         with self._lock:
-            if not isinstance(item, Chunk):
-                if isinstance(item, LinkEvent):
-                    # Before it: what was dropped came while the link was open.
-                    self._tell_dropped(item.link, item.host_ns)
-            elif self._has_room(item):
-                self._waiting[item.link] += len(item.data) + ITEM_OVERHEAD_BYTES
-            else:
-                self._dropped[item.link] += len(item.data)
-                return False
+            if isinstance(item, Chunk):
+                until_ns, dropped = self._dropping.get(item.link, (item.host_ns, 0))
+                if not self._fits(item) or item.host_ns < until_ns:
+                    until_ns = until_ns if item.link in self._dropping else item.host_ns + DROP_NS
+                    self._dropping[item.link] = until_ns, dropped + len(item.data)
+                    return False
+                self._waiting[item.link] += len(item.data) + CHUNK_OVERHEAD_BYTES
+            if isinstance(item, Chunk | LinkEvent):
+                self._report_dropped(item.link, item.host_ns)  # before the item: bytes were dropped while the link was open
             self._queue.put(item)
             return True
 
-    def _has_room(self, chunk: Chunk) -> bool:
-        """Return whether a chunk may wait; where that is so again, say first what was dropped."""
-        link, full = chunk.link, self._waiting[chunk.link] + len(chunk.data) > QUEUED_MAX_BYTES
-        if not full and chunk.host_ns >= self._until_ns.get(link, 0):
-            self._tell_dropped(link, chunk.host_ns)
-            return True
-        if link not in self._until_ns:
-            self._until_ns[link] = chunk.host_ns + DROP_NS
-        return False
+    def _fits(self, chunk: Chunk) -> bool:
+        return self._waiting[chunk.link] + len(chunk.data) <= QUEUED_MAX_BYTES
 
     def has_room(self, chunk: Chunk) -> bool:
-        """Return whether a chunk would be taken, but for a time of dropping; nothing changes."""
+        """Check whether the queue has room for a chunk."""
         with self._lock:
-            return self._waiting[chunk.link] + len(chunk.data) <= QUEUED_MAX_BYTES
+            return self._fits(chunk)
 
-    def _tell_dropped(self, link: str, host_ns: int) -> None:
-        if self._until_ns.pop(link, None) is not None:
-            bytes_ = self._dropped.pop(link, 0)
-            text = f"{link} sends more than can be read: {bytes_} bytes were dropped; check its format and its rate."
-            self._queue.put(LinkEvent(link, host_ns, LinkState.OPEN, text, bytes_))
+    def _report_dropped(self, link: str, host_ns: int) -> None:
+        if link in self._dropping:
+            _, dropped = self._dropping.pop(link)
+            text = f"{link} sends more than can be read: {dropped} bytes were dropped; check its format and its rate."
+            self._queue.put(LinkEvent(link, host_ns, LinkState.OPEN, text, dropped))
 
     def get(self, timeout: float | None = None) -> Any:
-        """Return the next item; `queue.Empty` where none comes within `timeout`, seconds."""
+        """Return the next item. Raises `queue.Empty` if none comes within `timeout`, seconds."""
         item = self._queue.get(timeout=timeout)
         if isinstance(item, Chunk):
             with self._lock:
-                self._waiting[item.link] -= len(item.data) + ITEM_OVERHEAD_BYTES
+                self._waiting[item.link] -= len(item.data) + CHUNK_OVERHEAD_BYTES
         return item
 
     def empty(self) -> bool:
-        """Return whether nothing waits; what a link that fell silent had dropped is said now."""
-        if self._until_ns and self._queue.empty():
-            self._tell_due(time.monotonic_ns())
+        """Check whether nothing waits. If a link fell silent while its bytes were dropped, this is reported now."""
+        if self._dropping and self._queue.empty():
+            self._report_all(time.monotonic_ns())
         return self._queue.empty()
 
     def finish(self) -> None:
-        """Say what was dropped and is not said yet; nothing comes any more."""
-        self._tell_due(None)
+        """Report all dropped bytes, as nothing more comes."""
+        self._report_all(None)
 
-    def _tell_due(self, until_ns: int | None) -> None:
+    def _report_all(self, due_ns: int | None) -> None:
         with self._lock:
-            for link in [link for link, due_ns in self._until_ns.items() if until_ns is None or until_ns >= due_ns]:
-                self._tell_dropped(link, time.monotonic_ns())
-
-
-def _needs_every_byte(address: str) -> bool:
-    try:
-        device = parse_device(address)
-    except InputError:
-        return False
-    return device is not None and device.route.needs_every_byte
+            for link in [link for link, (until_ns, _) in self._dropping.items() if due_ns is None or due_ns >= until_ns]:
+                self._report_dropped(link, time.monotonic_ns())
 
 
 class Reader:
-    """Reads one link into a queue, in one daemon thread, and takes a lost link up again by itself.
+    """Reads one link into a queue, in one daemon thread, and opens a lost link again.
 
-    Events: OPEN each time the link opens; FAILED when it cannot be opened at first, LOST when it vanished, each with a
-    sentence, and again if the reason becomes another; ENDED at the end of a file. Attempts to open go on until `stop`,
-    save after an end and for an address that cannot be right. Silence is no event. A link that was lost hastily is said to be
-    open again once it brings bytes or holds, so that a server that hangs up on everybody costs one sentence.
+    Events: OPEN when the link opens; FAILED if it cannot be opened at first, LOST when it vanished, each with a sentence, and
+    again for a new reason; ENDED at the end of a file. It tries to open the link until `stop`, except after an end and for a
+    wrong address. Silence causes no event. After a short connection OPEN is reported only when bytes arrive or after
+    `STABLE_AFTER_S`, so that a server that keeps closing the connection causes one message.
     """
 
     def __init__(self, spec: LinkSpec, items: ChunkQueue | queue.SimpleQueue[Chunk | LinkEvent]) -> None:
         self._spec = spec
         self._items = items
+        route = _device_route(spec.address)
+        self._needs_every_byte = route is not None and route.needs_every_byte
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"reader {spec.name}", daemon=True)
-        self._opened = False
+        self._was_open = False
+        self._opened_s, self._open_was_reported = 0.0, False
         self._short_connections = 0
-        """Times in a row that the link was lost within `STABLE_AFTER_S`."""
-        self._opened_s, self._open_was_said = 0.0, False
-        """When it was opened last, and whether that was said."""
-        self._needs_every_byte = _needs_every_byte(spec.address)
+        """Short connections in a row."""
         self._reported = ""
-        """The sentence that was reported last."""
+        """Sentence of the last event."""
         self._reason, self._reason_since_s = "", 0.0
-        """Another reason that is not reported yet, and since when it holds."""
+        """A new reason that is not reported yet, and since when it holds."""
 
     def start(self) -> None:
         """Begin to read."""
         self._thread.start()
 
     def halt(self) -> None:
-        """Read no more after the read in progress; returns at once, and the thread closes the link."""
+        """Stop after the read in progress. Returns at once; the thread closes the link."""
         self._stop.set()
 
     def stop(self) -> None:
-        """Stop reading and close the link; waits for the thread, at most two seconds."""
+        """Stop reading and close the link. Waits for the thread, at most two seconds."""
         self.halt()
         # A thread that was never started cannot be joined: Python raises.
         if self._thread.ident is not None:
@@ -305,64 +292,56 @@ class Reader:
 
     @property
     def running(self) -> bool:
-        """Whether the thread still reads or tries to."""
+        """Whether the thread still reads, or tries to open the link."""
         return self._thread.is_alive()
 
     def _run(self) -> None:
         try:
-            while not self._stop.is_set():
-                final = self._try_once()
-                if final:
-                    return
-                # Beyond six times it is the most in any case.
-                self._stop.wait(min(RETRY_S * 2 ** min(self._short_connections, 6), RETRY_MAX_S))
-        except Exception as error:  # noqa: BLE001 - nothing above catches it: the operator must hear of it
-            self._say(LinkState.FAILED, f"Reading stopped by a fault of the program: {error!r}.")
+            while not self._stop.is_set() and self._connect():
+                self._stop.wait(min(RETRY_S * 2 ** min(self._short_connections, RETRY_DOUBLINGS_MAX), RETRY_MAX_S))
+        except Exception as error:  # noqa: BLE001 - nothing above catches it: the operator must be told
+            self._report(LinkState.FAILED, f"Reading stopped by a fault of the program: {error!r}.")
 
-    def _try_once(self) -> bool:
-        """Open the link and read it until it fails or is to stop; say whether to leave it at that."""
+    def _connect(self) -> bool:
+        """Open the link and read it until it fails or is stopped; return whether to try again."""
         try:
             link = open_link(self._spec, self._stop.is_set)
         except LinkError as failure:
-            if self._stop.is_set():
-                return True
-            self._could_not_open(failure)
-            return failure.kind is FailureKind.ADDRESS
-        self._opened, self._opened_s, self._open_was_said = True, time.monotonic(), False
+            if not self._stop.is_set():
+                self._report_closed(failure)
+            return failure.kind is not FailureKind.ADDRESS
+        self._was_open, self._opened_s, self._open_was_reported = True, time.monotonic(), False
         if not self._short_connections:
-            self._say_open()
+            self._report_open()
         try:
             self._read(link)
         except LinkError as failure:
             self._short_connections = self._short_connections + 1 if time.monotonic() - self._opened_s < STABLE_AFTER_S else 0
-            if self._open_was_said or failure.kind in STATE_AFTER_FAILURE:
-                self._say(STATE_AFTER_FAILURE.get(failure.kind, LinkState.LOST), str(failure))
+            if self._open_was_reported or failure.kind in STATE_AFTER_FAILURE:
+                self._report(STATE_AFTER_FAILURE.get(failure.kind, LinkState.LOST), str(failure))
             else:
-                self._could_not_open(failure)
-            # What speaks another language will do so again: one sentence, not one a second.
-            return failure.kind in STATE_AFTER_FAILURE
+                self._report_closed(failure)
+            return failure.kind not in STATE_AFTER_FAILURE
         finally:
             link.close()
-        # Only a stop ends the reading without a failure.
-        return True
+        return False
 
     def _read(self, link: Link) -> None:
-        tried: tuple[int, ...] = ()
+        bauds_tried: tuple[int, ...] = ()
         while not self._stop.is_set():
             data = link.read(READ_MAX_S)
-            if not self._open_was_said and (data or time.monotonic() - self._opened_s >= STABLE_AFTER_S):
-                self._say_open()
+            if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= STABLE_AFTER_S):
+                self._report_open()
             # Stamped at once, by a clock that nobody can set back while a session runs.
             if data:
-                self._enqueue_waiting(Chunk(self._spec.name, time.monotonic_ns(), data))
-            # Of a port whose baud rate is searched: what follows is heard at another one.
-            now_tried: tuple[int, ...] = getattr(link, "tried", ())
-            if len(now_tried) > 1 and now_tried != tried:
-                tried = now_tried
+                self._enqueue(Chunk(self._spec.name, time.monotonic_ns(), data))
+            tried: tuple[int, ...] = getattr(link, "tried", ())
+            if len(tried) > 1 and tried != bauds_tried:
+                bauds_tried = tried
                 self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), LinkState.OPEN, tried=tried))
 
-    def _enqueue_waiting(self, chunk: Chunk) -> None:
-        """Have a chunk taken; where a gap would spoil what follows, it waits for room, and what comes in the system."""
+    def _enqueue(self, chunk: Chunk) -> None:
+        """Queue a chunk. If the device must not lose bytes, wait for room first."""
         until_s = time.monotonic() + BACKPRESSURE_MAX_S
         while self._needs_every_byte and isinstance(self._items, ChunkQueue) and not self._items.has_room(chunk):
             if self._stop.wait(BACKPRESSURE_POLL_S) or time.monotonic() > until_s:
@@ -371,26 +350,22 @@ class Reader:
             self._stop.wait(DROP_NS * 1e-9)
             raise LinkError(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected anew.")
 
-    def _could_not_open(self, failure: LinkError) -> None:
-        """Report why the link does not open: at once the first time, later only what is new and lasts."""
-        sentence = str(failure)
+    def _report_closed(self, failure: LinkError) -> None:
+        """Report why the link is not open: at once the first time, later only a new reason that lasts."""
+        sentence, now_s = str(failure), time.monotonic()
         if not self._reported:
-            self._say(LinkState.FAILED, sentence)
-            return
-        expected = self._opened and failure.kind in EXPECTED_WHILE_LOST
-        if expected or sentence == self._reported:
+            self._report(LinkState.FAILED, sentence)
+        elif sentence == self._reported or (self._was_open and failure.kind in EXPECTED_WHILE_LOST):
             self._reason = ""
-            return
-        now_s = time.monotonic()
-        if sentence != self._reason:
+        elif sentence != self._reason:
             self._reason, self._reason_since_s = sentence, now_s
         elif now_s - self._reason_since_s >= NEW_REASON_S:
-            self._say(LinkState.LOST if self._opened else LinkState.FAILED, sentence)
+            self._report(LinkState.LOST if self._was_open else LinkState.FAILED, sentence)
 
-    def _say_open(self) -> None:
-        self._open_was_said = True
-        self._say(LinkState.OPEN)
+    def _report_open(self) -> None:
+        self._open_was_reported = True
+        self._report(LinkState.OPEN)
 
-    def _say(self, state: LinkState, sentence: str = "") -> None:
+    def _report(self, state: LinkState, sentence: str = "") -> None:
         self._reported, self._reason = sentence, ""
         self._items.put(LinkEvent(self._spec.name, time.monotonic_ns(), state, sentence))

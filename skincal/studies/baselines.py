@@ -54,7 +54,7 @@ class TaxelProblem(NamedTuple):
 def taxel_problems(contacts: Sequence[Contact], channels: Iterable[int], noise: NoiseSettings) -> dict[int, TaxelProblem]:
     """Set up the problem of each of `channels` that answered: every baseline for the surface begins with it."""
     found = solve(ContactTable(contacts).evidence(list(channels)), [], noise, None)
-    parts = zip(found.factors.roots, found.factors.offsets, found.pushes, strict=True)
+    parts = zip(*(found.answer[name] for name in ("root", "offset", "push")), strict=True)
     return dict(zip(found.evidence.channels.tolist(), (TaxelProblem(*part) for part in parts), strict=True))
 
 
@@ -261,7 +261,7 @@ class ModuleProblem:
     def laid(self, pose: ModulePoses) -> Pads:
         """Lay its pads at one pose."""
         flat = self.model.pads[self.module]
-        return self.model.ground.place_pads(pose.take(np.zeros(len(flat), dtype=np.int64)), flat)
+        return self.model.ground.place_pads(pose.select(np.zeros(len(flat), dtype=np.int64)), flat)
 
     def by_least_squares(self, misses: Callable[[Pads], FloatArray], **tolerances: float) -> FloatArray:
         """Find the pads (k, 3), metres, of least `misses` by scipy's Levenberg-Marquardt with a differenced Jacobian."""

@@ -33,7 +33,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.search import GRAZING
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModulePoses
-from skincal.modules.pose_fit import ACROSS, MIDDLE
+from skincal.modules.pose_fit import CENTRE_OFFSET_FACTOR, TWO_MODULES_SD_M
 from skincal.studies.stability_cases import Case, ModuleCase, RawMesh, Readings, moved
 from skincal.taxels.result import MISS_MAX, SD_MAX
 
@@ -506,8 +506,8 @@ def pokes_of(readings: Readings, noise: NoiseSettings) -> ExactPokes:
     # Those that answered first, in their order.
     answered = np.argsort(~answering, axis=1, kind="stable")[:, : answering.sum(axis=1).max()]
     answers = exactly(np.take_along_axis(readings.responses, answered, axis=1))
-    missed = (exactly(MIDDLE) * exactly(noise.contact)) / exactly(answering.sum(axis=1))
-    beside = _np.where(readings.beside > 0, exactly(ACROSS), MP.zero)
+    missed = (exactly(CENTRE_OFFSET_FACTOR) * exactly(noise.contact)) / exactly(answering.sum(axis=1))
+    beside = _np.where(readings.beside > 0, exactly(TWO_MODULES_SD_M), MP.zero)
     return ExactPokes(
         answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], two_across(u),
         exactly(readings.poses[readings.pose_of, :3, 3]), (exactly(noise.moment) / size) ** 2,

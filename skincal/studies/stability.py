@@ -24,9 +24,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
+from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench, orthonormal_pair
 from skincal.mesh.search import nearest_in_metric
-from skincal.mesh.surface import Surface, heights, make_surface
+from skincal.mesh.surface import Surface, make_surface, triangle_heights
 from skincal.model.scene import NoiseSettings
 from skincal.modules.estimate import estimate_modules
 from skincal.modules.pose import Pads
@@ -52,7 +52,7 @@ from skincal.studies.stability_cases import (
     model_of,
 )
 from skincal.studies.stability_terms import TermCase, term_cases
-from skincal.taxels.contact_table import ContactTable, orthonormal_pair
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
 
@@ -131,7 +131,7 @@ def over_bar(error: float, bound: float) -> float:
 
 def _surface(mesh: RawMesh | None) -> Surface | None:
     """Return the surface; triangles without area are left out, as in loading, but none that has any."""
-    return None if mesh is None else make_surface(mesh.vertices, mesh.triangles[heights(mesh.corners)[0] > 0])
+    return None if mesh is None else make_surface(mesh.vertices, mesh.triangles[triangle_heights(mesh.corners)[0] > 0])
 
 
 def _orders(case: Case) -> Iterator[IntArray]:
@@ -227,9 +227,10 @@ def shipped_taxel(case: Case, order: IntArray, surface: Surface | None) -> Found
     # Each reading counts as it is: what is doubted is not a question of digits.
     method = Method.FREE if surface is None else Method.SURFACE
     found = solve(ContactTable(contacts_of(case, order)).evidence([0]), [method], NoiseSettings(), surface, doubting=False)
-    if found.surface is not None:
-        return Found(found.surface.points[:1])
-    return Found(found.factors.solutions[:1], direction=found.factors.blind[0] if found.factors.ranks[0] == 2 else None)
+    answer = found.answer[0]
+    if found.has_surface:
+        return Found(answer["point"][None])
+    return Found(answer["solution"][None], direction=answer["blind"] if answer["rank"] == 2 else None)
 
 
 RowsOf: TypeAlias = Callable[[Readings], tuple[FloatArray, FloatArray]]

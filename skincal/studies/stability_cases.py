@@ -553,7 +553,7 @@ def press_module(
     scatter : m, how far off the middle the contacts are
     """
     flat = module.flat
-    pads = module.ground.place_pads(module.at.take(np.zeros(len(flat), dtype=np.int64)), flat)
+    pads = module.ground.place_pads(module.at.select(np.zeros(len(flat), dtype=np.int64)), flat)
     directions = cone(rng, count, tilt, -module.at.normals[0] if lean is None else lean)
     if answers is None:
         answers = np.zeros((count, len(flat)))

@@ -27,13 +27,14 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import orthonormal_pair as pairs_across
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resource
-from skincal.modules.distances import STEPS as DISTANCE_STEPS
+from skincal.modules.distances import GAUSS_NEWTON_STEPS as DISTANCE_STEPS
 from skincal.modules.distances import apply_distances
 from skincal.modules.estimate import FittedModule, estimate_modules
-from skincal.modules.off_surface import SEEN, THICKEST, TOLD
-from skincal.modules.pose import LEVER, ModulePoses, ModulesOnSurface
+from skincal.modules.off_surface import MAX_HEIGHT_SD_M, MAX_THICKNESS_SDS, MIN_HEIGHT_SDS
+from skincal.modules.pose import LEVER_M, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_from_squares
 from skincal.rig.correction import HAND_LOAD_N, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
@@ -84,7 +85,6 @@ from skincal.studies.stability_cases import (
     unit,
 )
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.contact_table import orthonormal_pair as pairs_across
 from skincal.taxels.result import Estimate, Method, State
 
 Said: TypeAlias = dict[str, Any]
@@ -533,9 +533,9 @@ def exact_module(shared: Shared, begin: ExactPose | None = None) -> Said:
         alone = ((out - (slopes @ along)[:, :, 0])[:, None] @ inverse)[:, 0]
         told = dot(alone, out).sum()
         z = dot(alone, misses).sum() / told
-        z = min(z, max(z - THICKEST * skin, MP.zero))
+        z = min(z, max(z - MAX_THICKNESS_SDS * skin, MP.zero))
         variance = factor / told + sum(dot(each, each) for each in _lifts(alone, told, alike, of_pose))
-        height = z**2 - variance if factor / told < TOLD**2 and z**2 > SEEN**2 * variance else MP.zero
+        height = z**2 - variance if factor / told < MAX_HEIGHT_SD_M**2 and z**2 > MIN_HEIGHT_SDS**2 * variance else MP.zero
     changes = pads.changes
     outward = height * pads.normals[:, :, None] * pads.normals[:, None]
     by_shared = changes @ (moves @ moves.T) @ changes.swapaxes(1, 2)
@@ -686,12 +686,12 @@ def _end_of(joined: Joined, told: KnownDistance, side: int) -> tuple[int, FloatA
 
 
 def _laid(joined: Joined, at: int, x: Exact, flat: FloatArray) -> ExactPads:
-    """Return points in a module's plane where x moves it, turns counted as ways at `LEVER`."""
+    """Return points in a module's plane where x moves it, turns counted as ways at `LEVER_M`."""
     pose, step = joined.fitted[at].pose, x[6 * at : 6 * at + 6]
-    by = step[3:] / exactly(LEVER)
+    by = step[3:] / exactly(LEVER_M)
     place = exactly(pose.points[0]) + step[:3]
     pads = InPlane(place, turned(exactly(pose.x[0]), by), turned(exactly(pose.normals[0]), by), exactly(flat)).pads()
-    turns = pads.changes[:, :, 3:] / exactly(LEVER)
+    turns = pads.changes[:, :, 3:] / exactly(LEVER_M)
     return pads._replace(changes=np.concatenate([pads.changes[:, :, :3], turns], axis=2))
 
 
@@ -866,7 +866,7 @@ def _distances(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[TermCase]
 def laid(case: ModuleCase) -> FloatArray:
     """Return (k, 3) where a module's pads lie."""
     module = case.module
-    return module.ground.place_pads(module.at.take(np.zeros(PADS, dtype=np.int64)), module.flat).points
+    return module.ground.place_pads(module.at.select(np.zeros(PADS, dtype=np.int64)), module.flat).points
 
 
 def _where(cases: Sequence[ModuleCase], pads: Sequence[FloatArray], end: int, of_taxels: bool) -> FloatArray:

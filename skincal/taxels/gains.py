@@ -1,13 +1,8 @@
-"""How much a taxel answers to a newton, from the pokes that found its place.
+"""Gain of a taxel: its answer per newton, from the pokes that found its position.
 
-A poke tells of a taxel's gain where that answered most: then the tip was nearer to it than to any other. Its part is the
-answer over the force along the taxel's inward normal,
-
-    g = t / (-f . n),
-
-and the gain is the mean of these, its spread their standard deviation. The spread holds how far off the middle the tip came
-down and how much softer foam answers to a large force, so it tells how one poke's answer is to be taken, not how exact the
-mean is. Taxels that answer few pokes, or whose normal is not known, have no gain.
+A poke shows a taxel's gain if that answered most: the tip was nearer to it than to any other. It is the answer over the force
+along the taxel's inward normal, g = t / (-f . n). The mean and standard deviation over the pokes are given. The deviation
+contains the offset of the tip and the softening of foam, so it describes single answers and not the precision of the mean.
 """
 
 from __future__ import annotations
@@ -20,31 +15,31 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.taxels.result import Estimate
 
-FEWEST_GAINS = 3
-"""Pokes that a gain is told from: from two a spread says nothing."""
-LOAD_MIN = 1.0
-"""N along the inward normal. A push that grazes the skin divides its answer by nearly nothing."""
+MIN_POKES_FOR_GAIN = 3
+"""From two pokes a standard deviation says nothing."""
+MIN_LOAD_N = 1.0
+"""Along the inward normal. A grazing push would divide its answer by nearly zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class TaxelGain:
-    """How much one taxel answers."""
+    """Gain of one taxel, raw units a newton."""
 
     pokes: int
-    """In which it answered most; the gain is of these."""
+    """That it answered most."""
     mean: float | None
-    """Raw units a newton; None from fewer than `FEWEST_GAINS` pokes, or without a normal."""
+    """`None` from fewer than `MIN_POKES_FOR_GAIN` pokes, or without a normal."""
     spread: float | None
-    """Raw units a newton, standard deviation over the pokes; None as `mean`."""
+    """Standard deviation over the pokes; `None` as `mean`."""
 
 
 def taxel_gains(contacts: Sequence[Contact], estimates: Sequence[Estimate]) -> tuple[TaxelGain, ...]:
-    """Return the gain of each estimate's taxel, in their order.
+    """Compute the gain of each estimate's taxel, in their order.
 
     Parameters
     ----------
-    contacts : those that count, as they are corrected
-    estimates : of one method; their normals say which way a push counts. Pokes that an estimate doubts are left out
+    contacts : that count, corrected
+    estimates : of one method; pokes that an estimate doubts are left out
     """
     strongest: dict[int, list[Contact]] = {}
     for contact in contacts:
@@ -59,9 +54,9 @@ def _gain(contacts: Sequence[Contact], estimate: Estimate) -> TaxelGain:
     forces = np.array([contact.link_from_sensor[:3, :3] @ contact.force for contact in own])
     answers = np.array([contact.responses.max() for contact in own])
     loads = -(forces @ estimate.normal)
-    pressed = loads >= LOAD_MIN
+    pressed = loads >= MIN_LOAD_N
     count = int(pressed.sum())
-    if count < FEWEST_GAINS:
+    if count < MIN_POKES_FOR_GAIN:
         return TaxelGain(count, None, None)
     each = answers[pressed] / loads[pressed]
     return TaxelGain(count, float(each.mean()), float(each.std(ddof=1)))

@@ -1,4 +1,4 @@
-"""The noise of a poke's two rows, as the scene says: where its axis passes the taxel that answered (`contacts.h`)."""
+"""Noise of a poke's two rows by the scene: distance of its axis from the taxel that answered (`contacts.h`)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from skincal.model.scene import NoiseSettings
 
 
 def offset_square(weights: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return (n,) how far contacts of weight k are beside their taxel in each direction, m^2 (`contacts.h`)."""
+    """Compute (n,) the variance of the offset of contacts of weight k from their taxel, each direction, m^2 (`contacts.h`)."""
     return noise.contact**2 - noise.reach**2 * np.log(weights)
 
 
 def row_precision(
     pairs: FloatArray, lever: FloatArray, forces: FloatArray, offsets: FloatArray, noise: NoiseSettings
 ) -> FloatArray:
-    """Return (n, 2, 2) D^-1, 1/m^2, with D a contact's noise in its two rows (`sensor_noise` there), its offset taken in both.
+    """Compute (n, 2, 2) D^-1, 1/m^2, with D the noise of a contact's two rows (`sensor_noise` there), with its offset in both.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The result of an estimate: what a method says about one taxel, and why. Sentences on it are made elsewhere."""
+"""Estimate of one taxel by one method, with its state and the reason for it. Sentences are made in `skincal.words`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ if TYPE_CHECKING:
     from skincal.geometry import FloatArray
 
 SD_MAX = 0.030
-"""m. A position whose standard deviation in its worst direction exceeds this is none: it is the side of a whole module."""
+"""m. Largest standard deviation of a position in its worst direction: the side of a whole module."""
 MISS_MAX = 0.050
-"""m. Axes that pass a taxel at more than this (weighted rms) are of another part, frame or unit: no error of a rig is as
-large."""
+"""m. Axes at a larger distance (weighted rms) from a taxel are of another part, frame or unit: no rig error is as large."""
 
 
 class Method(Enum):
-    """A way to estimate a taxel's position; the value is its name in files."""
+    """Method of estimation; the value is its name in files."""
 
     FREE = "free"
     SURFACE = "surface"
@@ -27,11 +26,11 @@ class Method(Enum):
 
 
 PER_TAXEL = (Method.FREE, Method.SURFACE)
-"""The paper's methods, which know a taxel by its own contacts alone."""
+"""The paper's methods, which estimate a taxel from its own contacts alone."""
 
 
 class State(Enum):
-    """What is known of a taxel."""
+    """State of a taxel."""
 
     UNSEEN = "unseen"
     """No accepted contact touched it."""
@@ -43,7 +42,7 @@ class State(Enum):
 
 
 class Cause(Enum):
-    """Why a taxel's state is what it is; the value is short, the sentence is made by `skincal.words`."""
+    """Reason for a taxel's state; the value is a short text."""
 
     UNPOKED = "no accepted poke touched it"
     ONE_AXIS = "one axis: the depth along it is unknown"
@@ -64,31 +63,31 @@ class Cause(Enum):
     SHARED_ERRORS = "errors that its pokes share leave it unknown"
     MEAN_OF_POSES = "mean over arm poses"
     BLIND_IN_POSES = "blind in each arm pose"
-    GIVEN = "in the words of another: of the channel's health, or of a file"
+    EXTERNAL_TEXT = "text of the channel's health, or of a file"
 
 
 @dataclass(frozen=True, slots=True)
 class StateReason:
-    """A cause with its numbers; those that a cause does not name have no meaning."""
+    """Cause with its numbers."""
 
     cause: Cause
     count: int = 0
     """Pokes, axes or arm poses."""
     blind: int = 0
-    """`MEAN_OF_POSES`: arm poses that are left out, since the taxel is blind in them."""
+    """`MEAN_OF_POSES`: arm poses left out because the taxel is blind in them."""
     size: float | None = None
-    """m: how far axes pass, how far a pose moves, or a standard deviation; None where it is not determined at all."""
+    """m: distance of the axes, movement of a pose, or a standard deviation; `None` if it is not determined."""
     angle: float = 0.0
-    """rad, `ALIKE_AXES`: the axes lie within it of one direction."""
+    """rad, `ALIKE_AXES`: largest angle of an axis to one direction."""
     inner: StateReason | None = None
-    """`BLIND_IN_POSES`: why the taxel is blind in the arm pose with most pokes."""
+    """`BLIND_IN_POSES`: reason in the arm pose with most pokes."""
     text: str = ""
-    """`GIVEN`: the sentence."""
+    """`EXTERNAL_TEXT`: the sentence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
-    """Another place on the surface that fits the same contacts nearly as well."""
+    """Another position on the surface that fits the same contacts nearly as well."""
 
     position: FloatArray
     """(3,) float, metres, link frame."""
@@ -99,41 +98,41 @@ class Rival:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """One taxel by one method, link frame, metres.
+    """Estimate of one taxel by one method, link frame, metres.
 
-    The uncertainty carries the rig's noise (force, moment, place of the contact) and, where a correction of the rig is in use,
-    what that does not know. It leaves out a wrong mesh and, without a correction, errors of the F/T matrix and of the arm,
-    which shift all taxels together.
+    The uncertainty contains the rig's noise (force, moment, position of the contact) and, under a correction of the rig, the
+    uncertainty of the correction. It leaves out a wrong mesh and, without a correction, errors of the F/T matrix and of the
+    arm, which shift all taxels together.
     """
 
     channel: int
     method: Method
     state: State
     contacts: int
-    """Contacts in which the taxel answered and that are not excluded; the modules method may know one that has none."""
+    """Contacts that the taxel answered and that count; 0 is possible by the modules method."""
     position: FloatArray | None = None
-    """(3,) float, metres, link frame; None unless `ESTIMATED`."""
+    """(3,) float; `None` unless `ESTIMATED`."""
     normal: FloatArray | None = None
-    """(3,) float, unit, outward: of the surface, or against the mean push for the free method; None where unknown."""
+    """(3,) float, unit, outward: of the surface, or against the mean push for the free method."""
     covariance: FloatArray | None = None
-    """(3, 3) float, m^2; None unless `ESTIMATED`."""
+    """(3, 3) float, m^2; `None` unless `ESTIMATED`."""
     worst_direction: FloatArray | None = None
-    """(3,) float, unit: the direction that is known worst; also for `BLIND` with at least one axis."""
+    """(3,) float, unit: direction of the largest uncertainty; also for `BLIND` with at least one axis."""
     sd: float | None = None
-    """m, standard deviation along `worst_direction`; None where it is not determined."""
+    """m, standard deviation along `worst_direction`; `None` if it is not determined."""
     rms: float | None = None
     """m, square root of the covariance's trace: the predicted error."""
     triangle: int | None = None
-    """Index of the surface's triangle that carries the position; None without one, and for the free method."""
+    """Index of the surface's triangle that carries the position; `None` for the free method."""
     reason: StateReason | None = None
-    """Why the state is what it is; None where there is nothing to say."""
+    """Reason for the state, if there is one."""
     line_point: FloatArray | None = None
-    """(3,) float, metres: for a taxel that the free method knows as a line only, the line's point nearest to the link's
-    origin, that is the solution of smallest norm; the line runs along `worst_direction`. None otherwise."""
+    """(3,) float: if the free method determines only a line, along `worst_direction`, its point nearest to the link's
+    origin."""
     rival: Rival | None = None
-    """Surface method: the taxel may lie there as well. None where no other place is within the noise."""
+    """Surface method: the taxel may lie there as well."""
     moved: FloatArray | None = None
-    """(3, n) float, metres: how far each of n errors that all taxels share moves the position, in its standard deviations; in
-    the covariance. None where no correction of the rig is in use (`skincal.taxels.shared_errors`)."""
+    """(3, n) float, metres: shift by each of n errors that all taxels share, in its standard deviations; part of the
+    covariance. `None` without a correction of the rig (`skincal.taxels.shared_errors`)."""
     doubted: Mapping[int, float] = field(default_factory=dict[int, float])
-    """Pokes that count less than fully for this taxel: number to trust, 0 to less than 1."""
+    """Outliers: number of the poke to trust, 0 to less than 1."""

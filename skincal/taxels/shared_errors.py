@@ -1,18 +1,17 @@
-"""How errors that many pokes share move estimates: the sensor's matrix and the arm's poses, which no number of pokes averages.
+"""Covariance of estimates by errors that many pokes share: the sensor's matrix, the arm's poses, drift, the mesh, thick skin.
 
 A poke's two rows E (p - a) change by B x with errors x of independent unit variance that all pokes share. The estimate is the
 minimum of sum k |E (p - a)|^2 with the weights k of `contact_table`, so the errors move it by
 
     dp = M x,   M = -H^-1 sum k E'B,   H = sum k E'E,
 
-on a surface in the plane of its triangle alone. The covariance of all estimates together is that of the pokes' own noise and
-M M'. What is the same in the M of all taxels shifts the whole skin; the rest moves taxels against each other.
+on a surface in the plane of its triangle alone. The covariance of all estimates is that of the pokes' own noise plus M M'. The
+part of M that is the same for all taxels shifts the whole skin; the rest moves taxels against each other.
 
-**Errors in variables.** The noise of a force turns its axis about the sensor's origin o, so it stands on both sides of the
-free method's equations and pulls the point towards the sensor: with sigma_f the noise of each component, to first order by
-H^-1 sum 2 k sigma_f^2/|f|^2 u u'(p - o): of the lever the part along the push u, since each row is divided by its own noisy
-|f|. It is taken as a standard deviation and not put back: how large the noise is, the scene says and not the pokes, and the
-point stays the paper's.
+**Errors in variables.** The noise of a force turns its axis about the sensor's origin o. It stands on both sides of the free
+method's equations and pulls the point towards the sensor. With sigma_f the noise of each component this is to first order
+H^-1 sum 2 k sigma_f^2/|f|^2 u u'(p - o), the part along the push u. It is counted as a standard deviation and not corrected:
+the size of the noise comes from the scene and not from the pokes, and the point stays the paper's.
 """
 
 from __future__ import annotations
@@ -23,35 +22,32 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, crossed, dots
+from skincal.geometry import FloatArray, IntArray, crossed, dots, orthonormal_pair
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import ContactTable, Evidence, orthonormal_pair
+from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.noise import offset_square, row_precision
 from skincal.taxels.result import SD_MAX, Cause, Estimate, Method, State, StateReason
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
-"""Of pokes by number (m,), with the places (m, 3), metres, that they are said to touch and the directions E (m, 2, 3) across
-their pushes, link frame: B (m, 2, n), metres for each of n errors in its standard deviations that all pokes share, and
-(m, 2, k) for each of k that the pokes in one arm pose share, those of each pose independent of the others'."""
-
-
-SLOW = 60
-"""Pokes that share what changes slowly, about two minutes of work: drift of the sensor, an arm that creeps."""
-NEAR = SLOW // 4
-"""Pokes at most this far from each other say how much of that there is."""
-TAKEN_UP = 2.0
-"""Variance of slow errors over what misses show of it once a correction has moved each arm pose: it takes up the mean over a
-pose. Of what is forgotten over `SLOW`/2 pokes that mean has half the variance, over a pose of 60 to 80 pokes."""
-
-UNTOLD = 1e-9
+"""Maps pokes by number (m,), the positions (m, 3), metres, that they touch, and the directions E (m, 2, 3) across their pushes
+to B (m, 2, n), metres, for n errors that all pokes share, in their standard deviations, and (m, 2, k) for k errors that the
+pokes in one arm pose share, independent between poses."""
+DRIFT_BLOCK_POKES = 60
+"""Pokes that share slow changes, about two minutes of work: drift of the sensor, an arm that creeps."""
+MAX_DRIFT_PAIR_GAP = DRIFT_BLOCK_POKES // 4
+"""The drift is measured from pairs of pokes with numbers at most this far apart."""
+CORRECTED_DRIFT_FACTOR = 2.0
+"""True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
+60 to 80 pokes of a pose has about half of the variance."""
+RANK_TOLERANCE = 1e-9
 """Share of the largest information of a group below which there is none in a direction."""
 
 
 def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, unknowns: int) -> FloatArray:
-    """Return (g,) how many times larger the variances of g groups of pokes are than the scene's noise has them, at least 1.
+    """Compute (g,) the ratio of the variance of g groups of pokes to that by the scene's noise, at least 1.
 
-    The mean square of a group's misses, in standard deviations, less its standard error by the scene's noise: where few pokes
-    tell, little is seen. What is seen is uncertain, and makes the variance that of Student's t, n/(n - 2) times as large.
+    It is the mean square of a group's misses, in standard deviations, less its standard error: few pokes show little. The ratio
+    is uncertain itself, so the variance is that of Student's t, n/(n - 2) times as large.
 
     Parameters
     ----------
@@ -68,31 +64,31 @@ def variance_factors(squares: FloatArray, trust: FloatArray, starts: IntArray, u
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """How m pokes hold g groups, taxels or modules, with d unknowns each; ordered by group, then by poke."""
+    """Normal equations of g groups (taxels or modules) with d unknowns each, from m pokes; ordered by group, then by poke."""
 
     starts: IntArray
-    """(g,) where each group begins."""
+    """(g,) begin of each group."""
     pokes: IntArray
     """(m,)"""
     poses: IntArray
-    """(m,) equal where the arm's pose is."""
+    """(m,) equal for the same arm pose."""
     pairs: FloatArray
     """(m, 2, 3) float, unit, E: across the push."""
     misses: FloatArray
-    """(m, 2) float, metres: how far the axis passes the place that it touches, times the poke's trust."""
-    pulls: FloatArray
-    """(m, d, 2) float: how the two rows pull at the group's unknowns; `held` (g, d, d) over pulls is the way that these go."""
-    held: FloatArray
+    """(m, 2) float, metres: distance of the axis from the touched position, times the poke's trust."""
+    row_weights: FloatArray
+    """(m, d, 2) float: weights of the two rows in the equations of the unknowns."""
+    information: FloatArray
+    """(g, d, d) float: matrix of the equations."""
     normals: FloatArray
-    """(m, 3) float, unit, outward: of the skin there; zeros where unknown."""
+    """(m, 3) float, unit, outward, of the skin there; zeros if unknown."""
     corrected: bool
     """Whether a correction of the rig has moved the arm poses."""
 
     def covariances(self, skin: float) -> FloatArray:
-        """Return (g, d, d) what slow errors and the skin's thickness, sd `skin`, m, add to the covariances of the unknowns."""
-        of, moved = self._of(), self.pulls @ self.pairs
-        # Counted from the first poke of each group: where the numbers begin says nothing.
-        block = (self.pokes - self.pokes[self.starts][of]) // SLOW
+        """Compute (g, d, d) the covariances that slow errors and the skin's thickness, sd `skin`, m, add to the unknowns."""
+        of, moved = self._groups(), self.row_weights @ self.pairs
+        block = (self.pokes - self.pokes[self.starts][of]) // DRIFT_BLOCK_POKES
         new = np.ones(len(of), dtype=bool)
         new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
         first = np.flatnonzero(new)
@@ -104,44 +100,44 @@ class NormalEquations:
         return inverse @ added @ inverse
 
     def moves(self, alike: FloatArray, of_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (g, d, n) how errors that all pokes share move the unknowns, and (g, d, d) the covariance by those of poses.
+        """Compute (g, d, n) shifts of the unknowns by errors that all pokes share, and (g, d, d) covariances by those of poses.
 
-        `alike` (m, 2, n) and `of_pose` (m, 2, k) are what `SharedRows` gives of the pokes.
+        `alike` (m, 2, n) and `of_pose` (m, 2, k) are the result of `SharedRows`.
         """
-        of, inverse = self._of(), self.inverse()
+        of, inverse = self._groups(), self.inverse()
         _, first, pose = np.unique(of * (self.poses.max() + 1) + self.poses, return_index=True, return_inverse=True)
-        # By group, then by the first poke in the pose: the poses' numbers are those of a table that knows more of them.
+        # By group, then by the first poke in the pose: the numbers of poses depend on other pokes in the table.
         ordered = np.argsort(first[pose], kind="stable")
         begins = np.sort(first)
         runs = np.searchsorted(first[pose][ordered], begins)
-        together = np.add.reduceat((self.pulls @ of_pose)[ordered], runs)
+        together = np.add.reduceat((self.row_weights @ of_pose)[ordered], runs)
         own = np.add.reduceat(together @ together.transpose(0, 2, 1), np.searchsorted(begins, self.starts))
-        return -inverse @ np.add.reduceat(self.pulls @ alike, self.starts), inverse @ own @ inverse
+        return -inverse @ np.add.reduceat(self.row_weights @ alike, self.starts), inverse @ own @ inverse
 
     def inverse(self) -> FloatArray:
-        """Return (g, d, d) the inverse of `held`; what the pokes do not determine has no estimate, and is not moved."""
-        values, axes = np.linalg.eigh(self.held)
-        told = values > UNTOLD * np.abs(values).max(axis=1, keepdims=True)
+        """Invert the information, (g, d, d); zero along directions that the pokes do not determine."""
+        values, axes = np.linalg.eigh(self.information)
+        told = values > RANK_TOLERANCE * np.abs(values).max(axis=1, keepdims=True)
         # As numpy's pinv, which takes twice as long for the few taxels of a poke.
         return (axes * (told / np.where(told, values, 1.0))[:, None]) @ axes.transpose(0, 2, 1)
 
-    def _of(self) -> IntArray:
-        """Return (m,) the group of each poke."""
+    def _groups(self) -> IntArray:
+        """Group (m,) of each poke."""
         return np.repeat(np.arange(len(self.starts)), np.diff(np.append(self.starts, len(self.pokes))))
 
     def _slow_variances(self, of: IntArray) -> FloatArray:
-        """Return (g,) the variance of what pokes near each other share, each direction, m^2.
+        """Compute (g,) the variance of slow errors, each direction, m^2.
 
-        It is the mean product of the misses of neighbours, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its standard
-        error: where few pokes tell, none is seen. What a correction has taken up is not in the misses, but in the estimates:
-        landmarks were poked at another time.
+        It is the mean product of the misses of successive pokes, (E'r)_i . (E'r)_j over trace P_i P_j with P = E'E, less its
+        standard error. The part that a correction absorbs is not in the misses, but in the estimates: landmarks were poked at
+        another time.
         """
         first, second = self.pairs[:, 0], self.pairs[:, 1]
         way, push = first * self.misses[:, :1] + second * self.misses[:, 1:], crossed(first, second)
         sums = np.zeros((3, len(self.starts)))
         for step in (1, 2):
             near = (of[step:] == of[:-step]) & (self.poses[step:] == self.poses[:-step])
-            near &= self.pokes[step:] - self.pokes[:-step] <= NEAR
+            near &= self.pokes[step:] - self.pokes[:-step] <= MAX_DRIFT_PAIR_GAP
             i, j = np.flatnonzero(near), np.flatnonzero(near) + step
             product = dots(way[i], way[j])
             # trace P_i P_j, with P = E'E = 1 - u u'.
@@ -150,24 +146,24 @@ class NormalEquations:
                 sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
         product, squares, shared = sums
         seen = np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
-        return TAKEN_UP * seen if self.corrected else seen
+        return CORRECTED_DRIFT_FACTOR * seen if self.corrected else seen
 
 
 def add_shared_errors(
     table: ContactTable | Evidence, estimates: Sequence[Estimate], noise: NoiseSettings, shared: SharedRows | None
 ) -> list[Estimate]:
-    """Return the estimates of one method of `PER_TAXEL`, of different channels, with what shared errors add to them.
+    """Add the covariance of shared errors to the estimates of one method of `PER_TAXEL`, of different channels.
 
     Parameters
     ----------
-    table : that they were solved from, or its evidence of their channels, which need not be gathered twice
+    table : that they were solved from, or its evidence of their channels
     shared : errors of the rig, if it is corrected
     """
     known = sorted((estimate for estimate in estimates if estimate.position is not None), key=lambda estimate: estimate.channel)
     if not known:
         return list(estimates)
     evidence = table.evidence([estimate.channel for estimate in known])
-    trust = _trust(evidence, known)
+    trust = _trust_of_answers(evidence, known)
     # One key, by taxel and then by poke, is quicker than two.
     order = (evidence.taxels * (evidence.pokes.max() + 1) + evidence.pokes).argsort(kind="stable")
     of, starts, pairs = evidence.taxels, evidence.starts[:-1], evidence.pairs[order]
@@ -185,7 +181,7 @@ def add_shared_errors(
     inside = ordered.covariances(noise.skin)
     factors = _factors(evidence, trust, places, noise, free.shape[1])
     if known[0].method is Method.FREE:
-        bends = np.sqrt(factors * (factors - 1.0))[:, None] * _bends(evidence, trust, normals, held, noise)
+        bends = np.sqrt(factors * (factors - 1.0))[:, None] * _curvature_biases(evidence, trust, normals, held, noise)
         for off in (bends, _force_biases(evidence, trust, places, held, noise)):
             inside = inside + off[:, :, None] * off[:, None]
     moves: FloatArray | None = None
@@ -197,7 +193,7 @@ def add_shared_errors(
 
 
 def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: NoiseSettings, unknowns: int) -> FloatArray:
-    """Return (t,) the `variance_factors` of taxels whose answers' are at `places` (n, 3), metres."""
+    """Compute (t,) the `variance_factors` of taxels; `places` (n, 3), metres, is the position of each answer's taxel."""
     pairs, lever, offsets = evidence.pairs, places - evidence.sensors, offset_square(evidence.weights, noise)
     precision = row_precision(pairs, lever, evidence.forces, offsets, noise)
     off = dots(pairs, (evidence.nearest - places)[:, None])
@@ -208,7 +204,7 @@ def _factors(evidence: Evidence, trust: FloatArray, places: FloatArray, noise: N
 def _force_biases(
     evidence: Evidence, trust: FloatArray, places: FloatArray, held: FloatArray, noise: NoiseSettings
 ) -> FloatArray:
-    """Return (t, 3) how far the noise of forces pulls taxels, metres, whose answers' are at `places` (n, 3); as `_bends`."""
+    """Compute (t, 3) the pull of force noise on taxels, metres; arguments as for `_factors` and `_curvature_biases`."""
     pushes = evidence.directions
     levers = pushes * dots(pushes, places - evidence.sensors)[:, None]
     share = 2.0 * noise.force**2 * trust * evidence.weights**2 / evidence.forces**2
@@ -216,11 +212,12 @@ def _force_biases(
     return np.asarray(np.linalg.solve(held, pulled[:, :, None])[:, :, 0], dtype=np.float64)
 
 
-def _bends(evidence: Evidence, trust: FloatArray, normals: FloatArray, held: FloatArray, noise: NoiseSettings) -> FloatArray:
-    """Return (t, 3) beta of `uncertainty.h`, metres: what the skin's bend makes of offsets as the scene has them.
+def _curvature_biases(
+    evidence: Evidence, trust: FloatArray, normals: FloatArray, held: FloatArray, noise: NoiseSettings
+) -> FloatArray:
+    """Compute (t, 3) beta of `uncertainty.h`, metres: the bias by the skin's curvature for offsets of the scene's noise.
 
-    It grows as the square of the offsets, their variance: where this is larger by a factor, beta is, and beta beta' by its
-    square.
+    It is proportional to the variance of the offsets, so beta beta' grows with the square of the variance factor.
 
     Parameters
     ----------
@@ -237,8 +234,8 @@ def _bends(evidence: Evidence, trust: FloatArray, normals: FloatArray, held: Flo
     return size[:, None] * np.linalg.solve(held, pulled[:, :, None])[:, :, 0]
 
 
-def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
-    """Return (n,) how far each answer counts, 0 to 1, for the estimates of the taxels that answered."""
+def _trust_of_answers(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
+    """List (n,) the trust of each answer, 0 to 1, by the estimates."""
     trust = np.ones(len(evidence.pokes))
     for row, estimate in enumerate(estimates):
         if estimate.doubted:
@@ -250,15 +247,15 @@ def _trust(evidence: Evidence, estimates: Sequence[Estimate]) -> FloatArray:
 def add_covariances(
     estimates: Sequence[Estimate], factors: FloatArray, added: FloatArray, moves: FloatArray | None
 ) -> list[Estimate]:
-    """Return n estimates that have a position with more covariance; under a correction blind where it is beyond `SD_MAX`.
+    """Enlarge the covariances of n estimates that have a position; under a correction blind beyond `SD_MAX`.
 
-    Without one the points stay the paper's, however far their axes miss them up to `MISS_MAX`.
+    Without a correction the points stay the paper's, up to misses of `MISS_MAX`.
 
     Parameters
     ----------
-    factors : (n,) by how much their own variances are larger
+    factors : (n,) of their own variances
     added : (n, 3, 3) float, m^2
-    moves : (n, 3, k) float, metres: how errors that all taxels share move them; None without any
+    moves : (n, 3, k) float, metres: shifts by errors that all taxels share; None without any
     """
     covariances = np.array([estimate.covariance for estimate in estimates]).reshape(-1, 3, 3)
     covariances = factors[:, None, None] * covariances + added
@@ -290,20 +287,19 @@ def add_covariances(
 
 @dataclass(frozen=True, slots=True)
 class PredictedError:
-    """The predicted error of a skin, metres; that of a taxel is the root of its covariance's trace."""
+    """Predicted error of a skin, metres; that of a taxel is the root of its covariance's trace."""
 
     mean: float
-    """Over the taxels."""
+    """Of the taxels."""
     worst: float
-    """The largest of them."""
     whole: float
-    """By how much the skin may be shifted as a whole."""
+    """rms shift of the whole skin."""
     among: float
-    """By how much taxels may lie wrong among each other: with `whole` their root mean square, in squares."""
+    """rms of the rest: taxels against each other. The squares of both add up to that of the rms error."""
 
 
 def predicted_error(estimates: Sequence[Estimate]) -> PredictedError | None:
-    """Return the predicted error of the taxels that are estimated; None where none is."""
+    """Summarise the predicted error of the estimated taxels; `None` without any."""
     known = [estimate for estimate in estimates if estimate.rms is not None]
     if not known:
         return None

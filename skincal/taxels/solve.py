@@ -1,31 +1,22 @@
-"""Least squares with rows of very different size and columns that are nearly dependent: Householder QR.
+"""Solve taxels one by one in the compiled solver: outliers, least squares, point on the surface, uncertainty, rivals.
 
-Rows are sorted and columns pivoted; `skincal/solver/source/factor.h` says why.
+The mathematics is explained in `trust.h`, `factor.h`, `search.h`, `rival.h` and `uncertainty.h` in `skincal/solver/source`. A
+taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
 
-The compiled solver's answers for taxels by themselves: trust, least squares, point on the surface, uncertainty, rivals.
-
-The mathematics stands above the code that does it: `trust.h`, `factor.h`, `search.h`, `rival.h` and `uncertainty.h` in
-`skincal/solver/source`. A taxel's numbers depend on its own contacts alone: not by a bit on which others are solved with it.
-
-**Free method** (paper, II-A), without knowing the part's shape: the point nearest to all force axes. p_j minimises
+**Free method** (paper, II-A), without the part's shape: the point nearest to all force axes. p_j minimises
 sum k^2 |u x p_j + m/|f||^2 over the contacts of W_j: p_j = -(F' K^2 F)^-1 F' K^2 M, by QR of K F.
 
-**Surface method** (paper, II-B): the surface's point nearest to all force axes. The sum of squares of II-B is
-|root p - offset|^2 plus a constant, a metric of this taxel's own evidence; its optimum is found over all triangles at once,
-on the side that the pokes push on. One axis is enough: it enters the part at one point.
+**Surface method** (paper, II-B): the surface's point nearest to all force axes. The sum of squares of II-B is |root p -
+offset|^2 plus a constant. Its minimum is found over all triangles that face the pushes. One axis is enough: it enters the part
+at one point. The covariance is in the plane of that point's triangle, also on an edge or a vertex: facets belong to the mesh
+and not to the part, so an edge does not hold a taxel.
 
-The covariance lies in the plane of the optimum's triangle, also where the optimum lies on an edge or a vertex: facets belong
-to the mesh and not to the part, so an edge does not hold a taxel.
-
-A second minimum elsewhere is a **rival** where the noise could have made it the worse one; `odds_of` in
-`skincal/solver/source/solver.c` says how likely that is.
-
-What is said of a taxel here is its state and a `Cause` with numbers.
+A second minimum elsewhere is a **rival** if the noise could have made it the worse one (`odds_of` in `solver.c`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,100 +32,45 @@ from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, Riv
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Factors:
-    """The essence of t systems: |A p - b|^2 = |root p - offset|^2 + a constant, for each."""
-
-    roots: FloatArray
-    """(t, 3, 3) float: triangular but for the order of its columns, which is that of p."""
-    offsets: FloatArray
-    """(t, 3) float."""
-    ranks: IntArray
-    """(t,): how many directions of p the rows determine."""
-    solutions: FloatArray
-    """(t, 3) float: the p of least squares; of the smallest norm where the rows determine fewer than three directions."""
-    blind: FloatArray
-    """(t, 3) float, unit: the direction that the rows say nothing of, where the rank is 2; else zeros."""
-
-
-def factor(a: FloatArray, b: FloatArray, starts: IntArray) -> Factors:
-    """Minimise |A p - b| over p for each of t systems.
-
-    Parameters
-    ----------
-    a : (m, 3) float, the rows A of all systems, one after another
-    b : (m,) float
-    starts : (t + 1,) int: system i has the rows starts[i] to starts[i + 1], at least one
-    """
-    count = len(starts) - 1
-    with shared().call() as call:
-        asked = [count, len(b), call.give(starts, INTEGER), call.give(np.concatenate([a.T, b[None]]))]
-        roots, rest = call.room((count, 3, 3)), [call.room((count, 3)) for _ in range(3)]
-        ranks = call.room((count,), INTEGER)
-        call.run("factor", [*asked, roots, *rest, ranks])
-        offsets, solutions, blind = (call.taken(place) for place in rest)
-        return Factors(call.taken(roots), offsets, call.taken(ranks).astype(np.int64), solutions, blind)
-
-
 RIVAL_ODDS = 20.0
-"""A place that is less than 20 times less likely than the estimate is a rival: the usual 95 %."""
-RIVAL_APART = 0.010
-"""m. A second minimum nearer than this is of the same place: facets and bends make many, and taxels are 5 mm apart."""
+"""A rival is less than 20 times less likely than the estimate: the usual 95 %."""
+RIVAL_MIN_DISTANCE_M = 0.010
+"""A second minimum nearer than this is the same place: facets and bends make many, and taxels are 5 mm apart."""
+_KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("worst_direction", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
+ANSWER = np.dtype(
+    [
+        ("root", "f8", (3, 3)), ("offset", "f8", 3), ("solution", "f8", 3), ("blind", "f8", 3), ("rank", "f8"),
+        ("push", "f8", 3), ("outward", "f8", 3), ("opposed", "f8"), ("free", _KNOWN),
+        ("point", "f8", 3), ("value", "f8"), ("triangle", "f8"), ("on_surface", _KNOWN),
+        ("rival", "f8", 3), ("rival_triangle", "f8"), ("odds", "f8"),
+    ]
+)  # fmt: skip
+"""`Answer` of `skincal/solver/source/solver.c`, lengths in metres.
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Uncertainty:
-    """How well t positions are known, and how far the axes pass them."""
-
-    covariances: FloatArray
-    """(t, 3, 3) float, m^2; without meaning where `sds` is infinite."""
-    weakest: FloatArray
-    """(t, 3) float, unit: the direction known worst."""
-    sds: FloatArray
-    """(t,) float, metres, along `weakest`; infinite where a direction is not determined at all."""
-    misses: FloatArray
-    """(t,) float, metres: at what distance the axes pass, the weighted root mean square."""
-    rms: FloatArray
-    """(t,) float, metres: the predicted error, the root of the covariance's trace."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfacePoints:
-    """The best points of the surface."""
-
-    points: FloatArray
-    """(t, 3) float, metres; NaN where there is none."""
-    triangles: IntArray
-    """(t,) int; -1 where no triangle faces the pokes, and then nothing else has a meaning."""
-    uncertain: Uncertainty
-    """In the planes of the triangles."""
-    rivals: FloatArray
-    """(t, 3) float, metres: second minima that the noise could have made the worse ones."""
-    rival_triangles: IntArray
-    odds: FloatArray
-    """(t,) float: how many times less likely the rival is; infinite where there is none."""
+root, offset : the rows' squares are |root p - offset|^2 and a constant
+solution : least-squares point; of smallest norm if `rank`, the number of determined directions of p, is below three
+blind : unit direction that the rows do not determine if the rank is 2, else zeros
+push : weighted mean of the push directions, shorter than 1 the more they differ; `outward` is against it, unit; `opposed` is 1
+    if the pushes cancel, so that no side is outward
+free, on_surface : covariance (m^2) of `solution` and of `point`, its worst direction, sd along that (infinite if a direction is
+    not determined), root of its trace, and weighted rms distance of the axes
+point, value, triangle : best point of the surface; NaN and -1 if no triangle faces the pushes
+rival, rival_triangle, odds : second minimum, and how many times less likely it is; infinite without one
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What the solver says of t taxels."""
+    """Answer of the solver for t taxels."""
 
     evidence: Evidence
     """With the trust that was found."""
     doubted: list[Mapping[int, float]]
     """For each taxel the pokes whose trust is below 1: number to trust."""
-    factors: Factors
-    pushes: FloatArray
-    """(t, 3) float: the weighted means of the directions, shorter than 1 the more they differ."""
-    outward: FloatArray
-    """(t, 3) float, unit: against the pushes; without meaning where these cancel."""
-    opposed: NDArray[np.bool_]
-    """(t,) whether the pushes cancel, so that no side is outward."""
-    free: Uncertainty | None
-    """Of `factors.solutions`; None where the free method was not asked for."""
-    surface: SurfacePoints | None
-    """None where the surface method was not asked for."""
+    answer: NDArray[Any]
+    """(t,) `ANSWER`."""
+    has_free: bool
+    has_surface: bool
 
 
 def solve(
@@ -151,104 +87,74 @@ def solve(
     Parameters
     ----------
     surface : needed by the surface method
-    last : (t,) the triangles of the last answers, -1 where there are none; they make the search shorter and nothing else
+    last : (t,) triangles of the last answers, -1 without one; they shorten the search and change nothing else
     doubting : whether contacts far off the others count less; else all have the trust of `evidence`
-    second : whether this is a second thread, beside one that solves, too
+    second : whether this thread runs next to another one that solves
     """
-    count, answers = len(evidence.channels), len(evidence.weights)
-    free = Method.FREE in methods
+    count, answers, has_free = len(evidence.channels), len(evidence.weights), Method.FREE in methods
     machine, place = shared(), 0
     if surface is not None and Method.SURFACE in methods:
         # Imported only now: a scene without a mesh loads nothing of it.
         from skincal.mesh.search import surface_in_solver
 
         machine, place = surface_in_solver(surface)
-    machine = machine.twin() if second else machine
+    machine = machine.clone_for_thread() if second else machine
     with machine.call() as call:
-        asked = _asked(call, evidence, noise)
-        trust = call.changed(evidence.trust)
-        starting = call.give(np.full(count, -1) if last is None else last, INTEGER)
-        said = call.room((count,), ANSWER)
-        call.run("solve", [count, answers, *asked, trust, int(not doubting), int(free), place, starting, said])
-        answer, evidence = call.taken(said), evidence.trusted(call.taken(trust))
-    return Solution(
-        evidence=evidence,
-        doubted=evidence.doubted(),
-        factors=Factors(answer["root"], answer["offset"], answer["rank"].astype(np.int64), answer["solution"], answer["blind"]),
-        pushes=answer["push"],
-        outward=answer["outward"],
-        opposed=answer["opposed"] != 0,
-        free=_known(answer["free"]) if free else None,
-        surface=_on_surface(answer) if place else None,
-    )
+        task = _write_task(call, evidence, noise)
+        trust = call.put_inout(evidence.trust)
+        starting = call.put(np.full(count, -1) if last is None else last, INTEGER)
+        answer = call.reserve((count,), ANSWER)
+        call.run("solve", [count, answers, *task, trust, int(not doubting), int(has_free), place, starting, answer])
+        found, evidence = call.get(answer), evidence.trusted(call.get(trust))
+    return Solution(evidence, evidence.doubted(), found, has_free, bool(place))
 
 
-_KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("weakest", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
-ANSWER = np.dtype(
-    [
-        ("root", "f8", (3, 3)), ("offset", "f8", 3), ("solution", "f8", 3), ("blind", "f8", 3), ("rank", "f8"),
-        ("push", "f8", 3), ("outward", "f8", 3), ("opposed", "f8"), ("free", _KNOWN),
-        ("point", "f8", 3), ("value", "f8"), ("triangle", "f8"), ("held", _KNOWN),
-        ("rival", "f8", 3), ("rival_triangle", "f8"), ("odds", "f8"),
-    ]
-)  # fmt: skip
-"""`Answer` of `skincal/solver/source/solver.c`."""
-
-
-def _asked(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
-    """Return what `Task` in `skincal/solver/source/solver.c` begins with, after the counts."""
+def _write_task(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[int]:
+    """Write the begin of `Task` in `skincal/solver/source/solver.c`, after the counts."""
     sizes = (noise.force, noise.moment, noise.contact, noise.reach, noise.radius, noise.pose_turn, noise.pose_shift)
     return [
-        call.give(evidence.starts, INTEGER),
-        call.give(evidence.columns),
-        call.give(evidence.weights),
-        call.give(evidence.poses, INTEGER),
-        call.give(np.array(sizes)),
-        call.give(np.array([RIVAL_ODDS, RIVAL_APART])),
+        call.put(evidence.starts, INTEGER),
+        call.put(evidence.columns),
+        call.put(evidence.weights),
+        call.put(evidence.poses, INTEGER),
+        call.put(np.array(sizes)),
+        call.put(np.array([RIVAL_ODDS, RIVAL_MIN_DISTANCE_M])),
     ]
 
 
-def _known(known: NDArray[Any]) -> Uncertainty:
-    return Uncertainty(known["covariance"], known["weakest"], known["sd"], known["miss"], known["rms"])
-
-
-def _on_surface(answer: NDArray[Any]) -> SurfacePoints:
-    return SurfacePoints(
-        points=answer["point"],
-        triangles=answer["triangle"].astype(np.int64),
-        uncertain=_known(answer["held"]),
-        rivals=answer["rival"],
-        rival_triangles=answer["rival_triangle"].astype(np.int64),
-        odds=answer["odds"],
-    )
+def _rows(
+    solution: Solution, known: NDArray[Any], field: str
+) -> Iterator[tuple[int, int, int, bool, int, float, float, float]]:
+    """Yield index, channel, contacts, whether pushes cancel, an integer field, sd, rms and miss of each taxel."""
+    numbers = (solution.evidence.channels, solution.evidence.counts, solution.answer["opposed"] != 0)
+    whole = solution.answer[field].astype(np.int64)
+    # Lists, since numbers of arrays one by one take ten times as long.
+    columns = map(np.ndarray.tolist, (*numbers, whole, known["sd"], known["rms"], known["miss"]))
+    return zip(range(len(whole)), *columns, strict=True)
 
 
 def estimate_free(solution: Solution) -> list[Estimate]:
-    """Return each taxel's estimate by the free method; blind where its axes do not fix a point or pass it far off."""
-    uncertain = solution.free
-    if uncertain is None:
+    """Make each taxel's estimate by the free method; blind if its axes do not fix a point or pass it too far off."""
+    if not solution.has_free:
         return []
-    evidence, points, ranks = solution.evidence, solution.factors.solutions, solution.factors.ranks
-    normals, doubted = solution.outward, solution.doubted
-    # Lists, since numbers of arrays one by one take ten times as long.
-    numbers = (evidence.channels, evidence.counts, solution.opposed, ranks, uncertain.sds, uncertain.rms, uncertain.misses)
+    answer, evidence, known = solution.answer, solution.evidence, solution.answer["free"]
+    points, outward, covariances, worst = answer["solution"], answer["outward"], known["covariance"], known["worst_direction"]
     estimates: list[Estimate] = []
-    rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
-    for i, (channel, contacts, opposed, rank, sd, rms, miss) in rows:
-        normal = None if opposed else normals[i]
+    for i, channel, contacts, opposed, rank, sd, rms, miss in _rows(solution, known, "rank"):
+        normal, doubted = None if opposed else outward[i], solution.doubted[i]
         if not sd <= SD_MAX:
             estimate = Estimate(
-                channel, Method.FREE, State.BLIND, contacts, normal=normal, worst_direction=uncertain.weakest[i],
-                sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), uncertain.weakest[i], sd),
-                line_point=points[i] if rank == 2 else None, doubted=doubted[i],
+                channel, Method.FREE, State.BLIND, contacts, normal=normal, worst_direction=worst[i],
+                sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), worst[i], sd),
+                line_point=points[i] if rank == 2 else None, doubted=doubted,
             )  # fmt: skip
         elif miss > MISS_MAX:
             reason = StateReason(Cause.AXES_APART, size=miss)
-            estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted[i])
+            estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted)
         else:
             estimate = Estimate(
                 channel, Method.FREE, State.ESTIMATED, contacts, position=points[i], normal=normal,
-                covariance=uncertain.covariances[i], worst_direction=uncertain.weakest[i], sd=sd, rms=rms, doubted=doubted[i],
+                covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, doubted=doubted,
             )  # fmt: skip
         estimates.append(estimate)
     return estimates
@@ -264,44 +170,39 @@ def _why_blind_free(evidence: Evidence, axis: FloatArray, sd: float) -> StateRea
 
 
 def estimate_surface(solution: Solution, surface: Surface | None) -> list[Estimate]:
-    """Return each taxel's estimate by the surface method.
+    """Make each taxel's estimate by the surface method.
 
-    Blind where no triangle faces the pokes, where they graze the surface and where their axes miss it.
+    It is blind if no triangle faces the pokes, if they graze the surface, or if their axes pass it too far off.
     """
-    found = solution.surface
-    if found is None or surface is None:
+    if not solution.has_surface or surface is None:
         return []
-    evidence, uncertain, doubted = solution.evidence, found.uncertain, solution.doubted
-    normals = surface.normals[found.triangles]
+    answer, known = solution.answer, solution.answer["on_surface"]
+    points, covariances, worst = answer["point"], known["covariance"], known["worst_direction"]
+    normals = surface.normals[answer["triangle"].astype(np.int64)]
     rivals = {
-        i: Rival(found.rivals[i], int(found.rival_triangles[i]), float(found.odds[i]))
-        for i in np.flatnonzero(np.isfinite(found.odds)).tolist()
+        i: Rival(answer["rival"][i], int(answer["rival_triangle"][i]), float(answer["odds"][i]))
+        for i in np.flatnonzero(np.isfinite(answer["odds"])).tolist()
     }
-    # Lists, since numbers of arrays one by one take ten times as long.
-    known = (uncertain.sds, uncertain.rms, uncertain.misses)
-    numbers = (evidence.channels, evidence.counts, solution.opposed, found.triangles, *known)
     estimates: list[Estimate] = []
-    rows = enumerate(zip(*map(np.ndarray.tolist, numbers), strict=True))
-    for i, (channel, contacts, cancel, triangle, sd, rms, miss) in rows:
-        reason = _why_blind_on_surface(contacts, cancel, triangle, miss, sd)
+    for i, channel, contacts, opposed, triangle, sd, rms, miss in _rows(solution, known, "triangle"):
+        reason, doubted = _why_blind_on_surface(contacts, opposed, triangle, miss, sd), solution.doubted[i]
         if reason is not None:
             grazing = reason.cause is Cause.GRAZING
             estimate = Estimate(
-                channel, Method.SURFACE, State.BLIND, contacts, worst_direction=uncertain.weakest[i] if grazing else None,
-                sd=sd if grazing and np.isfinite(sd) else None, reason=reason, doubted=doubted[i],
+                channel, Method.SURFACE, State.BLIND, contacts, worst_direction=worst[i] if grazing else None,
+                sd=sd if grazing and np.isfinite(sd) else None, reason=reason, doubted=doubted,
             )  # fmt: skip
         else:
             estimate = Estimate(
-                channel, Method.SURFACE, State.ESTIMATED, contacts, position=found.points[i], normal=normals[i],
-                covariance=uncertain.covariances[i], worst_direction=uncertain.weakest[i], sd=sd, rms=rms,
-                triangle=triangle, rival=rivals.get(i), doubted=doubted[i],
+                channel, Method.SURFACE, State.ESTIMATED, contacts, position=points[i], normal=normals[i],
+                covariance=covariances[i], worst_direction=worst[i], sd=sd, rms=rms, triangle=triangle,
+                rival=rivals.get(i), doubted=doubted,
             )  # fmt: skip
         estimates.append(estimate)
     return estimates
 
 
 def _why_blind_on_surface(contacts: int, opposed: bool, triangle: int, miss: float, sd: float) -> StateReason | None:
-    """Return why a taxel has no estimate; None if it has one."""
     if opposed:
         return StateReason(Cause.OPPOSED, contacts)
     if triangle < 0:

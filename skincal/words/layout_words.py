@@ -84,8 +84,8 @@ def distance_sentences(tried: Sequence[TriedDistance]) -> list[str]:
         return []
     said = [f"{sum(each.used for each in tried)} of {plural(len(tried), 'known distance')} between modules used."]
     for each in (each for each in tried if not each.used):
-        kind, (one, other) = "taxels" if each.told.of_taxels else "modules", each.told.ends
-        found, told = "", f"{each.told.length * 1e3:.1f} mm"
+        kind, (one, other) = "taxels" if each.distance.of_taxels else "modules", each.distance.ends
+        found, told = "", f"{each.distance.length * 1e3:.1f} mm"
         if each.found is not None and each.sd is not None:
             found = f" (pokes give {each.found * 1e3:.1f} mm, expected within {2e3 * each.sd:.1f} mm)"
         said.append(

@@ -46,7 +46,7 @@ STATE_SENTENCES = {
     ),
     Cause.MEAN_OF_POSES: "Mean of {count} arm poses{left_out}.",
     Cause.BLIND_IN_POSES: "Undetermined in each of {count} arm poses. In the one with most pokes: {inner}",
-    Cause.GIVEN: "{text}",
+    Cause.EXTERNAL_TEXT: "{text}",
 }
 """Sentences on a taxel's state, filled in by `state_sentence`."""
 

@@ -9,21 +9,16 @@ import numpy as np
 
 from app.scene3d.camera import CameraPose
 from skincal.contacts.outcome import PressPhase, Progress
-from skincal.guide.guidance import Guidance, GuidePhase, PokeError, Target, compare_to_target, smooth_wrench
+from skincal.guide.guidance import Guidance, GuidePhase, Target
+from skincal.guide.press_coaching import PokeError, compare_to_target, smooth_wrench
 from skincal.guide.progress import Need
-from skincal.session.part import Part
 from skincal.session.snapshot import LiveView
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import laid
-from tests.app.window_support import PLAN, SCENE, reading
+from tests.app.window_support import PLAN, reading
 
 TILT = float(np.radians(28.0))
 NEEDED = (Need.POKES, Need.ACCURACY)
-
-
-def part() -> Part:
-    """The small part with its skin laid on it, without a mesh."""
-    return Part(SCENE, None, laid(PLAN), PLAN.channels, ())
 
 
 def target(channel: int = 3, tilt: float = 0.0, lean: Sequence[float] = (1.0, 0.0, 0.0), **changes: object) -> Target:

@@ -15,13 +15,13 @@ from PySide6.QtWidgets import QLabel, QMessageBox
 import app
 from app import run
 from app.panels.pokes_panel import PokeTable
-from app.panels.widgets import ElidedLabel, plain_tip
+from app.panels.widgets import ElidedLabel, escape_tooltip
 from app.session.controller import Controller
-from app.session.opening import Addresses, OpenRequest
+from app.session.opening import Addresses, OpenRequest, rig_again
 from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
-from app.window import ADDRESSES_KEPT, Theme, Window
+from app.window import MAX_ADDRESSES, Theme, Window
 from app.workers.device_process import DeviceProcess
 from skincal.files.reference import RIG_KEY, TRUTH_NAME
 from skincal.journal.writer import create_session
@@ -55,9 +55,9 @@ def test_no_label_and_no_tooltip_takes_a_text_for_html(qtbot):
 
 def test_a_tip_keeps_its_lines_and_shows_what_looks_like_html():
     document = QTextDocument()
-    document.setHtml(plain_tip(f"two\nlines of {TRAP} & more"))
+    document.setHtml(escape_tooltip(f"two\nlines of {TRAP} & more"))
     assert document.toPlainText().replace("\u2028", "\n") == f"two\nlines of {TRAP} & more"
-    assert plain_tip("two\nlines & more") == "two\nlines & more"
+    assert escape_tooltip("two\nlines & more") == "two\nlines & more"
 
 
 def tips(tree):
@@ -72,7 +72,7 @@ def tips(tree):
 
 def is_plain(text):
     match text:
-        case ast.Constant() | ast.Call(func=ast.Name("plain_tip")):
+        case ast.Constant() | ast.Call(func=ast.Name("escape_tooltip")):
             return True
         case ast.IfExp():
             return is_plain(text.body) and is_plain(text.orelse)
@@ -183,11 +183,9 @@ def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
     qtbot.addWidget(window)
     window._remember({"/dev/ttyUSB0", "COM3"})
     seen = []
-    window.controller.resume = lambda *, confirmed: seen.append(confirmed)
-    window._ask_first(("COM3", "/dev/ttyUSB0"))
-    assert seen == [True]
-    window._ask_first(("COM4",))
-    assert seen == [True]
+    for address in ("COM3", "/dev/ttyUSB0", "COM4"):
+        window._confirm_addresses((address,), lambda address=address: seen.append(address))
+    assert seen == ["COM3", "/dev/ttyUSB0"]
     window.close()
 
 
@@ -195,11 +193,11 @@ def test_the_oldest_addresses_are_forgotten_first(qtbot, tmp_path):
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     window = Window(Controller(tmp_path), Theme(Choice.DARK), settings, tmp_path, Listener())
     qtbot.addWidget(window)
-    for number in range(ADDRESSES_KEPT):
+    for number in range(MAX_ADDRESSES):
         window._remember([f"tcp:10.0.0.{number}"])
     window._remember(["/dev/ttyUSB0"])
     known = window._known_addresses()
-    assert len(known) == ADDRESSES_KEPT
+    assert len(known) == MAX_ADDRESSES
     assert known[0] == "tcp:10.0.0.1"
     assert known[-1] == "/dev/ttyUSB0"
     window.close()
@@ -209,7 +207,7 @@ def test_addresses_of_the_command_line_are_named_by_the_operator(bench, folder, 
     monkeypatch.setattr(run, "start_log", lambda: "")
     named = Addresses(*(f"file:{tmp_path}/{stream}.none" for stream in ("wrench", "skin")))
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
-        run.open_first(bench.window, OpenRequest(session=folder, addresses=named))
+        run.begin(bench.window, OpenRequest(session=folder, addresses=named))
     bench.open(OpenRequest(session=folder))
     assert {link.address for link in bench.controller.links} == {named.wrench, named.skin}
     bench.controller.toggle()
@@ -232,14 +230,20 @@ def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tm
         answer(bench.window, "View")
     assert len(bench.recording.pipeline.session.contacts) >= 1
     assert bench.controller.simulated
-    assert not bench.controller.has_simulator
+    assert not bench.controller.served
     bench.controller.toggle()
     assert bench.controller.findChild(DeviceProcess) is None, "its rig is another's"
     assert asked(bench.window) is None, "nothing is to be connected"
     assert bench.controller.running is Running.OFFLINE
-    assert any("read-only" in message.text for message in bench.messages)
+    assert any("only looked at" in message.text for message in bench.messages)
     assert {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()} == before
     for item in items[len(items) * 3 // 4 :]:
         pipeline.feed(item)
     pipeline.close()
     assert not pipeline.journal_failure
+
+
+@pytest.mark.parametrize("seed", ["1e999", "-1", '"7"', "1.5", "null", "[]"])
+def test_a_truth_with_a_seed_that_is_none_starts_no_rig(tmp_path, seed):
+    (tmp_path / TRUTH_NAME).write_text(f'{{"{RIG_KEY}": {{"seed": {seed}, "errors": "none"}}}}')
+    assert rig_again(tmp_path, 1) == ()

@@ -21,7 +21,7 @@ def verdicts(path: Path) -> dict[str, str]:
 
 
 def export_json(bench, path: Path) -> None:
-    bench.window.session_view.ask_export(bench.window)
+    bench.window.session_view.ask_export()
     dialog = bench.window.findChild(ExportDialog)
     dialog.path.setText(str(path))
     dialog.format.setCurrentIndex(next(i for i in range(dialog.format.count()) if dialog.format.itemData(i).value == "json"))
@@ -39,7 +39,7 @@ def test_the_windows_file_says_what_the_verdict_and_the_command_say(bench, recor
     target = view.state.guidance.target
     export_json(bench, tmp_path / "w.json")
     assert view.state.guidance.target == target, "what is asked for stays"
-    view.ask_verdict(bench.window)
+    view.ask_verdict()
     dialog = bench.window.findChild(VerdictDialog)
     said = verdicts(tmp_path / "w.json")
     assert set(said) == {method.value for method in view.workspace.methods}
@@ -66,7 +66,7 @@ def test_a_fault_while_a_file_is_written_reaches_its_dialog(bench, tmp_path, mon
 
 
 def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(headless, "POKES", 12)
+    monkeypatch.setattr(headless, "POKE_COUNT", 12)
     monkeypatch.setattr(headless, "_draw", lambda *asked: asked[-1])
     scene = resource("scenes/flat-patch/scene.toml")
     assert headless.run_headless(scene, tmp_path / "s", "no display") == 0

@@ -14,9 +14,7 @@ from PySide6.QtWidgets import QFileDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.session.opening import OpenRequest
-from app.state.place_sets import PlaceOrigin, Source
-from app.text.compare_text import source_words
-from app.workers.processes import WorkerProcess
+from app.workers.processes import ProcessService
 from skincal.cli import main
 from skincal.files.reference import compare_sets
 from skincal.session.named_places import find_places
@@ -27,7 +25,7 @@ from tests.approved import approved
 @pytest.fixture
 def processes(monkeypatch) -> list[int | None]:
     """The numbers of the processes that were asked."""
-    pids, ask = [], WorkerProcess.ask
+    pids, ask = [], ProcessService.ask
 
     def noted(self, *arguments, **watch):
         try:
@@ -35,7 +33,7 @@ def processes(monkeypatch) -> list[int | None]:
         finally:
             pids.append(self.pid)
 
-    monkeypatch.setattr(WorkerProcess, "ask", noted)
+    monkeypatch.setattr(ProcessService, "ask", noted)
     return pids
 
 
@@ -108,7 +106,7 @@ def test_files_sessions_and_the_truth_are_compared_as_the_command_does(bench, re
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_4)
-    panel = bench.window.session_view.workspace.compare
+    panel = bench.window.session_view.workspace.panels["Compare"]
     listed = [panel.boxes[1].itemText(row) for row in range(panel.boxes[1].count())]
     assert "Truth" in listed
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(file), ""))
@@ -145,14 +143,9 @@ def test_places_of_another_part_are_refused_in_a_sentence(bench, recorded, tmp_p
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_4)
-    panel = bench.window.session_view.workspace.compare
+    panel = bench.window.session_view.workspace.panels["Compare"]
     before = chosen(panel)
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(file), ""))
     panel.add_file.click()
     bench.until(lambda: "moon" in said(bench), OPEN_MS)
     assert chosen(panel) == before
-
-
-def test_sources_have_names():
-    assert source_words(Source(PlaceOrigin.TRUTH)) == "Truth"
-    assert source_words(Source(PlaceOrigin.OTHER, name="monday, free method")) == "monday, free method"

@@ -173,17 +173,17 @@ def first_look(keys: Keys) -> None:
 
     keys.tap(Key.Key_F)
     dialog = keys.dialog(VerdictDialog)
-    assert dialog.sentence.text().startswith("Not finished: 0 of 8 taxels")
+    assert dialog.sentence.text().startswith("Not enough yet: 0 of 8 taxels")
     keys.tap(Key.Key_Escape)
     keys.back_in_the_window()
 
     keys.tap(Key.Key_F3)
     keys.dialog(PedalsDialog)
-    keys.tap(Key.Key_F13, Key.Key_Space)
+    keys.tap(Key.Key_Space, Key.Key_F13, Key.Key_Space)
     keys.back_in_the_window()
     keys.tap(Key.Key_F13)
     assert bench.controller.running is Running.STREAMING
-    if any(command.keys == ("M",) for command in COMMANDS):
+    if any(command.keys == "M" for command in COMMANDS):
         keys.tap(Key.Key_M)
 
 
@@ -260,7 +260,7 @@ def test_a_tab_is_found_by_its_place_whatever_a_style_adds_to_its_text(bench, re
         tabs.setTabText(index, f"&{tabs.tabText(index)}")
     bench.key(Qt.Key.Key_3)
     bench.window.session_view.show()
-    bench.window.session_view.save(QSettings("skincal", "test"))
+    bench.window.session_view.save()
     assert QSettings("skincal", "test").value("window/tab") == "Taxel"
 
 

@@ -17,11 +17,11 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.dialogs.new_session import NO_DEVICE, RECORDING_PAUSED, NewSessionDialog
+from app.dialogs.new_session import NO_DEVICE, WAITS, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
-from app.state.view_state import LinkLook
+from app.state.view_state import LinkStatus
 from app.text.message import connect_words
 from skincal.journal.reader import SessionLog
 from skincal.model.readings import Loss, Stream
@@ -207,7 +207,7 @@ def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypat
 def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, monkeypatch):
     skin = device(noisy(CHANNELS))
     monkeypatch.setattr(
-        "app.dialogs.new_session.list_ports", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
+        "app.dialogs.new_session.places_here", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
     )
     dialog = NewSessionDialog(PATCH, tmp_path / "new", None, ("socket://192.168.0.9:7000",))
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
@@ -231,7 +231,7 @@ def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, mon
 
 def test_who_only_passes_through_a_field_connects_nothing(qtbot, page):
     with closing(TcpOutlet()) as outlet:
-        page.rows[Stream.WRENCH].set_address(outlet.address, agreed=False)
+        page.rows[Stream.WRENCH].put(outlet.address, agreed=False)
         for stream in ("wrench", "skin", "wrench"):
             page.fields[stream].setFocus()
             qtbot.wait(100)
@@ -253,7 +253,7 @@ def test_a_scene_that_cannot_be_read_is_said_and_no_link_is_judged_by_the_one_be
 
 def test_ports_that_are_found_leave_the_cursor_where_it_is(page):
     row = page.rows[Stream.WRENCH]
-    row.set_address("/dev/ttyUSB0", agreed=False)
+    row.put("/dev/ttyUSB0", agreed=False)
     row.field.setCursorPosition(4)
     row.offer([("/dev/ttyUSB7", "FT232R")])
     QTest.keyClicks(row.field, "x")
@@ -334,7 +334,7 @@ def test_a_session_over_makers_devices_goes_from_the_page_to_estimates(bench, qt
         QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
     bench.until(lambda: len(bench.accepted()) >= 3)
     bench.until(lambda: any(e.state is State.ESTIMATED for e in bench.window.session_view.state.estimates))
-    assert set(looks(bench).values()) == {LinkLook.STREAMING}
+    assert set(looks(bench).values()) == {LinkStatus.STREAMING}
     assert bench.window.session_view.state.guidance is not None
     losses = [link.losses for link in bench.window.session_view.state.live.links]
     assert not any(loss in found for found in losses for loss in (Loss.MISSING, Loss.UNREADABLE, Loss.BAD_WIDTH))
@@ -368,36 +368,36 @@ def test_a_wrong_device_is_said_in_the_line_and_its_light_is_not_blue(bench, dev
     open_patch(bench, device(noisy(6)), device(noisy(20)))
     words = approved("links.other_width", width=20, of="the scene has", expected=CHANNELS)
     line_says(bench, "skin: ", words)
-    bench.until(lambda: looks(bench) == {"wrench": LinkLook.STREAMING, "skin": LinkLook.WRONG}, VERDICT_MS)
+    bench.until(lambda: looks(bench) == {"wrench": LinkStatus.STREAMING, "skin": LinkStatus.WRONG}, VERDICT_MS)
     workspace = bench.window.session_view.workspace
     workspace.show_tab("Devices")
-    bench.until(lambda: workspace.devices.cards["skin"].detail.text() == words, 5000)
-    assert workspace.devices.cards["wrench"].sign.text() != workspace.devices.cards["skin"].sign.text()
+    bench.until(lambda: workspace.panels["Devices"].cards["skin"].detail.text() == words, 5000)
+    assert workspace.panels["Devices"].cards["wrench"].sign.text() != workspace.panels["Devices"].cards["skin"].sign.text()
 
 
 def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
     wrench = device(noisy(6))
     open_patch(bench, wrench, device(noisy(CHANNELS)))
-    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
     bench.qtbot.wait(500)
     living, wrench.made = wrench.made, still(6)
     line_says(bench, "wrench is frozen", approved("links.frozen"))
-    assert looks(bench)["wrench"] is LinkLook.FROZEN
+    assert looks(bench)["wrench"] is LinkStatus.FROZEN
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     wrench.made = living
-    bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+    bench.until(lambda: looks(bench)["wrench"] is LinkStatus.STREAMING, VERDICT_MS)
 
 
 def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(bench, device):
     wrench = device(still(6))
     open_patch(bench, wrench, device(noisy(CHANNELS)))
     line_says(bench, "wrench is frozen", approved("links.frozen"))
-    bench.until(lambda: looks(bench) == {"wrench": LinkLook.FROZEN, "skin": LinkLook.STREAMING}, VERDICT_MS)
+    bench.until(lambda: looks(bench) == {"wrench": LinkStatus.FROZEN, "skin": LinkStatus.STREAMING}, VERDICT_MS)
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     pipeline = bench.recording.pipeline
     assert not pipeline.can_measure(time.monotonic_ns())
     wrench.made = noisy(6)
-    bench.until(lambda: looks(bench)["wrench"] is LinkLook.STREAMING, VERDICT_MS)
+    bench.until(lambda: looks(bench)["wrench"] is LinkStatus.STREAMING, VERDICT_MS)
     bench.until(lambda: pipeline.can_measure(time.monotonic_ns()), VERDICT_MS)
 
 
@@ -413,10 +413,10 @@ def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_
     says(qtbot, page, "skin", "good")
     QTest.keyClick(page.buttons.buttons()[0], Key.Key_Space)
     bench.until(lambda: bench.controller.running is Running.STREAMING, 10_000)
-    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
     workspace = bench.window.session_view.workspace
     workspace.show_tab("Devices")
-    bench.until(lambda: other.address in workspace.devices.cards["skin"].about.text(), 5000)
+    bench.until(lambda: other.address in workspace.panels["Devices"].cards["skin"].about.text(), 5000)
     bench.controller.pause()
     bench.until_all_is_taken_in()
     bench.recording.pipeline.sync()
@@ -449,18 +449,18 @@ def test_who_goes_on_by_a_key_before_new_addresses_are_connected_has_each_device
 def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
     wrench, skin = device(noisy(6)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
-    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
     bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
     page = shown_page(bench)
     assert bench.controller.running is Running.PAUSED
-    assert any(RECORDING_PAUSED in label.text() for label in page.findChildren(QLabel))
+    assert any(WAITS in label.text() for label in page.findChildren(QLabel))
     QTest.keyClick(page, Key.Key_Escape)
     bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
     bench.key(Key.Key_A)
     page = shown_page(bench)
     QTest.keyClick(page, Key.Key_Escape)
     bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
-    bench.until(lambda: set(looks(bench).values()) == {LinkLook.STREAMING}, VERDICT_MS)
+    bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
     assert [link.address for link in bench.controller.links] == [wrench.address, skin.address]
 
 
@@ -507,7 +507,7 @@ def test_an_unknown_arm_pose_is_asked_before_the_first_poke(bench, device):
     line_says(bench, "Choose the arm pose", "Key 7")
     assert not bench.snapshot.pokes
     bench.key(Key.Key_7)
-    poses = bench.window.session_view.workspace.rig.arm.poses
+    poses = bench.window.session_view.workspace.panels["Rig"].arm.poses
     poses.setFocus()
     poses.setCurrentItem(poses.topLevelItem(0))
     poses.itemActivated.emit(poses.topLevelItem(0), 0)

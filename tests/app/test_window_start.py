@@ -13,7 +13,7 @@ from PySide6.QtCore import QStandardPaths
 
 from app import run
 from app.__main__ import main
-from app.preflight import LIBRARY_PACKAGES, X_LIBRARY_PACKAGES, window_problem
+from app.preflight import QT_LIBRARIES, X_LIBRARIES, objection
 from app.session.opening import OpenRequest
 from app.state.running import Running
 from tests.approved import approved
@@ -121,33 +121,33 @@ def test_what_a_recorded_session_would_ignore_is_refused(other, tmp_path, capsys
 
 def test_a_missing_library_is_named_with_the_line_that_installs_it():
     lacking = {"libEGL.so.1", "libxcb-cursor.so.0"}
-    said = window_problem({"DISPLAY": ":7"}, "linux", lambda name: name not in lacking, lambda: True)
+    said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in lacking, lambda: True)
     assert said.endswith(approved("start.install", packages="libegl1 libxcb-cursor0"))
 
 
 def test_only_a_window_on_x_needs_the_libraries_of_x():
-    said = window_problem({"QT_QPA_PLATFORM": "offscreen"}, "linux", lambda name: name not in X_LIBRARY_PACKAGES, lambda: False)
+    said = objection({"QT_QPA_PLATFORM": "offscreen"}, "linux", lambda name: name not in X_LIBRARIES, lambda: False)
     assert said == ""
-    said = window_problem({"DISPLAY": ":7"}, "linux", lambda name: name not in X_LIBRARY_PACKAGES, lambda: True)
-    assert all(package in said for package in X_LIBRARY_PACKAGES.values())
-    assert not any(package in said.split() for package in LIBRARY_PACKAGES.values())
+    said = objection({"DISPLAY": ":7"}, "linux", lambda name: name not in X_LIBRARIES, lambda: True)
+    assert all(package in said for package in X_LIBRARIES.values())
+    assert not any(package in said.split() for package in QT_LIBRARIES.values())
 
 
 def test_a_display_that_does_not_answer_is_not_a_display():
-    assert "does not answer" in window_problem({"DISPLAY": ":7"}, "linux", lambda _: True, lambda: False)
-    assert "no display" in window_problem({}, "linux", lambda _: True, lambda: False)
+    assert "does not answer" in objection({"DISPLAY": ":7"}, "linux", lambda _: True, lambda: False)
+    assert "no display" in objection({}, "linux", lambda _: True, lambda: False)
 
 
 def test_wayland_is_a_display_where_its_socket_is(tmp_path):
     env = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
-    assert approved("start.no_window") in window_problem(env, "linux", lambda _: True, lambda: False)
+    assert approved("start.no_window") in objection(env, "linux", lambda _: True, lambda: False)
     (tmp_path / "wayland-0").touch()
-    assert window_problem(env, "linux", lambda _: True, lambda: False) == ""
+    assert objection(env, "linux", lambda _: True, lambda: False) == ""
 
 
 @pytest.mark.parametrize("platform", ["win32", "darwin"])
 def test_other_systems_bring_what_is_needed(platform):
-    assert window_problem({}, platform, lambda _: False, lambda: False) == ""
+    assert objection({}, platform, lambda _: False, lambda: False) == ""
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="signals as on Linux and macOS")
@@ -175,6 +175,6 @@ def test_a_log_that_cannot_be_written_leaves_the_window_at_work(bench, tmp_path,
     monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(tmp_path / "data" / "skincal"))
     said = []
     monkeypatch.setattr(bench.window, "tell", said.append)
-    run.open_first(bench.window, OpenRequest(session=tmp_path / "none"))
+    run.begin(bench.window, OpenRequest(session=tmp_path / "none"))
     bench.until(lambda: bench.controller.running is Running.OFFLINE, 20_000)
     assert any("the log cannot be written" in message.text for message in said)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, QObject, QProcess, QSettings, Qt
+from PySide6.QtCore import QProcess, QSettings, Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QWidget
 
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, server_command
@@ -71,6 +70,10 @@ class Bench:
     def until(self, what, timeout: int = POKE_MS) -> None:
         self.qtbot.waitUntil(what, timeout=timeout)
 
+    def panel(self, kind):
+        """The panel of a class."""
+        return self.window.session_view.workspace.panel(kind)
+
     @property
     def snapshot(self):
         return self.window.session_view.state.snapshot
@@ -90,7 +93,7 @@ class Bench:
     def until_all_is_there(self) -> None:
         """Wait for the 3D view and the curves, and take the messages away, so that nothing moves any more."""
         workspace = self.window.session_view.workspace
-        self.until(lambda: workspace.view.list_layers() != () and workspace.readings.curves is not None, OPEN_MS)
+        self.until(lambda: workspace.view.list_layers() != (), OPEN_MS)
         while self.window.messages.isVisible():
             self.window.messages.dismiss()
         self.qtbot.wait(50)
@@ -99,24 +102,10 @@ class Bench:
         """Wait after a pause until the readers ended, and what they had read is worked on and shown."""
         recording = self.recording
         self.until(lambda: not any(thread.name.startswith("reader ") for thread in threading.enumerate()), 5000)
-        self.until(lambda: not recording.has_backlog and not recording.pipeline.session.unsolved)
+        self.until(lambda: not recording.behind and not recording.pipeline.session.unsolved)
 
     def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
         self.window.activateWindow()
         self.until(self.window.isActiveWindow, 5000)
         QTest.keyClick(self.window, key, modifier)
         self.qtbot.wait(20)
-
-
-class Paints(QObject):
-    """Counts paint events of a window and all its widgets."""
-
-    def __init__(self, window: QWidget) -> None:
-        super().__init__()
-        self.count = 0
-        for widget in (window, *window.findChildren(QWidget)):
-            widget.installEventFilter(self)
-
-    def eventFilter(self, _watched, event):
-        self.count += event.type() == QEvent.Type.Paint
-        return False

@@ -6,29 +6,34 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from PySide6.QtGui import QFontMetrics, QImage
+from PySide6.QtCore import QEvent, QObject
+from PySide6.QtGui import QColor, QFontMetrics, QImage
 from PySide6.QtWidgets import QApplication, QWidget
 
+from app.panels.panel import PanelContext
 from app.panels.widgets import FittedLabel
 from app.state.policies import allowed
 from app.state.running import Running
 from app.state.view_state import ViewState
-from app.theme import Colours
+from app.theme import DARK, Colours
 from app.window import qpalette
 from skincal.contacts.outcome import Contact, PressPhase, Progress, Reason, Rejection
 from skincal.geometry import Arm, DhLink
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Loss, Stream
 from skincal.model.scene import ArmSpec, Scene
+from skincal.session.guided_session import GuidedSession
+from skincal.session.part import Part
 from skincal.session.snapshot import LiveView, PokeRecord, Snapshot
 from skincal.session.undo import History
 from skincal.taxels.result import Estimate, Method
 from skincal.words.units import ChannelNames
-from tests.app.scene3d_support import layout, live, scene, snapshot
+from tests.app.scene3d_support import laid, layout, live, scene, snapshot
 
 PLAN = layout()
 NAMES = ChannelNames(PLAN)
 SCENE: Scene = scene(PLAN)
 SECOND = 1_000_000_000
+METHODS = (Method.SURFACE, Method.FREE)
 
 
 def arm_scene() -> Scene:
@@ -123,3 +128,77 @@ def pixels(widget: QWidget) -> np.ndarray:
 def changed(before: np.ndarray, after: np.ndarray) -> int:
     """Return how many pixels differ."""
     return int((before != after).any(axis=2).sum())
+
+
+def part(where: Scene = SCENE, **changes: object) -> Part:
+    """The small part with its skin laid on it, without a mesh."""
+    return replace(Part(where, None, laid(PLAN), PLAN.channels, ()), **changes)
+
+
+class Queue:
+    """A background whose work is done when the test says so."""
+
+    def __init__(self) -> None:
+        self.waiting = []
+
+    def __call__(self, work, done, _failed=None) -> None:
+        self.waiting.append((work, done))
+
+    def finish(self) -> None:
+        while self.waiting:
+            work, done = self.waiting.pop(0)
+            done(work())
+
+
+def context(of: Part | None = None, methods: Sequence[Method] = METHODS, **services: object) -> PanelContext:
+    """What panels are made from, without a window."""
+    made = of or part()
+    usual = {"compute": Queue(), "read_positions": lambda *_: None, "folder": lambda: made.scene.path.parent, **services}
+    guided = GuidedSession(made, usual["compute"])
+    return PanelContext(made, tuple(methods), ChannelNames(made.scene.skin.layout), guided, **usual)
+
+
+def shown(qtbot, widget, size=(420, 300)):
+    """A widget on the screen in the dark theme."""
+    show_in(DARK)
+    if hasattr(widget, "recolour"):
+        widget.recolour()
+    widget.resize(*size)
+    qtbot.addWidget(widget)
+    with qtbot.waitExposed(widget):
+        widget.show()
+    return widget
+
+
+class Paints(QObject):
+    """Counts the paint events of widgets and all in them."""
+
+    def __init__(self, *widgets: QWidget) -> None:
+        super().__init__()
+        self.count = 0
+        for widget in (each for top in widgets for each in (top, *top.findChildren(QWidget))):
+            widget.installEventFilter(self)
+
+    def eventFilter(self, _watched, event):
+        self.count += event.type() == QEvent.Type.Paint
+        return False
+
+
+def ink(picture: np.ndarray, colour: str | QColor, near: int = 8) -> int:
+    """Count the pixels of a colour, or nearly."""
+    wanted = np.array(QColor(colour).getRgb()[:3])
+    return int((np.abs(picture[..., :3].astype(int) - wanted).max(axis=-1) < near).sum())
+
+
+def luminance(colours: np.ndarray) -> np.ndarray:
+    """Relative luminance by WCAG 2 of colours, (..., 3) 0 to 255."""
+    share = np.asarray(colours) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def contrast(first: str | QColor | np.ndarray, second: str | QColor | np.ndarray) -> float:
+    """Contrast of two colours by WCAG 2."""
+    both = [each if isinstance(each, np.ndarray) else QColor(each).getRgb()[:3] for each in (first, second)]
+    low, high = np.sort(luminance(np.array(both)))
+    return float((high + 0.05) / (low + 0.05))

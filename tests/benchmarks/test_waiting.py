@@ -16,7 +16,7 @@ import skincal
 from skincal.files.importers.yarp_folder import read_yarp
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
-from skincal.model.readings import JointsBatch, SkinBatch, Stream
+from skincal.model.readings import Stream
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.benches import Bench
 from skincal.simulate.device import DeviceTimeline
@@ -111,8 +111,7 @@ def write_log(bench, folder):
             for _, batch in decoders[link].feed(data, at_ns):
                 # Each device has a clock of its own; a log has the computer's.
                 times = EPOCH_S + batch.device_s - begun.setdefault(stream, float(batch.device_s[0]))
-                values = np.degrees(batch.angles) if isinstance(batch, JointsBatch) else None
-                values = (batch.values if isinstance(batch, SkinBatch) else batch.wrench) if values is None else values
+                values = np.degrees(batch.values) if stream is Stream.JOINTS else batch.values
                 rows = enumerate(zip(times.tolist(), values.tolist(), strict=True), start=len(texts[stream]))
                 texts[stream] += [f"{n} {t:.6f} {' '.join(f'{value:.10g}' for value in row)}\n" for n, (t, row) in rows]
     for stream, lines in texts.items():

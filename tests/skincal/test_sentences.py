@@ -103,7 +103,7 @@ STATES = (
         StateReason(Cause.BLIND_IN_POSES, 2, inner=StateReason(Cause.OPPOSED, 4)),
         approved("taxel.blind_in_poses", count=2, inner=approved("taxel.opposed", count=4)),
     ),
-    (StateReason(Cause.GIVEN, text="stuck at 255"), "stuck at 255"),
+    (StateReason(Cause.EXTERNAL_TEXT, text="stuck at 255"), "stuck at 255"),
 )
 
 

@@ -18,7 +18,7 @@ from skincal.files.importers.recorded_lines import START_NS, OpenRecording
 from skincal.files.importers.yarp_folder import DATA, guess_yarp, open_yarp
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
-from skincal.model.readings import Batch, JointsBatch, Stream, WrenchBatch
+from skincal.model.readings import Batch, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
     lost = [
         f"{name}: {count} of the first {LOOK_S:.0f} s: {loss.value}."
         for name, decoder in decoders.items()
-        for loss, count in decoder.counts.items()
+        for loss, count in decoder.current.counts.items()
     ]
     # The first sentence on each file says what stands in `streams`.
     known = {timeline.sentences()[0] for timeline in opened.timelines}
@@ -233,14 +233,8 @@ def preview_recording(files: RecordingFiles, wanted: Callable[[], bool] = lambda
 
 def _values(batches: Iterable[Batch]) -> FloatArray:
     """Return the rows (n, values) of a stream, in display units of a log: joints are degrees."""
-    rows = [_of_batch(each) for each in batches]
+    rows = [np.degrees(each.values) if each.stream is Stream.JOINTS else each.values for each in batches]
     return np.concatenate(rows) if rows else np.empty((0, 0))
-
-
-def _of_batch(batch: Batch) -> FloatArray:
-    if isinstance(batch, JointsBatch):
-        return np.degrees(batch.angles)
-    return batch.wrench if isinstance(batch, WrenchBatch) else batch.values
 
 
 def _force_curve(batches: Sequence[Batch]) -> tuple[FloatArray, FloatArray]:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from skincal.devices.bottles import MEASURES_LISTS, MEASURES_WRENCH
 from skincal.devices.decoding import WRENCH_WIDTH
 from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
 from skincal.geometry import FloatArray
@@ -27,8 +28,6 @@ from skincal.model.given import open_regular, read_regular
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
-    MEASURES_LISTS,
-    MEASURES_WRENCH,
     BottleError,
     LogLine,
     even_width,

@@ -8,14 +8,14 @@ once it has given a reading, because a device may send words first and records l
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
+from typing import ClassVar
 
 from skincal.devices.decoding import FrameDecoder
 from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
-from skincal.model.readings import Batch, Loss, SideReading, Stream
+from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.decoders.delimited import TextDecoder
 from skincal.streams.decoders.skb import SkbDecoder
 from skincal.streams.decoders.skt import SktDecoder
@@ -53,13 +53,27 @@ def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -
     return decoder_class(name)(channels, carries)
 
 
+class _Undecided(FrameDecoder):
+    """Stands for the decoder while the format is unknown: no name, no units, no losses."""
+
+    mark: ClassVar[bytes] = b""
+    limit: ClassVar[int] = 0
+
+    def __init__(self) -> None:
+        super().__init__(None, ())
+        self.units = {}
+
+    def _decode(self, frame: bytes) -> Loss | None: ...
+
+
 class LinkDecoder:
     """Decodes a link's bytes, in a format that is given or found."""
 
     def __init__(self, format_name: str, channels: int | None, carries: tuple[Stream, ...]) -> None:
-        self.chosen: FrameDecoder | None = None
-        """Decoder of the format; `None` while the format is unknown."""
+        self.current: FrameDecoder = _Undecided()
+        """Decoder of the format; without a name while the format is unknown."""
         self._probes: list[FrameDecoder] = []
+        """Decoders that are tried; none once the format is sure."""
         self._link = channels, carries
         self._text = TextDecoder(channels, carries)
         self._held: list[tuple[int, Batch]] = []
@@ -69,34 +83,12 @@ class LinkDecoder:
         if format_name == AUTO:
             self._probes = [SkbDecoder(channels, carries), SktDecoder(channels, carries)]
         else:
-            self.chosen = make_decoder(format_name, channels, carries)
-
-    @property
-    def name(self) -> str:
-        """Name of the format; empty while unknown."""
-        return "" if self.chosen is None else self.chosen.name
-
-    @property
-    def counts(self) -> Counter[Loss]:
-        """Losses of the decoder; none while the format is unknown."""
-        return Counter() if self.chosen is None else self.chosen.counts
-
-    @property
-    def device_message(self) -> str:
-        return "" if self.chosen is None else self.chosen.device_message
-
-    @property
-    def units(self) -> dict[Stream, str]:
-        return {} if self.chosen is None else self.chosen.units
-
-    @property
-    def side_readings(self) -> dict[str, SideReading]:
-        return {} if self.chosen is None else self.chosen.side_readings
+            self.current = make_decoder(format_name, channels, carries)
 
     def feed(self, data: bytes, host_ns: int) -> list[tuple[int, Batch]]:
         """Return the readings that `data` completes, each batch with the arrival of its last bytes."""
         if not self._probes:
-            return [] if self.chosen is None else [(host_ns, batch) for batch in self.chosen.feed(data)]
+            return [(host_ns, batch) for batch in self.current.feed(data)]
         if not self._has_binary and data.translate(None, _TEXT_BYTES):
             self._has_binary = True
             self._probes += [make_decoder(name, *self._link) for name in CHECKSUMMED_FORMATS]
@@ -115,13 +107,13 @@ class LinkDecoder:
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
         """Decode several chunks at once. Return one batch and the end of each chunk's readings, or `None` if not possible."""
-        return None if self._probes or self.chosen is None else self.chosen.feed_many(chunks)
+        return None if self._probes else self.current.feed_many(chunks)
 
     def finish(self) -> list[tuple[int, Batch]]:
         """Settle for text if nothing else was found: no more bytes come, or enough came. Return its readings."""
         if not self._probes:
             return []
-        self.chosen = self._text
+        self.current = self._text
         held, self._held = self._held, []
         # Without a reading the search goes on: the device may send words first and its records later.
         if held:
@@ -129,7 +121,7 @@ class LinkDecoder:
         return held
 
     def _settle(self, chosen: FrameDecoder) -> None:
-        self.chosen = chosen
+        self.current = chosen
         self._probes = []
         # The text decoder's readings of the same bytes must not come twice.
         self._held = []

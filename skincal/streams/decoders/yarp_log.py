@@ -16,25 +16,19 @@ from copy import copy
 from dataclasses import dataclass
 from itertools import accumulate
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.decoding import SEQ_MAX, STAMP_MAX_S, FrameDecoder, GapCounter
+from skincal.devices.bottles import Value, is_measures, values_of
+from skincal.devices.decoding import SEQ_MAX, STAMP_MAX_S, FrameDecoder, FrameSplitter, MarkSplitter
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
 
-Item: TypeAlias = "float | str | list[Item]"
-"""One value of a bottle."""
-
 LINE_MAX = 1 << 20
 """bytes. A longer line is no record: 4,200 channels of 20 digits take 84,000."""
-MEASURES_WRENCH = 5
-"""Index of the six-axis force/torque sensors in the lists of `measures:o`."""
-MEASURES_LISTS = 10
-"""Fewest lists of `measures:o`: 10 in older versions of YARP, 12 now."""
 HEADER_WORDS = (b"Type:", b"Source:", b"Stamp:")
 """Old dumpers wrote what is now `info.log` into the log itself."""
 
@@ -60,12 +54,12 @@ class BottleError(ValueError):
     """Text is no bottle: a list or a string has no end."""
 
 
-def parse_bottle(text: str) -> list[Item]:
+def parse_bottle(text: str) -> list[Value]:
     """Read a YARP bottle in text form; a number becomes a float, any other word a string.
 
     Raises BottleError: a parenthesis, bracket or quote has no partner.
     """
-    open_lists: list[list[Item]] = [[]]
+    open_lists: list[list[Value]] = [[]]
     at = 0
     while at < len(text):
         found = _TOKEN.match(text, at)
@@ -86,7 +80,7 @@ def parse_bottle(text: str) -> list[Item]:
     return open_lists[0]
 
 
-def _item(kind: str, word: str) -> Item:
+def _item(kind: str, word: str) -> Value:
     if kind == "text":
         # A backslash keeps the next character.
         return re.sub(r"\\(.)", r"\1", word, flags=re.DOTALL)
@@ -97,25 +91,6 @@ def _item(kind: str, word: str) -> Item:
         return float(word)
     except ValueError:
         return word
-
-
-def find_vector(bottle: list[Item]) -> list[Item]:
-    """Return the list of numbers that a bottle carries: the bottle itself, or the only list in it."""
-    if len(bottle) == 1 and isinstance(bottle[0], list):
-        return bottle[0]
-    return bottle
-
-
-def find_wrench(bottle: list[Item]) -> list[Item]:
-    """Return the six numbers of the first force/torque sensor, from a vector or from `measures:o`; empty where it has none."""
-    if len(bottle) < MEASURES_LISTS or not all(isinstance(item, list) for item in bottle):
-        return find_vector(bottle)
-    sensors = bottle[MEASURES_WRENCH]
-    while isinstance(sensors, list) and sensors:
-        if isinstance(sensors[0], float):
-            return sensors
-        sensors = sensors[0]
-    return []
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,6 +208,7 @@ class YarpDecoder(FrameDecoder):
     """Decode log lines with one stamp, of one stream."""
 
     name = "YARP log"
+    starts_whole = True
     single_stream = True
     mark = b"\n"
     limit = LINE_MAX
@@ -245,9 +221,11 @@ class YarpDecoder(FrameDecoder):
         super().__init__(channels, carries)
         if len(carries) != 1:
             raise InputError("An imported file carries one stream; expected one file each for wrench, skin and joints.")
-        self._first = False  # A log is read from its first line on: nothing of it is lost.
         self._stream = carries[0]
-        self._gaps = GapCounter()
+
+    def _make_splitter(self) -> FrameSplitter:
+        self._lines = MarkSplitter(self.mark, self.limit)
+        return self._lines
 
     def feed(self, data: bytes) -> list[Batch]:
         """Take the next bytes of the link and return the readings that they complete."""
@@ -272,7 +250,7 @@ class YarpDecoder(FrameDecoder):
         """Return the numbers of chunks that are whole lines of plain numbers, all of one width; None where one is otherwise."""
         if (
             not chunks
-            or self._splitter.has_partial_frame
+            or self._lines.has_partial_frame
             or not all(0 < len(chunk) <= LINE_MAX and chunk.endswith(b"\n") for chunk in chunks)
         ):
             return None
@@ -296,7 +274,7 @@ class YarpDecoder(FrameDecoder):
         line = split_line(frame, self.stamps)
         if line is None:
             return None if is_header(frame) else Loss.UNREADABLE
-        self._count_missing(self._gaps.missing_before(line.seq))
+        self._count_gap(line.seq)
         try:
             values = self._numbers(line.payload)
         except ValueError:
@@ -311,11 +289,10 @@ class YarpDecoder(FrameDecoder):
             # The usual line, ten times faster than the bottle's grammar.
             return [float(word) for word in payload.replace(b",", b" ").split()]
         bottle = parse_bottle(payload.decode("utf-8", "strict"))
-        found = find_wrench(bottle) if self._stream is Stream.WRENCH else find_vector(bottle)
-        numbers = [item for item in found if isinstance(item, float)]
-        if len(numbers) != len(found):
+        found = values_of(bottle, self._stream)
+        if found is None and bottle and not is_measures(bottle):
             raise BottleError("a word stands among the numbers")
-        return numbers
+        return [] if found is None else found[0].tolist()
 
 
 class YarpTxRxDecoder(YarpDecoder):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from typing import Protocol
 
 from skincal.devices.family import AUTO
 from skincal.devices.link import Link
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 
 BAUDS = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
@@ -53,8 +52,7 @@ class BaudSearchLink:
     def _look_at(self, data: bytes, now_s: float) -> None:
         self._since_s = now_s if self._since_s is None else self._since_s
         self._readings += sum(len(batch.seq) for _, batch in self._decoder.feed(data, round(now_s * 1e9)))
-        counts: Counter[Loss] = self._decoder.counts
-        if self._readings >= MIN_READINGS and self._readings > counts.total():
+        if self._readings >= MIN_READINGS and self._readings > self._decoder.current.counts.total():
             self.found = True
         elif now_s - self._since_s > TRIAL_MAX_S:
             self.baud = BAUDS[(BAUDS.index(self.baud) + 1) % len(BAUDS)]

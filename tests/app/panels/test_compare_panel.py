@@ -1,7 +1,8 @@
-"""The Compare tab: what it says, what its arrows draw, and that it costs nothing while it is closed."""
+"""The Compare tab: sets of positions, words, arrows, the check of the layout, and that it costs nothing while closed."""
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QFileDialog
 
 from app.panels.compare_panel import ComparePanel
-from app.scene3d.scene_state import DARK as DARK_LOOK
-from app.scene3d.scene_state import LIGHT as LIGHT_LOOK
-from app.scene3d.scene_state import Cloud, Comparison, Tint
+from app.scene3d.scene_state import DARK as SCENE_DARK
+from app.scene3d.scene_state import LIGHT as SCENE_LIGHT
+from app.scene3d.scene_state import Comparison
 from app.session.opening import OpenRequest
-from app.state.place_sets import LAYOUT, PlaceOrigin, Places, Source, default_pair, other_source, sources_of
+from app.state.position_sets import LAYOUT_SET, default_pair, position_sets, unique_name
 from app.text.compare_text import (
     MAX_LISTED_MODULES,
     difference_words,
@@ -25,30 +27,30 @@ from app.text.compare_text import (
     module_cells,
     save_hint,
     saved_words,
-    source_words,
     spacing_words,
 )
-from app.theme import DARK
-from skincal.model.skin import Anchor
-from skincal.modules import health
+from skincal.files.reference import TaxelPositions
+from skincal.model.scene import resource
+from skincal.model.skin import Anchor, load_layout
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.rig.correction_fit import RigAnswer
-from skincal.session.error_history import ErrorFollower, ModulesCheck
+from skincal.session.error_history import ModulesCheck
 from skincal.session.part import Part
 from skincal.session.review import Review
 from skincal.taxels.differences import ModuleDifference, Summary
 from skincal.taxels.result import Method
 from skincal.words.layout_words import left_sentences, misfit_sentence
-from skincal.words.units import ChannelNames
 from tests.app.scene3d_support import box, estimate, laid, scene
 from tests.app.view3d_on_screen import KEPT, make_view, renderer_of, turn
 from tests.app.view3d_on_screen import pixels as picture
-from tests.app.whole_window import OPEN_MS, Bench, Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, frame, session, show_in
+from tests.app.whole_window import OPEN_MS, Bench
+from tests.app.window_support import NAMES, PLAN, SCENE, Paints, Queue, context, frame, part, session, shown
 from tests.approved import approved
+from tests.skincal.sim_support import recorded_anew
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
-FREE, SURFACE = (Source(PlaceOrigin.METHOD, method) for method in (Method.FREE, Method.SURFACE))
+BOTH = METHODS[:2]
+FREE, SURFACE = "Free method", "Surface method"
 CHANNELS = PLAN.channels
 
 
@@ -58,25 +60,18 @@ def _windows():
     KEPT.clear()
 
 
-def part(*, plan: bool = True, surface: bool = False) -> Part:
-    """The small part: two modules on the plane z = 0."""
-    where = SCENE if plan else scene(None)
-    return Part(where, box() if surface else None, laid(PLAN) if plan else None, CHANNELS, ())
-
-
 def known(shift=(0.0, 0.0, 0.0), method: Method = Method.FREE, rows=range(24)) -> dict:
-    """Estimates that lie `shift` beside the layout."""
+    """Estimates that are shifted from the layout."""
     places = laid(PLAN).places
     return {channel: estimate(channel, places[channel] + shift, method) for channel in rows}
 
 
-def beside(x: float, y: float, z: float) -> np.ndarray:
-    """The layout's places, shifted."""
+def shifted(x: float, y: float, z: float) -> np.ndarray:
     return laid(PLAN).places + np.array([x, y, z])
 
 
 def at(free: dict, surface: dict | None = None, generation: int = 1, **changes):
-    """A frame of a session with these estimates."""
+    """A state of a session with these estimates."""
     base = session(generation, free)
     estimates = dict(base.estimates)
     if surface is not None:
@@ -89,88 +84,68 @@ def review(before: dict, after: dict, channels=CHANNELS) -> Review:
     return Review((), {}, None, answer, channels, before, after)
 
 
-# What there is
+# Sets and words
 
 
-def test_every_set_that_there_is_can_be_chosen():
-    both = (Method.SURFACE, Method.FREE)
-    assert sources_of(both, None, laid=True) == (LAYOUT, SURFACE, FREE)
-    assert sources_of(both, None, laid=False) == (SURFACE, FREE)
-    places = np.zeros((24, 3))
-    for answer in (review({Method.FREE: places}, {}), review({}, {Method.FREE: places})):
-        found = sources_of(both, answer, laid=False)
-        assert [source_words(source) for source in found[2:]] == ["Free before correction", "Free after correction"]
-    assert [source_words(source) for source in (LAYOUT, SURFACE)] == ["Layout", "Surface method"]
+def test_the_sets_are_layout_methods_and_both_sides_of_a_correction():
+    moment = at(known((0.0, 0.0, 0.001), rows=[3, 5]))
+    sets = position_sets(moment, CHANNELS, BOTH, laid(PLAN).places)
+    assert list(sets) == [LAYOUT_SET, SURFACE, FREE]
+    assert list(position_sets(moment, CHANNELS, BOTH, None)) == [SURFACE, FREE]
+    np.testing.assert_array_equal(sets[LAYOUT_SET], laid(PLAN).places)
+    assert np.flatnonzero(np.isfinite(sets[FREE][:, 0])).tolist() == [3, 5]
+    np.testing.assert_allclose(sets[FREE][[3, 5], 2], 0.001)
+    moment, other = at(known((0.0, 0.0, 0.001))), np.arange(6.0).reshape(2, 3)
+    for held, (here, there) in (("before", ("before", "after")), ("after", ("after", "before"))):
+        halves = ({Method.FREE: other}, {}) if held == "before" else ({}, {Method.FREE: other})
+        sets = position_sets(replace(moment, review=review(*halves, np.array([7, 9]))), CHANNELS, BOTH, None)
+        assert list(sets)[2:] == ["Free before correction", "Free after correction"]
+        found = sets[f"Free {here} correction"]
+        np.testing.assert_array_equal(found[[7, 9]], other)
+        assert np.isnan(np.delete(found, [7, 9], axis=0)).all()
+        np.testing.assert_allclose(sets[f"Free {there} correction"], shifted(0.0, 0.0, 0.001))
 
 
 def test_the_layout_is_compared_with_the_shown_method_and_free_with_surface_without_one():
-    assert default_pair((LAYOUT, SURFACE, FREE), Method.FREE) == (LAYOUT, FREE)
+    assert default_pair((LAYOUT_SET, SURFACE, FREE), Method.FREE) == (LAYOUT_SET, FREE)
     assert default_pair((SURFACE, FREE), Method.FREE) == (FREE, SURFACE)
     assert default_pair((FREE,), Method.FREE) == (FREE, FREE)
 
 
-def test_places_stand_in_the_order_of_the_channels_and_are_worked_out_once():
-    places = Places(CHANNELS, laid(PLAN).places)
-    moment = at(known((0.0, 0.0, 0.001), rows=[3, 5]))
-    found = places.find(FREE, moment)
-    assert np.flatnonzero(np.isfinite(found[:, 0])).tolist() == [3, 5]
-    np.testing.assert_allclose(found[[3, 5], 2], 0.001)
-    assert places.find(FREE, moment) is found
-    assert places.find(FREE, at(known())) is not found
-    np.testing.assert_array_equal(places.find(LAYOUT, moment), laid(PLAN).places)
+def test_two_sessions_with_one_name_get_different_names_and_a_reread_one_the_same():
+    name, taken = "session, free method", {}
+    for path, wanted in (
+        (Path("/a/monday/session"), name),
+        (Path("/a/tuesday/session"), f"{name} (tuesday)"),
+        (Path("/b/tuesday/session"), f"{name} ({Path('/b/tuesday')})"),
+        (Path("/a/tuesday/session"), f"{name} (tuesday)"),
+    ):
+        assert unique_name(name, path, taken) == wanted
+        taken[wanted] = path
 
 
-def test_a_review_holds_one_side_of_a_correction_and_the_session_the_other():
-    before = np.arange(6.0).reshape(2, 3)
-    used = review({Method.FREE: before}, {}, np.array([7, 9]))
-    places, moment = Places(CHANNELS, None), at(known((0.0, 0.0, 0.001)))
-    first, second = (Source(origin, Method.FREE) for origin in (PlaceOrigin.BEFORE, PlaceOrigin.AFTER))
-    found = places.find(first, replace(moment, review=used))
-    np.testing.assert_array_equal(found[[7, 9]], before)
-    assert np.isnan(np.delete(found, [7, 9], axis=0)).all()
-    np.testing.assert_allclose(places.find(second, replace(moment, review=used)), beside(0.0, 0.0, 0.001))
-    offered = review({}, {Method.FREE: before}, np.array([7, 9]))
-    np.testing.assert_allclose(places.find(first, replace(moment, review=offered)), beside(0.0, 0.0, 0.001))
-    np.testing.assert_array_equal(places.find(second, replace(moment, review=offered))[[7, 9]], before)
-
-
-# What is said
-
-
-def test_the_summary_is_one_line():
+def test_the_words_of_differences_modules_and_spacing():
     summary = Summary(84, 0.0021, 0.003, 0.0063, 4)
-    assert difference_words(summary, (LAYOUT, FREE), NAMES, CHANNELS.tolist()) == approved(
+    assert difference_words(summary, (LAYOUT_SET, FREE), NAMES, CHANNELS.tolist()) == approved(
         "compare.summary", count=84, mean_mm=2.1, largest_mm=6.3, taxel="10-04"
     )
-    assert difference_words(None, (LAYOUT, FREE), NAMES, []) == approved("compare.none_known")
+    assert difference_words(None, (LAYOUT_SET, FREE), NAMES, []) == approved("compare.none_known")
     assert difference_words(summary, (FREE, FREE), NAMES, []).startswith(approved("compare.same_twice"))
-
-
-def test_a_module_says_how_many_of_its_taxels_are_known_and_never_nan():
-    cells = module_cells(ModuleDifference(0, 12, 0.0021, 0.002, 0.0005), 17, 12, 0.934)
-    assert cells == ("17", "2.1", "2.0", "0.5", "0.93")
-    cells = module_cells(ModuleDifference(0, 2, 0.0021, 0.002, None), 17, 12, float("nan"))
-    assert cells == ("17  2/12", "2.1", "2.0", "\N{EN DASH}", "\N{EN DASH}")
-
-
-def test_of_too_many_modules_the_worst_are_listed():
+    assert module_cells(ModuleDifference(0, 12, 0.0021, 0.002, 0.0005), 17, 12, 0.934) == ("17", "2.1", "2.0", "0.5", "0.93")
+    some = module_cells(ModuleDifference(0, 2, 0.0021, 0.002, None), 17, 12, float("nan"))
+    assert some == ("17  2/12", "2.1", "2.0", "\N{EN DASH}", "\N{EN DASH}")
     few = [ModuleDifference(index, 12, 0.001 * (index % 7), 0.0, 0.0) for index in range(MAX_LISTED_MODULES)]
-    assert listed_modules(few) == few
-    assert listed_words(MAX_LISTED_MODULES) == ""
-    many = [*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)]
-    listed = listed_modules(many)
+    assert (listed_modules(few), listed_words(MAX_LISTED_MODULES)) == (few, "")
+    listed = listed_modules([*few, ModuleDifference(99, 12, 0.02, 0.0, 0.0)])
     assert (len(listed), listed[0].module) == (MAX_LISTED_MODULES, 99)
     assert [module.mean for module in listed] == sorted((module.mean for module in listed), reverse=True)
     assert listed_words(41) == approved("compare.worst_modules", listed=40, count=41)
-
-
-def test_spacing_is_said_of_every_method_that_knows():
     ratios = {Method.SURFACE: 0.93, Method.FREE: float("nan"), Method.MODULES: 1.0}
     assert spacing_words(ratios) == approved("compare.spacing", surface=0.93, modules="1.00")
     assert spacing_words({Method.FREE: float("nan")}) == ""
 
 
-def test_a_misfit_is_an_offer_with_a_sign():
+def test_the_words_of_the_layout_check():
     misfit = MisplacedModule(17, MisplacementKind.MIRRORED, 0.01, 0.002)
     mend = LayoutRepair((misfit,), PLAN, (ModuleChange(17, mirror=True),), (Unrepaired(UnrepairedKind.NO_NEARER, (17,)),))
     head, sentence, left = misfit_words(mend, 7, Method.SURFACE)
@@ -183,37 +158,17 @@ def test_a_misfit_is_an_offer_with_a_sign():
     assert approved("modules_check.saved_command") in saved
     right = LayoutRepair((), PLAN, (), ())
     assert misfit_words(right, 7, Method.FREE) == (approved("modules_check.all_as_planned", count=7, method="free"),)
-    assert misfit_words(right, 0, Method.FREE) == (), "of nothing that is known nothing is said"
+    assert misfit_words(right, 0, Method.FREE) == ()
 
 
 # The panel
 
 
-class Queue:
-    """A background whose work is done when the test says so."""
-
-    def __init__(self) -> None:
-        self.waiting = []
-
-    def __call__(self, work, done) -> None:
-        self.waiting.append((work, done))
-
-    def finish(self) -> None:
-        while self.waiting:
-            work, done = self.waiting.pop(0)
-            done(work())
-
-
-def make_panel(qtbot, of: Part, methods=METHODS):
-    show_in(DARK)
-    panel = ComparePanel(of, methods, NAMES if of.scene.skin.layout is not None else ChannelNames(None))
+def make_panel(qtbot, of: Part | None = None, methods=METHODS, **services) -> ComparePanel:
+    panel = ComparePanel(context(of, methods, **services))
     panel.drawn = []
     panel.comparison_changed.connect(panel.drawn.append)
-    panel.resize(430, 600)
-    qtbot.addWidget(panel)
-    with qtbot.waitExposed(panel):
-        panel.show()
-    return panel
+    return shown(qtbot, panel, (430, 600))
 
 
 def modules_of(panel) -> list[list[str]]:
@@ -221,26 +176,28 @@ def modules_of(panel) -> list[list[str]]:
     return [[tree.topLevelItem(row).text(column) for column in range(5)] for row in range(tree.topLevelItemCount())]
 
 
-def test_it_says_how_far_the_shown_method_lies_from_the_layout(qtbot):
-    panel = make_panel(qtbot, part())
-    free = known((0.0, 0.003, 0.0)) | known((0.0, 0.003, 0.004), rows=[15])
-    panel.show_state(at(free))
-    assert [box.currentText() for box in panel.boxes] == ["Layout", "Free method"]
+def chosen(panel) -> list[str]:
+    return [each.currentText() for each in panel.boxes]
+
+
+def choose(panel, which: int, text: str) -> None:
+    combo = panel.boxes[which]
+    assert combo.findText(text) >= 0, text
+    combo.setCurrentText(text)
+    combo.activated.emit(combo.currentIndex())
+
+
+def test_it_shows_the_differences_and_a_click_selects_the_worst(qtbot):
+    panel = make_panel(qtbot)
+    panel.show_state(at(known((0.0, 0.003, 0.0)) | known((0.0, 0.003, 0.004), rows=[15])))
+    assert chosen(panel) == [LAYOUT_SET, FREE]
     assert panel.summary.text() == approved("compare.summary", count=24, mean_mm=3.1, largest_mm=5.0, taxel="11-03")
     rows = modules_of(panel)
     assert [row[0] for row in rows] == ["10", "11"]
     assert rows[0][1:] == ["3.0", "3.0", "0.0", "1.00"]
     assert rows[1][3] != "0.0"
-    assert panel.worst.item(0).text() == "11-03   5.0 mm"
-    assert panel.worst.count() == 10
     assert "1.0" in panel.spacing.text()
-    assert "true to scale" in panel.legend.text()
-
-
-def test_a_click_on_the_worst_wants_that_taxel(qtbot):
-    panel = make_panel(qtbot, part())
-    panel.show_state(at(known() | known((0.0, 0.0, 0.004), rows=[15])))
-    panel.worst.scrollToItem(panel.worst.item(0))
+    assert (panel.worst.item(0).text(), panel.worst.count()) == ("11-03   5.0 mm", 10)
     panel.ensureWidgetVisible(panel.worst)
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         middle = panel.worst.visualItemRect(panel.worst.item(0)).center()
@@ -248,70 +205,64 @@ def test_a_click_on_the_worst_wants_that_taxel(qtbot):
     assert wanted.args == [15]
 
 
-def test_what_is_drawn_leads_from_one_to_the_other_as_long_as_asked(qtbot):
-    panel = make_panel(qtbot, part())
+def test_the_drawn_arrows_go_from_one_set_to_the_other_and_can_be_lengthened(qtbot):
+    panel = make_panel(qtbot)
     panel.show_state(at(known((0.0, 0.003, 0.0))))
-    drawn = panel.drawn[-1]
-    places = laid(PLAN).places
-    assert [cloud.tint for cloud in drawn.clouds] == [Tint.FROM, Tint.TO]
-    np.testing.assert_allclose(drawn.clouds[1].places, beside(0.0, 0.003, 0.0))
-    np.testing.assert_allclose(drawn.arrows, np.stack([places, beside(0.0, 0.003, 0.0)], axis=1))
+    drawn, places = panel.drawn[-1], laid(PLAN).places
+    assert list(drawn.sets) == ["from", "to"]
+    np.testing.assert_allclose(drawn.sets["to"], shifted(0.0, 0.003, 0.0))
+    np.testing.assert_allclose(drawn.arrows, np.stack([places, shifted(0.0, 0.003, 0.0)], axis=1))
+    assert "true to scale" in panel.legend.text()
     panel.scale.setCurrentIndex(2)
     panel.scale.activated.emit(2)
-    np.testing.assert_allclose(panel.drawn[-1].arrows[:, 1], beside(0.0, 0.03, 0.0))
-    np.testing.assert_allclose(panel.drawn[-1].clouds[1].places, beside(0.0, 0.003, 0.0), err_msg="dots lie true")
+    np.testing.assert_allclose(panel.drawn[-1].arrows[:, 1], shifted(0.0, 0.03, 0.0))
+    np.testing.assert_allclose(panel.drawn[-1].sets["to"], shifted(0.0, 0.003, 0.0), err_msg="dots are true")
     assert approved("compare.scaled") in panel.legend.text()
     panel.all.setChecked(True)
-    assert [cloud.tint for cloud in panel.drawn[-1].clouds] == [Tint.LAYOUT, Tint.SURFACE, Tint.FREE, Tint.MODULES]
+    assert list(panel.drawn[-1].sets) == ["layout", "surface", "free", "modules"]
     assert approved("compare.layout_to_free") in panel.legend.text()
     panel.hide()
     assert panel.drawn[-1] is None
 
 
-def choose(panel, row: int, text: str) -> None:
-    box_ = panel.boxes[row]
-    index = box_.findText(text)
-    assert index >= 0, text
-    box_.setCurrentIndex(index)
-    box_.activated.emit(index)
-
-
-def test_the_operators_choice_stays_and_before_and_after_come_with_a_review(qtbot):
-    panel = make_panel(qtbot, part())
+def test_the_operators_choice_stays_as_long_as_both_sets_exist(qtbot):
+    panel = make_panel(qtbot)
     panel.show_state(at(known((0.0, 0.003, 0.0))))
     panel.show_state(at(known((0.0, 0.003, 0.0)), generation=2, method=Method.SURFACE))
-    assert panel.boxes[1].currentText() == "Surface method", "it follows the method while nothing was chosen"
-    answer = review({Method.FREE: beside(0.008, 0.0, 0.0)}, {Method.FREE: beside(0.001, 0.0, 0.0)})
+    assert chosen(panel)[1] == SURFACE, "the default follows the method"
+    answer = review({Method.FREE: shifted(0.008, 0.0, 0.0)}, {Method.FREE: shifted(0.001, 0.0, 0.0)})
     reviewed = replace(at(known(), generation=3), review=answer)
     panel.show_state(reviewed)
     choose(panel, 0, "Free before correction")
     choose(panel, 1, "Free after correction")
     assert panel.summary.text().startswith("24 taxels, mean 7.0 mm")
-    choose(panel, 0, "Layout")
+    choose(panel, 0, LAYOUT_SET)
     assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
     panel.show_state(replace(reviewed, method=Method.SURFACE, snapshot=replace(reviewed.snapshot, generation=4)))
-    assert panel.boxes[1].currentText() == "Free after correction"
+    assert chosen(panel)[1] == "Free after correction"
     panel.show_state(at(known(), generation=5))
-    assert [each.currentText() for each in panel.boxes] == ["Layout", "Free method"], "what is gone is not compared"
+    assert chosen(panel) == [LAYOUT_SET, FREE]
+    found = [TaxelPositions(name, "", {3: np.zeros(3)}) for name in ("monday, free method", "monday, surface method")]
+    panel.add_sets(Path("/a/monday"), found)
+    assert chosen(panel) == [LAYOUT_SET, "monday, free method"]
 
 
-def test_without_layout_and_surface_it_has_no_modules_and_says_what_is_missing(qtbot):
-    panel = make_panel(qtbot, part(plan=False), (Method.FREE,))
+def test_without_layout_and_surface_it_has_no_modules(qtbot):
+    panel = make_panel(qtbot, part(scene(None), laid=None), (Method.FREE,))
     panel.show_state(at(known(), where=scene(None)))
     assert panel.summary.text().startswith(approved("compare.same_twice"))
     assert panel.worst.count() == 0
     assert not panel.modules.isVisible()
-    assert not panel.spacing.isVisible()
-    assert panel.spacing.text() == ""
-    both = make_panel(qtbot, part(plan=False, surface=True), (Method.SURFACE, Method.FREE))
+    assert (panel.spacing.isVisible(), panel.spacing.text()) == (False, "")
+    both = make_panel(qtbot, part(scene(None), laid=None, surface=box()), BOTH)
     both.show_state(at(known(), known((0.0, 0.0, 0.002), Method.SURFACE), where=scene(None)))
-    assert [each.currentText() for each in both.boxes] == ["Free method", "Surface method"]
+    assert chosen(both) == [FREE, SURFACE]
     assert both.summary.text().startswith("24 taxels, mean 2.0 mm")
     assert "ch " in both.worst.item(0).text()
 
 
-def test_the_same_frame_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
-    panel = make_panel(qtbot, part())
+def test_the_same_state_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
+    panel = make_panel(qtbot)
     moment = at(known())
     panel.show_state(moment)
     qtbot.wait(50)
@@ -328,94 +279,94 @@ def test_the_same_frame_draws_nothing_and_a_hidden_panel_works_nothing(qtbot):
     assert panel.summary.text().startswith("24 taxels, mean 1.0 mm")
 
 
+# The layout check
+
+
 def anchored(mirror: bool) -> Part:
-    """The small part in space, module 10 mounted as planned or planned mirrored."""
+    """The small part in space; module 10 is mounted as planned, or planned mirrored."""
     anchor = Anchor(np.zeros(2), np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     modules = (replace(PLAN.modules[0], mirror=mirror), *PLAN.modules[1:])
-    skin = replace(SCENE.skin, layout=type(PLAN)(modules, PLAN.width), anchor=anchor)
-    return Part(replace(SCENE, skin=skin), None, laid(PLAN), CHANNELS, ())
-
-
-def judge(check: ModulesCheck, state) -> None:
-    check.follow(state.snapshot)
-
-
-def judged_and_shown(panel: ComparePanel, of: Part, queue: Queue):
-    """Return what shows a state as the window does: the modules of what is on the screen are judged first."""
-    check = ModulesCheck(of, queue)
-
-    def show(state) -> None:
-        judge(check, state)
-        panel.show_state(replace(state, modules=check.found))
-
-    return show
+    return part(replace(SCENE, skin=replace(SCENE.skin, layout=type(PLAN)(modules, PLAN.width), anchor=anchor)))
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_a_mirrored_module_is_named_beside_the_window(qtbot, mirror):
-    of, queue = anchored(mirror), Queue()
-    panel = make_panel(qtbot, of)
-    show, moment = judged_and_shown(panel, of, queue), at(known())
+def test_a_mirrored_module_is_found_in_the_background_and_its_layout_can_be_saved(qtbot, mirror, monkeypatch):
+    queue, asked = Queue(), []
+    panel = make_panel(qtbot, anchored(mirror), compute=queue)
+
+    def show(state) -> None:
+        panel.modules_check.follow(state.snapshot)
+        panel.show_state(state)
+
+    moment = at(known())
     show(moment)
     assert not panel.health.isVisible()
-    assert len(queue.waiting) == 1, "it is worked out in the background, once"
     show(moment)
     assert len(queue.waiting) == 1
     queue.finish()
     show(moment)
     assert panel.health.isVisible()
-    if mirror:
-        assert approved("modules_check.misfits", count=1) in panel.health.text()
-        assert approved("modules_check.mirrored_clause", module=10) in panel.health.text()
-    else:
+    assert panel.save_button.isVisible() is mirror
+    if not mirror:
         assert panel.health.text() == approved("modules_check.all_as_planned", count=2, method="free")
-    assert not queue.waiting
+        return
+    assert approved("modules_check.misfits", count=1) in panel.health.text()
+    assert approved("modules_check.mirrored_clause", module=10) in panel.health.text()
+    assert "module 10: mirror = false" in panel.save_button.toolTip()
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: asked.append(1) or ("", ""))
+    QTest.keyClick(panel.save_button, Qt.Key.Key_Return)
+    assert (asked, queue.waiting) == ([1], [])
+    for _ in range(2):  # too few taxels of module 10
+        show(at(known(rows=range(9, 24)), generation=2))
+        queue.finish()
+    assert not panel.save_button.isVisible()
 
 
-def test_modules_are_judged_again_for_what_came_meanwhile(monkeypatch):
-    of, queue = anchored(mirror=False), Queue()
-    watch = ModulesCheck(of, queue)
-    for generation in (1, 2, 3):
-        judge(watch, at(known(), generation=generation))
-    assert len(queue.waiting) == 1
-    queue.finish()
-    judge(watch, at(known(), generation=3))
-    assert len(queue.waiting) == 1
-    queue.finish()
-    judge(watch, at(known(), generation=3))
-    assert not queue.waiting
+def test_modules_are_checked_again_for_the_newest_state_and_after_a_failure(monkeypatch):
+    queue = Queue()
+    check = ModulesCheck(anchored(mirror=False), queue)
+
+    def follow(generation: int) -> int:
+        check.follow(at(known(), generation=generation).snapshot)
+        return len(queue.waiting)
+
+    newest = at(known(), generation=3).snapshot
+    assert [follow(generation) for generation in (1, 2, 3)] == [1, 1, 1]
+    for waiting in (1, 0):
+        queue.finish()
+        check.follow(newest)
+        assert len(queue.waiting) == waiting
 
     def broken(*_):
         raise RuntimeError("of the modules")
 
-    monkeypatch.setattr("skincal.session.error_history.repair_layout", broken)
-    judge(watch, at(known(), generation=4))
-    with pytest.raises(RuntimeError, match="of the modules"):
-        queue.finish()
-    monkeypatch.setattr("skincal.session.error_history.repair_layout", health.repair_layout)
-    judge(watch, at(known(), generation=4))
-    assert not queue.waiting, "not at every picture"
-    judge(watch, at(known(), generation=5))
+    with monkeypatch.context() as fault:
+        fault.setattr("skincal.session.error_history.repair_layout", broken)
+        failing = at(known(), generation=4).snapshot
+        check.follow(failing)
+        with pytest.raises(RuntimeError, match="of the modules"):
+            queue.finish()
+    check.follow(failing)
+    assert not queue.waiting, "not at every tick"
+    assert follow(5) == 1
     queue.finish()
-    assert watch.found.judged == 2
+    assert check.found.judged == 2
 
 
 # The picture
 
 
-def tinted(seen: np.ndarray, look, tint: Tint) -> int:
-    """How many pixels have a tint, or nearly."""
-    return int((np.abs(seen.astype(int) - look.tints[tint]).max(axis=-1) < 25).sum())
-
-
 def comparison(shift=(0.0, 0.006, 0.0)) -> Comparison:
-    places = laid(PLAN).places
-    there = beside(*shift)
-    return Comparison((Cloud(Tint.FROM, places), Cloud(Tint.TO, there)), np.stack([places, there], axis=1))
+    places, there = laid(PLAN).places, shifted(*shift)
+    return Comparison({"from": places, "to": there}, np.stack([places, there], axis=1))
 
 
-@pytest.mark.parametrize(("dark", "look"), [(True, DARK_LOOK), (False, LIGHT_LOOK)], ids=["dark", "light"])
-def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
+def tinted(seen: np.ndarray, colours=SCENE_DARK) -> int:
+    return int((np.abs(seen.astype(int) - colours.tints["to"]).max(axis=-1) < 25).sum())
+
+
+@pytest.mark.parametrize(("dark", "colours"), [(True, SCENE_DARK), (False, SCENE_LIGHT)], ids=["dark", "light"])
+def test_dots_and_arrows_appear_in_their_colours_stay_and_go(qtbot, dark, colours):
     view = make_view(qtbot)
     view.set_dark(dark)
     moment = session(1, known())
@@ -423,37 +374,27 @@ def test_dots_and_arrows_appear_in_their_tints_and_go(qtbot, dark, look):
     before = picture(view)
     view.set_comparison(comparison())
     after = picture(view)
-    assert tinted(after, look, Tint.TO) > tinted(before, look, Tint.TO) + 400
+    assert tinted(after, colours) > tinted(before, colours) + 400
     layer = renderer_of(view).compare
     assert (layer.dots.actor.visibility, renderer_of(view).estimates.balls.actor.visibility) == (True, False)
-    longer = replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows)
-    view.set_comparison(longer)
-    assert tinted(picture(view), look, Tint.TO) > tinted(after, look, Tint.TO) + 300
+    assert not view.show_moment(session(1, known()), None, Method.FREE, None)
+    np.testing.assert_array_equal(picture(view), after)
+    points = layer.dots.mesh.GetPoints()
+    view.set_comparison(replace(comparison(), arrows=comparison((0.0, 0.018, 0.0)).arrows))
+    assert tinted(picture(view), colours) > tinted(after, colours) + 300
+    assert layer.dots.mesh.GetPoints() is points, "arrays are changed in place"
     view.set_comparison(None)
     np.testing.assert_array_equal(picture(view), before)
 
 
-def test_a_comparison_stays_while_moments_pass_and_only_a_new_one_draws(qtbot):
-    view = make_view(qtbot)
-    view.show_moment(session(1, known()), None, Method.FREE, None)
-    view.set_comparison(comparison())
-    shown = picture(view)
-    assert not view.show_moment(session(1, known()), None, Method.FREE, None)
-    np.testing.assert_array_equal(picture(view), shown)
-    points = renderer_of(view).compare.dots.mesh.GetPoints()
-    view.set_comparison(comparison((0.0, 0.0, 0.009)))
-    picture(view)
-    assert renderer_of(view).compare.dots.mesh.GetPoints() is points, "arrays are changed in place"
-
-
-def test_a_difference_into_the_part_is_seen_along_its_whole_length_and_the_far_side_is_left_out(qtbot):
+def test_a_difference_into_the_part_is_seen_and_the_far_side_is_left_out(qtbot):
     view = make_view(qtbot)
     view.show_moment(session(1, {}), None, Method.FREE, None)
     view.set_comparison(comparison((0.004, 0.0, -0.01)))
-    seen = tinted(picture(view), DARK_LOOK, Tint.TO)
+    seen = tinted(picture(view))
     assert seen > 400
     turn(view, 0.0, -179.0)
-    assert tinted(picture(view), DARK_LOOK, Tint.TO) < 0.1 * seen
+    assert tinted(picture(view)) < 0.1 * seen
 
 
 # The whole window
@@ -463,48 +404,81 @@ def open_compare(bench: Bench, folder) -> ComparePanel:
     bench.open(OpenRequest(session=folder))
     bench.until_all_is_there()
     bench.key(Qt.Key.Key_4)
-    panel = bench.window.session_view.workspace.compare
+    panel = bench.panel(ComparePanel)
     assert panel.isVisible()
     return panel
 
 
 def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
-    workspace = bench.window.session_view.workspace
-    before = picture(workspace.view)
     panel = open_compare(bench, recorded)
-    # Three pokes tell the modules method nothing.
+    view = bench.window.session_view.workspace.view
+    # Three pokes give the modules method nothing.
     bench.window.session_view.show_method(Method.SURFACE)
-    workspace = bench.window.session_view.workspace
-    bench.until(lambda: tinted(picture(workspace.view), DARK_LOOK, Tint.TO) > tinted(before, DARK_LOOK, Tint.TO) + 50, OPEN_MS)
+    bench.until(lambda: tinted(picture(view)) > 50, OPEN_MS)
     assert "taxel" in panel.summary.text()
     worst = panel.worst.item(0)
     panel.worst.itemClicked.emit(worst)
     assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
     bench.key(Qt.Key.Key_1)
-    assert not renderer_of(workspace.view).compare.dots.actor.GetVisibility()
+    assert not renderer_of(view).compare.dots.actor.GetVisibility()
 
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
     calls = []
-    for owner, name in ((ModulesCheck, "follow"), (ErrorFollower, "follow"), (Places, "find"), (ComparePanel, "show_state")):
+    for owner, name in ((ModulesCheck, "follow"), (ComparePanel, "show_state"), (ComparePanel, "update_view")):
         monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)
     assert calls == []
-    assert bench.window.session_view.workspace.compare._neighbours is None
+    assert bench.panel(ComparePanel)._neighbours is None
 
 
-def test_two_sessions_of_one_name_are_told_apart_and_one_that_is_read_again_is_the_same():
-    monday, tuesday = Path("/a/monday/session"), Path("/a/tuesday/session")
-    first = other_source("session, free method", monday, ())
-    second = other_source("session, free method", tuesday, (first,))
-    third = other_source("session, free method", Path("/b/tuesday/session"), (first, second))
-    names = [each.name for each in (first, second, third)]
-    assert names == ["session, free method", "session, free method (tuesday)", f"session, free method ({Path('/b/tuesday')})"]
-    assert other_source("session, free method", tuesday, (first, second, third)) == second
-    places = Places(np.arange(2), None)
-    for source, x in ((first, 1.0), (second, 2.0), (first, 3.0)):
-        places.offer(source, {0: np.array([x, 0.0, 0.0])})
-    assert places.others == (first, second)
+@pytest.fixture(scope="module")
+def mirrored_once(tmp_path_factory):
+    """The sample session, which has a poke on each taxel, recorded with its first module mirrored in the layout."""
+    made = tmp_path_factory.mktemp("mirrored")
+    folder = shutil.copytree(resource("sessions/sample"), made / "sample")
+    layout = folder / "scene" / "modules.toml"
+    text = layout.read_text(encoding="utf-8")
+    layout.write_text(text.replace("mirror = false", "mirror = true  # so", 1), encoding="utf-8")
+    return recorded_anew(folder, made / "session")
+
+
+def test_in_the_window_the_corrected_layout_is_saved_by_keys(bench, mirrored_once, tmp_path, monkeypatch):
+    folder = shutil.copytree(mirrored_once, tmp_path / "session")
+    panel, given = open_compare(bench, folder), (folder / "scene" / "modules.toml")
+    message = bench.window.messages.text
+
+    def is_offered() -> bool:
+        bench.window.session_view.follow_again()
+        return panel.save_button.isVisible()
+
+    bench.until(is_offered, OPEN_MS)
+    assert approved("modules_check.mirrored_clause", module=17) in panel.health.text()
+    path, answers = tmp_path / "corrected.toml", []
+
+    def save_as(answer: Path) -> None:
+        monkeypatch.setattr(
+            QFileDialog, "getSaveFileName", lambda _, title, name, *__: answers.append((title, name)) or (str(answer), "")
+        )
+
+    save_as(path)
+    bench.window.activateWindow()
+    bench.until(bench.window.isActiveWindow, 5000)
+    panel.scale.setFocus()
+    QTest.keyClick(panel.scale, Qt.Key.Key_Tab)
+    bench.until(panel.save_button.hasFocus, 2000)
+    QTest.keyClick(panel.save_button, Qt.Key.Key_Return)
+    bench.until(lambda: str(path) in message.text(), OPEN_MS)
+    name = str(Path.home() / "icub-right-forearm-v1-corrected.modules.toml")
+    assert answers == [(approved("modules_check.save"), name)]
+    assert "mirror = false  # so" in path.read_text(encoding="utf-8")
+    assert load_layout(path, bench.window.session_view.workspace.part.scene.skin.layout.width).modules[0].mirror is False
+    for refused, why in (
+        (tmp_path / "none" / "new.toml", "does not exist"),
+        (given, approved("layout_file.the_same_clause")),
+    ):
+        save_as(refused)
+        panel.save_button.click()
+        bench.until(lambda why=why: why in message.text(), OPEN_MS)
+    assert "mirror = true  # so" in given.read_text(encoding="utf-8")

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QApplication, QSizePolicy
 
 from app.panels.now_panel import DIAL_PX, NowPanel
-from app.panels.top_view import AROUND, TOOL, axes_on, top_view
+from app.panels.top_view import DIAL_RADIUS, axes_on, top_view
 from app.scene3d.camera import PLAIN_POSE
-from app.state.press_coach import Ask, Hint, Lean
+from app.scene3d.lines import TOOL_LENGTH
+from app.state.press_coach import HintKind, LeanDirection, PressHint
+from app.state.running import Running
 from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Said, Tone, now_line
 from app.text.outcomes import verdict_words
@@ -20,8 +22,22 @@ from app.theme import DARK, HEADLINE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, eye_of, guidance, held, target
-from tests.app.whole_window import Paints
-from tests.app.window_support import NAMES, PLAN, changed, frame, is_elided, pixels, reading, session, show_in, slip, touch
+from tests.app.window_support import (
+    NAMES,
+    PLAN,
+    Paints,
+    changed,
+    frame,
+    ink,
+    is_elided,
+    pixels,
+    reading,
+    session,
+    show_in,
+    shown,
+    slip,
+    touch,
+)
 from tests.approved import approved
 
 LEEWAY, DEGREE = float(np.radians(10.0)), "\N{DEGREE SIGN}"
@@ -52,7 +68,7 @@ class Long:
 
 def every_headline() -> list[str]:
     """What the line may say, at its longest."""
-    lean, names = Lean(7, away=True), Long()
+    lean, names = LeanDirection(7, away=True), Long()
     says = guidance(ASKED)
     said = [verdict_words(slip(1, reason, *worst), NAMES) for reason, worst in WORST.items()]
     said += [verdict_words(slip(1, Reason.NOT_STILL, 0.21, 0.3, "s"), NAMES), "counted for 349-11  11.2 N"]
@@ -61,8 +77,8 @@ def every_headline() -> list[str]:
         enough_words(guidance(done=range(24)), ()),
     ]
     said += [
-        hint_words(Hint(ask, amount, lean), ASKED, names)
-        for ask, amount in ((Ask.AIM, 0.0149), (Ask.MORE, 0.7), (Ask.LESS, 0.7))
+        hint_words(PressHint(ask, amount, lean), ASKED, names)
+        for ask, amount in ((HintKind.AIM, 0.0149), (HintKind.MORE, 0.7), (HintKind.LESS, 0.7))
     ]
     said += [
         approved("now.waiting_for_all"),
@@ -80,13 +96,34 @@ def every_headline() -> list[str]:
 @pytest.fixture
 def panel(qtbot):
     """The panel as wide as in a window of 1280 pixels."""
-    show_in(DARK)
     made = NowPanel()
-    qtbot.addWidget(made)
-    made.resize(1264, made.height())
-    with qtbot.waitExposed(made):
-        made.show()
-    return made
+    return shown(qtbot, made, (1264, made.height()))
+
+
+def test_it_tells_what_to_do_the_ring_fills_and_a_rejection_is_bad(panel):
+    panel.begin_session(session())
+    panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
+    assert panel.headline.text() == "Hold still"
+    little = pixels(panel.sign)
+    panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
+    assert changed(little, pixels(panel.sign)) > 200
+    panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
+    assert panel.result.text().endswith(approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
+    assert ink(pixels(panel), DARK.bad, 1) > 100
+
+
+def test_without_devices_no_force_is_shown(panel):
+    pictures = []
+    for running, force in (
+        (Running.STREAMING, 0.0),
+        (Running.PAUSED, 8.0),
+        (Running.STREAMING, 8.0),
+        (Running.STREAMING, 14.0),
+    ):
+        panel.show_state(frame(view=reading(PressPhase.STILL, force), running=running))
+        pictures.append(pixels(panel.gauge))
+    assert [changed(a, b) > 200 for a, b in pairwise(pictures)] == [False, True, True]
+    assert changed(pictures[0], pictures[1]) == 0
 
 
 def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN_POSE):
@@ -97,11 +134,8 @@ def pressed(panel, view=None, asked=ASKED, method=Method.FREE, eye=PLAIN_POSE):
     return at
 
 
-def test_every_reason_has_its_longest_words():
-    assert set(WORST) == set(Reason)
-
-
 def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
+    assert set(WORST) == set(Reason)
     pressed(panel)
     assert panel.dial.isVisible()
     assert panel.headline.font().pointSizeF() == HEADLINE_PT
@@ -134,8 +168,8 @@ def test_the_picture_from_above_is_what_one_sees_from_above():
     for channel, place in zip(seen.channels.tolist(), seen.taxels, strict=True):
         np.testing.assert_allclose(place, PLAN.places[channel] - PLAN.places[3], atol=1e-12)
     assert 3 not in seen.channels
-    assert np.linalg.norm(seen.taxels, axis=1).max() < AROUND
-    np.testing.assert_allclose(seen.wanted, TOOL * np.sin(TILT) * np.array(TO_2[:2]), atol=1e-12)
+    assert np.linalg.norm(seen.taxels, axis=1).max() < DIAL_RADIUS
+    np.testing.assert_allclose(seen.wanted, TOOL_LENGTH * np.sin(TILT) * np.array(TO_2[:2]), atol=1e-12)
     assert seen.tip is None
     assert seen.upper is None
 
@@ -144,7 +178,7 @@ def test_the_tool_is_drawn_where_it_is_and_how_it_leans():
     across = (-TO_2[1], TO_2[0], 0.0)
     seen = of(held(20.0, across, aside=(0.003, -0.001, 0.0)))
     np.testing.assert_allclose(seen.tip, [0.003, -0.001], atol=1e-9)
-    np.testing.assert_allclose(seen.upper - seen.tip, TOOL * np.sin(np.radians(20.0)) * np.array(across[:2]), atol=1e-9)
+    np.testing.assert_allclose(seen.upper - seen.tip, TOOL_LENGTH * np.sin(np.radians(20.0)) * np.array(across[:2]), atol=1e-9)
     np.testing.assert_allclose(seen.wanted - seen.tip, of().wanted, atol=1e-9)
 
 
@@ -186,44 +220,27 @@ def test_the_dial_shows_the_tool_and_nothing_of_it_without_a_tool(panel, colours
     pressed(panel, held(28.0, landed=3))
     right = pixels(panel.dial)
     assert changed(empty, right) > 150
-    good, bad = (np.array(QColor(each).getRgb()[:3]) for each in (colours.accent, colours.bad))
-    assert count(right, good) > 60
-    assert count(right, bad) == 0
+    assert ink(right, colours.accent, 4) > 60
+    assert ink(right, colours.bad, 4) == 0
     pressed(panel, held(5.0, landed=3))
     wrong = pixels(panel.dial)
-    assert count(wrong, bad) > 30
-    assert count(wrong, good) == 0
+    assert ink(wrong, colours.bad, 4) > 30
+    assert ink(wrong, colours.accent, 4) == 0
     pressed(panel)
     assert changed(empty, pixels(panel.dial)) == 0
 
 
-def count(picture, colour) -> int:
-    return int((np.abs(picture[..., :3].astype(int) - colour).max(axis=2) < 4).sum())
-
-
 def test_a_tip_outside_the_picture_is_a_wedge_at_the_rim_on_its_side(panel):
-    pressed(panel)
-    empty = pixels(panel.dial)
     pressed(panel, held(28.0, aside=(0.04, 0.0, 0.0), landed=15))
-    there = np.argwhere((pixels(panel.dial) != empty).any(axis=2))
-    bad = np.array(QColor(DARK.bad).getRgb()[:3])
-    wedge = np.argwhere(np.abs(pixels(panel.dial)[..., :3].astype(int) - bad).max(axis=2) < 4)
-    assert len(there) > 30
-    assert len(wedge) > 30
-    assert wedge[:, 1].min() > 0.8 * DIAL_PX
-    assert np.abs(wedge[:, 0] - DIAL_PX / 2).max() < 12
+    seen, edge = pixels(panel.dial), round(0.8 * DIAL_PX)
+    assert ink(seen[:, edge:], DARK.bad, 4) > 30
+    assert ink(seen[:, :edge], DARK.bad, 4) == 0
 
 
-def test_the_dial_turns_with_the_3d_view(panel):
-    pressed(panel)
-    one = pixels(panel.dial)
-    pressed(panel, eye=eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
-    assert changed(one, pixels(panel.dial)) > 100
-
-
-def test_the_same_poke_draws_the_dial_no_second_time(panel, qtbot):
+def test_the_dial_turns_with_the_3d_view_and_is_drawn_after_a_change_only(panel, qtbot):
     view = held(20.0, landed=3)
     pressed(panel, view)
+    one = pixels(panel.dial)
     qtbot.wait(30)
     paints = Paints(panel.dial)
     for _ in range(5):
@@ -233,6 +250,8 @@ def test_the_same_poke_draws_the_dial_no_second_time(panel, qtbot):
     pressed(panel, held(24.0, landed=3))
     qtbot.wait(30)
     assert paints.count == 1
+    pressed(panel, view, eye=eye_of(PLAIN_POSE.up, -PLAIN_POSE.right))
+    assert changed(one, pixels(panel.dial)) > 100
 
 
 def test_a_verdict_leaves_the_dial_to_the_next_target(panel):

@@ -1,83 +1,73 @@
-"""Each panel on a real (virtual) display: what its pixels and its words do, and that it draws nothing for nothing."""
+"""The panels on a real (virtual) display: what their pixels and words show, and that the same state draws nothing."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QObject, Qt, QTimer
+from PySide6.QtCore import QSettings, Qt, QTimer
 from PySide6.QtGui import QColor
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QLineEdit, QSpinBox, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QComboBox,
+    QDoubleSpinBox,
+    QLineEdit,
+    QSpinBox,
+    QTableView,
+    QTreeWidget,
+    QWidget,
+)
 
-from app.dialogs.export_dialog import ExportDialog
-from app.dialogs.form_widgets import shipped_scenes
-from app.dialogs.new_session import NewSessionDialog
+from app.dialogs.history_dialog import HistoryDialog
 from app.panels.devices import DevicesPanel, LinkChips
 from app.panels.inspect_panel import InspectPanel
 from app.panels.message_bar import MessageBar
-from app.panels.now_panel import NowPanel
-from app.panels.plot_panels import PlotPanel, ReadingsPanel
-from app.panels.plots import CurvesPanel
+from app.panels.panel import Panel
 from app.panels.pokes_panel import HEADINGS, PokesPanel
-from app.panels.rig_panel import ArmPanel
+from app.panels.readings_panel import ReadingsPanel
+from app.panels.recent_menu import MAX_SESSIONS, RECENT_SETTING, RecentMenu
+from app.panels.rig_panel import RigPanel
 from app.panels.taxel_map import TaxelMap
-from app.panels.widgets import Painted, theme_colours
-from app.session_view import RIGHT_PX
-from app.state.running import Running
+from app.panels.widgets import put_rows, rows_text, table, theme_colours
+from app.session.opening import OpenRequest
+from app.session_view import PANELS, RIGHT_PX
+from app.state.memo import Memo, is_same
 from app.text.guidance_text import BETWEEN
 from app.text.message import Message
 from app.theme import DARK, LIGHT, Choice, Colours
 from app.window import Theme, qpalette, style_sheet
-from skincal.contacts.outcome import PressPhase, Reason
-from skincal.files.formats import ExportFormat
+from skincal.contacts.outcome import Reason
+from skincal.model.actions import SetPose
 from skincal.model.readings import TEMPERATURE, LinkState, SideReading, Stream
-from skincal.taxels.result import Method
-from skincal.words.poke_words import REASON_WORDS
+from skincal.words.poke_words import REASON_WORDS, short_rejection
 from tests.app.scene3d_support import estimate
 from tests.app.window_support import (
     NAMES,
     PLAN,
     SCENE,
+    Paints,
     arm_scene,
     changed,
+    context,
+    contrast,
     frame,
+    ink,
     link,
+    part,
     pixels,
     reading,
     session,
-    show_in,
+    shown,
     slip,
     touch,
 )
 from tests.approved import approved
 
-BOTH = (Method.SURFACE, Method.FREE)
-
-
-class Paints(QObject):
-    """Counts how often a widget is painted."""
-
-    def __init__(self, widget: QWidget) -> None:
-        super().__init__()
-        self.count = 0
-        widget.installEventFilter(self)
-
-    def eventFilter(self, _watched, event):
-        self.count += event.type() == QEvent.Type.Paint
-        return False
-
-
-def shown(qtbot, widget, size=(420, 300)):
-    show_in(DARK)
-    widget.resize(*size)
-    qtbot.addWidget(widget)
-    with qtbot.waitExposed(widget):
-        widget.show()
-    return widget
+# Themes and widgets
 
 
 def test_a_widget_survives_twenty_thousand_updates(qtbot):
-    """Some Qt bindings lose a reference to None in every void call and abort the program within seconds."""
+    """Some Qt bindings lose a reference to None in every void call, and abort the program within seconds."""
     widget = shown(qtbot, QWidget(), (50, 50))
     for _ in range(20_000):
         widget.update()
@@ -85,28 +75,17 @@ def test_a_widget_survives_twenty_thousand_updates(qtbot):
     assert widget.isVisible()
 
 
-def luminance(colour: str | QColor) -> float:
-    parts = np.array(QColor(colour).getRgbF()[:3])
-    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])
-
-
-def contrast(ink: str | QColor, ground: str) -> float:
-    high, low = sorted([luminance(ink), luminance(ground)], reverse=True)
-    return (high + 0.05) / (low + 0.05)
-
-
 @pytest.mark.parametrize("colours", [DARK, LIGHT], ids=["dark", "light"])
-def test_text_can_be_read_on_everything_it_stands_on(colours: Colours):
-    for ink in (colours.text, colours.muted, colours.accent, colours.bad, colours.warn, *colours.axes):
+def test_text_is_readable_on_every_background(colours: Colours):
+    for text in (colours.text, colours.muted, colours.accent, colours.bad, colours.warn, *colours.axes):
         for ground in (colours.window, colours.panel):
-            assert contrast(ink, ground) >= 4.5, (ink, ground)
+            assert contrast(text, ground) >= 4.5, (text, ground)
     assert contrast(colours.accent, colours.on_accent) >= 4.5
 
 
 @pytest.mark.parametrize(("choice", "colours"), [(Choice.DARK, DARK), (Choice.LIGHT, LIGHT)], ids=["dark", "light"])
 @pytest.mark.parametrize("kind", [QLineEdit, QComboBox, QSpinBox, QDoubleSpinBox])
-def test_the_border_of_a_field_is_seen(qtbot, choice, colours, kind):
+def test_the_border_of_a_field_is_visible(qtbot, choice, colours, kind):
     Theme(choice)
     widget = kind()
     if isinstance(widget, QComboBox):
@@ -129,37 +108,9 @@ def test_the_theme_is_the_operators_or_the_desktops(qapp, qtbot):
     assert theme_colours() in (DARK, LIGHT)
 
 
-def test_now_says_what_happens_and_the_ring_fills(qtbot):
-    panel = shown(qtbot, NowPanel(), (700, 80))
-    panel.begin(session())
-    panel.show_state(frame(view=reading(PressPhase.PRESSING, 8.0, still=0.1)))
-    assert panel.headline.text() == "Hold still"
-    little = pixels(panel.sign)
-    panel.show_state(frame(view=reading(PressPhase.STILL, 8.0, still=0.9)))
-    assert changed(little, pixels(panel.sign)) > 200
-    gauge = pixels(panel.gauge)
-    panel.show_state(frame(view=reading(PressPhase.STILL, 14.0, still=0.9)))
-    assert changed(gauge, pixels(panel.gauge)) > 200
-    panel.show_state(frame(session(2, pokes=[slip(1)]), reading(PressPhase.TARING)))
-    assert panel.result.text().endswith(approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5))
-    bad = QColor(DARK.bad).getRgb()[:3]
-    assert (pixels(panel)[..., :3] == bad).all(axis=2).sum() > 100
-
-
-def test_while_no_device_is_read_no_force_is_told(qtbot):
-    panel = shown(qtbot, NowPanel(), (900, 160))
-    pictures = []
-    for running, force in ((Running.STREAMING, 0.0), (Running.PAUSED, 8.0), (Running.STREAMING, 8.0)):
-        panel.show_state(frame(view=reading(PressPhase.STILL, force), running=running))
-        pictures.append(pixels(panel.gauge))
-    assert changed(pictures[0], pictures[1]) == 0
-    assert changed(pictures[1], pictures[2]) > 200
-
-
-def test_which_part_has_the_focus_is_seen(qtbot):
-    """Around the map and around a panel that scrolls."""
+def test_the_part_with_the_focus_is_visible(qtbot):
     first = shown(qtbot, TaxelMap(SCENE, PLAN.channels, NAMES))
-    panel = shown(qtbot, InspectPanel(BOTH, NAMES))
+    panel = shown(qtbot, InspectPanel(context()))
     panel.setStyleSheet(style_sheet(theme_colours()))
     for view, other in ((first, panel), (panel, first)):
         other.setFocus()
@@ -173,33 +124,83 @@ def test_which_part_has_the_focus_is_seen(qtbot):
         assert changed(before, pixels(view)) > 500
 
 
-def test_the_same_frame_draws_nothing(qtbot):
-    at = frame(session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), view=reading(links=(link(),)))
-    panels = [
-        NowPanel(), TaxelMap(SCENE, PLAN.channels, NAMES), PokesPanel(NAMES), InspectPanel(BOTH, NAMES), DevicesPanel(),
-    ]  # fmt: skip
-    for panel in panels:
-        shown(qtbot, panel)
-        panel.show_state(at)
-        qtbot.wait(30)
-    watched = [child for panel in panels for child in (panel, *panel.findChildren(QWidget))]
-    paints = [Paints(widget) for widget in watched]
+# What all panels have in common
+
+ONE = np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "same"),
+    [
+        ((1, "a" * 30, None), (1, "".join(["a"] * 30), None), True),
+        (((300, ONE),), ((int("300"), ONE),), True),
+        ((ONE,), (np.zeros(3),), False),
+        ((1,), (True,), False),
+        ((1, 2), (1,), False),
+        ((Choice.DARK,), (Choice.LIGHT,), False),
+    ],
+)
+def test_plain_values_are_compared_by_value_and_objects_by_identity(first, second, same):
+    assert is_same(first, second) is same
+    memo = Memo[int]()
+    assert [memo.get(first, lambda: 1), memo.get(second, lambda: 2)] == [1, 1 if same else 2]
+
+
+class Counting(Panel):
+    """Counts how often it is drawn."""
+
+    title = "Counting"
+    depends, drawn = ("x",), 0
+
+    def depends_on(self, _state):
+        return self.depends
+
+    def update_view(self, _state):
+        self.drawn += 1
+
+
+def test_a_panel_is_drawn_after_a_change_and_when_it_is_shown_again(qtbot):
+    panel = shown(qtbot, Counting())
+    panel.show_again()
+    assert panel.drawn == 0
+    for depends, drawn in ((("x",), 1), (("x",), 1), (("y",), 2)):
+        panel.depends = depends
+        panel.show_state(frame())
+        assert panel.drawn == drawn
+    panel.show_again()
+    assert panel.drawn == 3
+
+
+@pytest.mark.parametrize("kind", PANELS, ids=lambda kind: kind.title)
+def test_every_panel_can_be_made_draws_once_and_follows_the_theme(qtbot, kind):
+    panel = shown(qtbot, kind(context(part(arm_scene()))))
+    times, wrench = np.linspace(90.0, 100.0, 1000), np.ones((1000, 6))
+    view = reading(links=(link(),), wrench_s=times, wrench=wrench)
+    at = frame(session(1, {3: estimate(3, (0, 0, 0))}, [touch(1)]), view=view, where=arm_scene())
+    panel.show_state(at)
+    qtbot.wait(40)
+    paints = Paints(panel)
     for _ in range(20):
-        for panel in panels:
-            panel.show_state(at)
-    qtbot.wait(30)
-    assert sum(paint.count for paint in paints) == 0
+        panel.show_state(at)
+    qtbot.wait(40)
+    assert paints.count == 0
+    panel.recolour()
+    assert panel.whatsThis()
+    assert panel.accessibleName() == kind.title
+
+
+# Pokes
 
 
 def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
-    panel = shown(qtbot, PokesPanel(NAMES))
+    panel = shown(qtbot, PokesPanel(context()))
     known = {3: estimate(3, (0, 0, 0))}
     panel.show_state(frame(session(1, known, [touch(1), slip(2)])))
     row = [panel.model.index(1, column).data() for column in range(6)]
     assert row == ["1", "\N{CHECK MARK} accepted", "10-03", "11.2", "0", "2.0"]
-    assert panel.model.index(0, 1).data() == "\N{BALLOT X} slid 2.1 mm"
+    assert panel.model.index(0, 1).data() == f"\N{BALLOT X} {short_rejection(slip(2))}"
     assert panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole) == approved("now.too_slid", seen_mm=2.1, most_mm=1.5)
-    assert panel.tally.text() == "2 pokes, 1 rejected (slid: 1)"
+    assert panel.tally.text().startswith("2 pokes, 1 rejected (")
     with qtbot.waitSignal(panel.taxel_wanted) as wanted:
         panel.select(1)
     assert wanted.args == [3]
@@ -207,69 +208,47 @@ def test_pokes_are_listed_newest_first_and_keep_the_selection(qtbot):
     assert panel.selected() == (1,)
     assert panel.model.index(2, 1).data() == "\N{CIRCLED MINUS} excluded"
     assert panel.model.index(0, 0).data() == "3"
+    panel.show_state(frame(session(3, pokes=[slip(5)])))
+    assert [panel.model.index(r, 0).data() for r in range(panel.model.rowCount())] == ["5"], "another session"
 
 
 @pytest.mark.parametrize(("count", "excluded"), [(3, [3]), (4, [])], ids=["a poke is excluded", "a poke more"])
-def test_what_follows_the_estimates_is_read_anew_for_every_poke(qtbot, count, excluded):
-    panel = shown(qtbot, PokesPanel(NAMES))
+def test_cells_that_follow_the_estimates_are_read_again_for_every_poke(qtbot, count, excluded):
+    panel = shown(qtbot, PokesPanel(context()))
     pokes = [touch(poke) for poke in (1, 2, 3, 4)]
     panel.show_state(frame(session(1, pokes=pokes[:3])))
-    changed = set()
+    read = set()
     panel.model.dataChanged.connect(
-        lambda first, last: changed.update(
+        lambda first, last: read.update(
             (row, column) for row in range(first.row(), last.row() + 1) for column in range(first.column(), last.column() + 1)
         )
     )
     panel.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))}, pokes[:count], excluded)))
-    assert changed == {(row, column) for row in range(count) for column in range(len(HEADINGS))}
+    assert read == {(row, column) for row in range(count) for column in range(len(HEADINGS))}
 
 
 @pytest.mark.parametrize("reason", list(Reason))
-def test_every_reason_can_be_read_in_the_list_as_wide_as_the_window_makes_it(qtbot, reason):
-    panel = shown(qtbot, PokesPanel(NAMES), (RIGHT_PX, 250))
+def test_every_reason_fits_into_the_list(qtbot, reason):
+    panel = shown(qtbot, PokesPanel(context()), (RIGHT_PX, 250))
     panel.show_state(frame(session(2, pokes=[*(touch(n) for n in range(1, 40)), slip(40, reason, 0.0345, 0.001, "m")])))
     index = panel.model.index(0, 1)
     words = index.data()
     assert words.startswith("\N{BALLOT X} ")
     assert panel.table.sizeHintForIndex(index).width() <= panel.table.columnWidth(1), words
-    assert REASON_WORDS[reason] in index.data(Qt.ItemDataRole.ToolTipRole), "in full where the pointer is"
+    assert REASON_WORDS[reason] in index.data(Qt.ItemDataRole.ToolTipRole)
 
 
-def test_another_session_replaces_the_list(qtbot):
-    panel = shown(qtbot, PokesPanel(NAMES))
-    panel.show_state(frame(session(1, pokes=[touch(1), touch(2)])))
-    panel.show_state(frame(session(2, pokes=[slip(5)])))
-    assert [panel.model.index(r, 0).data() for r in range(panel.model.rowCount())] == ["5"]
+# Devices
 
 
-def test_inspect_shows_both_methods_the_reason_and_who_needs_pokes(qtbot):
-    panel = shown(qtbot, InspectPanel(BOTH, NAMES), (420, 500))
-    at = session(1, {3: estimate(3, (0.001, 0.002, 0.003))}, dead={4: "stuck at 255"})
-    panel.show_state(frame(at, selected=3))
-    assert panel.cells[Method.FREE][0].text() == "1.0  2.0  3.0"
-    assert panel.cells[Method.FREE][3].text() == "1.0 mm"
-    assert "apart" in panel.reason.text()
-    assert panel.worst.item(0).text().endswith("not pressed yet")
-    with qtbot.waitSignal(panel.mark_dead_requested) as asked:
-        QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
-    assert asked.args == [3]
-    panel.show_state(frame(at, selected=4))
-    assert panel.reason.text() == "stuck at 255"
-    with qtbot.waitSignal(panel.revive_requested) as back:
-        QTest.mouseClick(panel.use, Qt.MouseButton.LeftButton)
-    assert back.args == [4]
-    with qtbot.waitSignal(panel.taxel_wanted):
-        panel.worst.itemActivated.emit(panel.worst.item(2))
-
-
-def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
+def test_devices_show_rate_losses_and_faults(qtbot):
     panel, chips = shown(qtbot, DevicesPanel()), shown(qtbot, LinkChips(), (300, 24))
 
     def show(health, now_s):
         at = frame(view=reading(links=(health,), losses_unpaired=2), now_s=now_s)
         panel.show_state(at)
         chips.show_state(at)
-        return panel.cards["wrench"]
+        return next(iter(panel.cards.values()))
 
     card = show(link(address="/dev/ttyUSB0"), 100.1)
     assert card.rate.text() == "1000 Hz"
@@ -280,23 +259,16 @@ def test_devices_show_rate_losses_and_what_is_wrong(qtbot):
     card = show(link(state=LinkState.LOST, text="/dev/ttyUSB0 vanished; plug it in again."), 100.2)
     assert card.detail.text() == "/dev/ttyUSB0 vanished; plug it in again."
     assert changed(good, pixels(card.sign)) > 50
-    card = show(link(), 105.0)
-    assert card.rate.text() == "silent"
+    assert show(link(), 105.0).rate.text() == "silent"
+    warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
+    said = show(warm, 200.0).losses.text()
+    assert said.startswith(BETWEEN.join(("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)")))
+    with qtbot.waitSignal(panel.command_wanted) as wanted:
+        panel.change.click()
+    assert wanted.args == ["addresses"]
 
 
-@pytest.mark.parametrize(("height", "beside"), [(250, True), (440, False)])
-def test_each_plot_of_the_readings_is_160_pixels_high_on_a_small_screen_too(qtbot, height, beside):
-    panel = shown(qtbot, CurvesPanel(), (428, height))
-    qtbot.wait(20)
-    assert min(curves.plot.height() for curves in (panel.force, panel.moment)) >= 160
-    assert (panel.force.geometry().top() == panel.moment.geometry().top()) is beside
-    assert ("<br>" in panel.force.header.text()) is beside
-    for curves in (panel.force, panel.moment):
-        curves.show_numbers(np.array([-18.66, -2.95, 24.14]))
-        assert curves.header.sizeHint().width() <= curves.width()
-
-
-def test_three_devices_without_losses_are_seen_whole_at_720_pixels(qtbot):
+def test_three_devices_without_losses_fit_into_720_pixels(qtbot):
     panel = shown(qtbot, DevicesPanel(), (428, 260))
     one = link(units="Fx Fy Fz in N, Mx My Mz in N m", losses={})
     links = one, link("skin", units="raw values", losses={}), link("joints", units="joint angles in degrees", losses={})
@@ -306,53 +278,57 @@ def test_three_devices_without_losses_are_seen_whole_at_720_pixels(qtbot):
     assert all(card.visibleRegion().boundingRect() == card.rect() for card in panel.cards.values())
 
 
-def test_devices_show_what_a_sensor_measures_beside_its_readings(qtbot):
-    panel = shown(qtbot, DevicesPanel())
-    warm = link(beside={TEMPERATURE: SideReading(30.5, 33.25, 31.0)}, units="Fx Fy Fz in N, Mx My Mz in N m")
-    for health, expected in ((link(), False), (warm, True)):
-        panel.show_state(frame(view=reading(links=(health,)), now_s=200.0 + expected))
-        said = panel.cards["wrench"].losses.text()
-        beside = ("Fx Fy Fz in N, Mx My Mz in N m", "temperature 31.0 degC (30.5 to 33.2)", "5")
-        assert said.startswith(BETWEEN.join(beside)) is expected
-
-
 def test_arm_poses_are_chosen_or_shown_as_they_stream(qtbot):
     scene = arm_scene()
-    panel = shown(qtbot, ArmPanel(scene.arm))
+    panel = shown(qtbot, RigPanel(context(part(scene))))
     panel.show_state(frame(session(1, pokes=[touch(1)]), where=scene))
-    low, high = panel.rows["low"], panel.rows["high"]
+    low, high = panel.arm.rows["low"], panel.arm.rows["high"]
     assert (low.text(1), low.text(2), high.text(2)) == ("0.0", "1", "0")
-    with qtbot.waitSignal(panel.pose_requested) as chosen:
-        panel.poses.itemClicked.emit(high, 0)
-    assert chosen.args == ["high"]
-    joints = link("joints", carries=(Stream.JOINTS,))
-    panel.show_state(frame(view=reading(links=(joints,)), where=scene))
-    with qtbot.assertNotEmitted(panel.pose_requested):
-        panel.poses.itemClicked.emit(high, 0)
+    with qtbot.waitSignal(panel.action_wanted) as chosen:
+        panel.arm.poses.itemClicked.emit(high, 0)
+    assert chosen.args == [SetPose("high")]
+    panel.show_state(frame(view=reading(links=(link("joints", carries=(Stream.JOINTS,)),)), where=scene))
+    with qtbot.assertNotEmitted(panel.action_wanted):
+        panel.arm.poses.itemClicked.emit(high, 0)
+
+
+# Readings
 
 
 def test_curves_draw_every_axis_and_stop_with_the_stream(qtbot):
-    panel = shown(qtbot, CurvesPanel(), (420, 320))
+    panel = shown(qtbot, ReadingsPanel(), (420, 360))
     panel.recolour()
     times = np.linspace(90.0, 100.0, 10_000)
     wrench = np.stack([np.sin(times + i) * (5 if i < 3 else 0.3) for i in range(6)], axis=1)
     wrench[5000, 0] = np.nan
     panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
-    seen = pixels(panel)[..., :3].astype(int)
-    for axis in DARK.axes:
-        near = np.abs(seen - QColor(axis).getRgb()[:3]).sum(axis=2) < 60
-        assert near.sum() > 300
+    seen = pixels(panel)
+    assert all(ink(seen, axis, 30) > 300 for axis in DARK.axes)
     assert "5." in panel.force.header.text() or "4." in panel.force.header.text()
-    paints = [Paints(widget) for widget in (panel.force.plot.viewport(), panel.moment.plot.viewport())]
     qtbot.wait(50)
-    before = [paint.count for paint in paints]
+    paints = Paints(panel.force.plot.viewport(), panel.moment.plot.viewport())
     for _ in range(10):
         panel.show_state(frame(view=reading(wrench_s=times, wrench=wrench)))
     qtbot.wait(50)
-    assert [paint.count for paint in paints] == before
+    assert paints.count == 0
 
 
-def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
+@pytest.mark.parametrize(("height", "side_by_side"), [(250, True), (440, False)])
+def test_each_plot_of_the_readings_is_160_pixels_high_on_a_small_screen_too(qtbot, height, side_by_side):
+    panel = shown(qtbot, ReadingsPanel(), (428, height))
+    qtbot.wait(20)
+    assert min(curves.plot.height() for curves in (panel.force, panel.moment)) >= 160
+    assert (panel.force.geometry().top() == panel.moment.geometry().top()) is side_by_side
+    assert ("<br>" in panel.force.header.text()) is side_by_side
+    for curves in (panel.force, panel.moment):
+        curves.show_numbers(np.array([-18.66, -2.95, 24.14]))
+        assert curves.header.sizeHint().width() <= curves.width()
+
+
+# Messages
+
+
+def test_errors_stay_until_they_are_read_and_news_disappears(qtbot):
     bar = shown(qtbot, MessageBar(), (500, 40))
     bar.show_newest()
     assert not bar.isVisible()
@@ -365,76 +341,84 @@ def test_errors_stay_until_they_are_read_and_news_goes_by_itself(qtbot):
     assert bar.isVisible()
     QTest.mouseClick(bar.close_button, Qt.MouseButton.LeftButton)
     assert not bar.isVisible()
-    bar.stop()
-
-
-def test_a_message_begins_with_the_sign_of_its_kind(qtbot):
-    bar = shown(qtbot, MessageBar(), (500, 40))
-    kinds = ({"error": True}, {"asks": True}, {"found": True}, {})
     signs = []
-    for kind in kinds:
+    for kind in ({"error": True}, {"asks": True}, {"found": True}, {}):
         bar.tell(Message("It is so.", **kind))
         signs.append(bar.text.text().split()[0])
     assert signs == ["\N{BALLOT X}", "\N{RIGHTWARDS ARROW}", "\N{BULLET}", "\N{CHECK MARK}"]
     bar.stop()
 
 
-def test_export_asks_for_format_method_and_place_and_shows_what_was_found(qtbot, tmp_path):
-    dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
-    assert dialog.path.text() == str(tmp_path / "part-free.txt")
-    assert [dialog.format.itemData(row) for row in range(dialog.format.count())] == list(ExportFormat)
-    dialog.format.setCurrentIndex(list(ExportFormat).index(ExportFormat.MJCF))
-    assert dialog.path.text() == str(tmp_path / "part-free.xml")
-    dialog.format.setCurrentIndex(1)
-    assert dialog.path.text() == str(tmp_path / "part.json")
-    assert not dialog.method.isEnabled()
-    with qtbot.waitSignal(dialog.write_requested) as asked:
-        QTest.mouseClick(dialog.start, Qt.MouseButton.LeftButton)
-    assert asked.args == ["json", tmp_path / "part.json", Method.FREE]
-    dialog.show_written(("3 taxels have no position",))
-    assert "1 remark" in dialog.outcome.text()
-    assert dialog.remarks.item(0).text() == "3 taxels have no position"
-    dialog.show_failure("cannot be written")
-    assert dialog.outcome.text().startswith("\N{BALLOT X}")
+# Tables are copied by Ctrl+C
 
 
-@pytest.mark.parametrize("change", ["format", "method", "path"])
-def test_what_was_written_is_not_said_of_what_would_be_written_next(qtbot, tmp_path, change):
-    dialog = shown(qtbot, ExportDialog(BOTH, Method.FREE, tmp_path / "part"))
-    QTest.mouseClick(dialog.start, Qt.MouseButton.LeftButton)
-    dialog.show_written(("3 taxels have no position",))
-    assert "Written to" in dialog.outcome.text()
-    if change == "path":
-        QTest.keyClicks(dialog.path, "x")
-    else:
-        box = getattr(dialog, change)
-        box.setCurrentIndex(1 - box.currentIndex())
-    assert dialog.outcome.text() == ""
-    assert not dialog.remarks.isVisible()
+def copied(bench, view) -> list[list[str]]:
+    """Press Ctrl+C in a table and return the cells of a spreadsheet."""
+    QApplication.clipboard().setText("")
+    view.window().activateWindow()
+    view.setFocus()
+    bench.until(view.hasFocus, 5000)
+    QTest.keyClick(view, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)
+    text = QApplication.clipboard().text()
+    assert not text or text.endswith("\n")
+    return [line.split("\t") for line in text.splitlines()]
 
 
-def test_a_new_session_is_checked_before_it_starts(qtbot, tmp_path):
-    dialog = shown(qtbot, NewSessionDialog(None, tmp_path / "new"))
-    # It is closed here, and once more by the fixture.
-    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, False)
-    assert len(shipped_scenes()) >= 3
-    dialog.fields["wrench"].setText("/dev/ttyUSB0")
-    with qtbot.assertNotEmitted(dialog.request_chosen):
-        dialog.buttons.accepted.emit()
-    assert "No skin device" in dialog.objection.text()
-    dialog.fields["skin"].setText("spy:///dev/ttyACM0?file=x")
-    with qtbot.assertNotEmitted(dialog.request_chosen):
-        dialog.buttons.accepted.emit()
-    assert approved("links.refused_scheme_clause", scheme="spy") in dialog.objection.text()
-    dialog.fields["skin"].setText("/dev/ttyACM0")
-    with qtbot.waitSignal(dialog.request_chosen) as chosen:
-        dialog.buttons.accepted.emit()
-    plan = chosen.args[0]
-    assert (plan.addresses.wrench, plan.addresses.skin, plan.folder) == ("/dev/ttyUSB0", "/dev/ttyACM0", tmp_path / "new")
+def test_every_table_is_copied_as_it_is_shown(bench, recorded):
+    bench.open(OpenRequest(session=recorded))
+    workspace, panel = bench.window.session_view.workspace, bench.panel(PokesPanel)
+    workspace.show_tab("Pokes")
+    whole = copied(bench, panel.table)
+    assert whole[0] == ["#", "Outcome", "Taxel", "Force, N", "Tilt, \N{DEGREE SIGN}", "Pitch, mm"]
+    assert [int(row[0]) for row in whole[1:]] == [record.outcome.poke for record in bench.snapshot.pokes][::-1]
+    panel.select(2)
+    assert copied(bench, panel.table) == [whole[0], whole[-2]]
+    panel.table.selectAll()
+    assert copied(bench, panel.table) == whole
+    bench.key(Qt.Key.Key_H)
+    tables = bench.window.findChildren(QTreeWidget) + bench.window.findChildren(QTableView)
+    wanted = {"pokes", "landmarks", "modules", "arm poses", "pokes of the taxel", "history"}
+    assert wanted <= {each.accessibleName() for each in tables}
+    for view in tables:
+        view.show()  # a table without rows is hidden
+        workspace.show_tab(next((tab for tab, each in workspace.panels.items() if each.isAncestorOf(view)), ""))
+        assert copied(bench, view)[0] == rows_text(view).splitlines()[0].split("\t"), view.accessibleName()
+    bench.window.findChild(HistoryDialog).reject()
 
 
-def test_a_panel_that_only_its_subclasses_make_whole_cannot_be_made_itself(qtbot):
-    for kind in (Painted, PlotPanel):
-        with pytest.raises(TypeError, match="is made by its subclasses"):
-            kind()
-    qtbot.addWidget(ReadingsPanel())
+@pytest.mark.usefixtures("qapp")
+def test_a_name_with_a_tab_stays_one_cell():
+    view = table("names", ("Name", "Off by, mm"))
+    put_rows(view, [("wrist\ttop\n", "1.3")])
+    assert rows_text(view) == "Name\tOff by, mm\nwrist?top?\t1.3\n"
+
+
+# Recent sessions
+
+
+@pytest.mark.usefixtures("qapp")
+def test_recent_sessions_are_kept_by_plain_names_and_missing_ones_are_dropped(tmp_path):
+    settings = QSettings("skincal", "test")
+    menu = RecentMenu(settings)
+
+    def names() -> list[str]:
+        menu.fill()
+        return [action.text() for action in menu.actions()]
+
+    folders = [tmp_path / f"s{number}" for number in range(MAX_SESSIONS + 2)]
+    for folder in folders:
+        folder.mkdir()
+        menu.remember(folder)
+    assert names() == [f"&{n % 10}  s{MAX_SESSIONS + 2 - n}" for n in range(1, MAX_SESSIONS + 1)]
+    folders[5].rmdir()
+    assert "s5" not in "".join(names())
+    assert len(settings.value(RECENT_SETTING)) == MAX_SESSIONS - 1
+    for folder in folders:
+        if folder.exists():
+            folder.rmdir()
+    assert names() == ["None yet"]
+    stranger = tmp_path / "<b>R&D\tCtrl+Q"
+    stranger.mkdir()
+    menu.remember(stranger)
+    assert names() == ["&1  <b>R&&D?Ctrl+Q"]
+    assert "&lt;b&gt;" in menu.actions()[0].toolTip()

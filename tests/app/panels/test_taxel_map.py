@@ -15,27 +15,14 @@ from app.panels.taxel_map import MapCard, TaxelMap, lay_out_map, mark_path, quar
 from app.scene3d.camera import first_frame
 from app.scene3d.scene_state import StaticScene
 from app.state.policies import Mark
-from app.theme import DARK, HUES
+from app.theme import HUES
 from skincal.model.scene import resource
 from skincal.session.part import load_part
-from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate
-from tests.app.whole_window import Paints
-from tests.app.window_support import NAMES, PLAN, SCENE, changed, frame, pixels, reading, session, show_in
+from tests.app.window_support import METHODS, NAMES, PLAN, SCENE, Paints, changed, frame, pixels, reading, session, shown
 from tests.approved import approved
-
-BOTH = (Method.SURFACE, Method.FREE)
-
-
-def shown(qtbot, widget, size=(420, 300)):
-    show_in(DARK)
-    widget.resize(*size)
-    qtbot.addWidget(widget)
-    with qtbot.waitExposed(widget):
-        widget.show()
-    return widget
 
 
 @pytest.fixture
@@ -46,16 +33,16 @@ def taxels(qtbot):
 
 
 def test_the_legend_counts_the_marks_and_changes_with_them_alone(qtbot):
-    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), BOTH))
+    card = shown(qtbot, MapCard(None, TaxelMap(SCENE, PLAN.channels, NAMES), METHODS))
     at = frame()
-    card.show_state(at, anew=True)
+    card.show_state(at, is_changed=True)
     assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels)}"
     qtbot.wait(30)
     paints = Paints(card.legend)
-    card.show_state(replace(at, selected=3), anew=False)
+    card.show_state(replace(at, selected=3), is_changed=False)
     qtbot.wait(30)
     assert paints.count == 0
-    card.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))})), anew=True)
+    card.show_state(frame(session(2, {3: estimate(3, (0, 0, 0))})), is_changed=True)
     assert card.legend.accessibleDescription() == f"not pressed {len(PLAN.channels) - 1}, \N{LESS-THAN OR EQUAL TO} 3 mm 1"
 
 
@@ -144,7 +131,7 @@ def test_click_hover_and_arrow_keys_find_taxels(qtbot, taxels):
     with qtbot.waitSignal(taxels.taxel_clicked) as clicked:
         QTest.mouseClick(taxels.viewport(), Qt.MouseButton.LeftButton, pos=taxels.place_of(5).toPoint())
     assert clicked.args == [5]
-    assert taxels.tell(5).startswith(approved("now.taxel_not_poked", short="10-05", pad=5, module=10, channel=5))
+    assert taxels.tell(5).startswith("10-05  (taxel 5 of module 10, channel 5)\nnot pressed yet")
     taxels.show_state(frame(selected=3))
     with qtbot.waitSignal(taxels.taxel_clicked) as moved:
         QTest.keyClick(taxels, Qt.Key.Key_Left)
@@ -257,7 +244,7 @@ def test_a_done_taxel_is_shown_by_shape_and_what_is_missing_by_words(taxels):
     done = pixels(taxels)
     assert changed(good[near(taxels, 3, 12)], done[near(taxels, 3, 12)]) > 10
     assert changed(good[near(taxels, 15, 12)], done[near(taxels, 15, 12)]) == 0
-    assert "done" in taxels.tell(3)
+    assert "finished" in taxels.tell(3)
     assert approved("guide.needs") in taxels.tell(15)
     taxels.show_state(framed(None, 2))
     assert np.array_equal(good[near(taxels, 3, 12)], pixels(taxels)[near(taxels, 3, 12)]), "without a guide it is good"

@@ -9,7 +9,7 @@ import pytest
 from app import headless
 from app.__main__ import main
 from app.scene3d import drawing_probe
-from app.scene3d.drawing_probe import EGL, OSMESA, PROBE_OPTION, VARIABLE, choose_offscreen
+from app.scene3d.drawing_probe import EGL, OSMESA, PROBE_OPTION, WINDOW_CLASS_VARIABLE, choose_offscreen
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
 
@@ -29,7 +29,7 @@ def trials(monkeypatch):
         return start([sys.executable, "-c", programs.get(command[-1], CRASH)], **options)
 
     monkeypatch.setattr(drawing_probe.subprocess, "Popen", popen)
-    monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.setenv(WINDOW_CLASS_VARIABLE, "")
     return programs
 
 
@@ -40,14 +40,14 @@ def trials(monkeypatch):
 def test_the_first_window_class_that_draws_is_used(trials, programs, chosen):
     trials.update(programs)
     choose_offscreen()
-    assert os.environ[VARIABLE] == chosen
+    assert os.environ[WINDOW_CLASS_VARIABLE] == chosen
 
 
 def test_a_crash_of_every_trial_names_the_packages(trials):
     trials[OSMESA] = "raise SystemExit(1)"
     with pytest.raises(InputError, match=r"SIGSEGV.*not start.*apt-get install .*libegl1 libgl1-mesa-dri"):
         choose_offscreen()
-    assert not os.environ[VARIABLE]
+    assert not os.environ[WINDOW_CLASS_VARIABLE]
 
 
 def test_a_trial_that_hangs_is_ended(trials, monkeypatch):
@@ -59,14 +59,14 @@ def test_a_trial_that_hangs_is_ended(trials, monkeypatch):
 
 @pytest.mark.usefixtures("trials")
 def test_a_choice_of_the_user_is_kept(monkeypatch):
-    monkeypatch.setenv(VARIABLE, OSMESA)
+    monkeypatch.setenv(WINDOW_CLASS_VARIABLE, OSMESA)
     choose_offscreen()
-    assert os.environ[VARIABLE] == OSMESA
+    assert os.environ[WINDOW_CLASS_VARIABLE] == OSMESA
 
 
 @pytest.mark.usefixtures("trials")
 def test_headless_without_graphics_leaves_the_calibration_and_says_what_is_missing(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(headless, "POKES", 6)
+    monkeypatch.setattr(headless, "POKE_COUNT", 6)
     scene = resource("scenes/flat-patch/scene.toml")
     assert main(["--headless", "--scene", str(scene), "--new", str(tmp_path / "new")]) == 2
     said = capsys.readouterr()

@@ -16,12 +16,12 @@ from app.scene3d.canvas import Canvas
 from app.scene3d.landmarks import MAX_NAMES, normals_of, poked_here
 from app.scene3d.scene_state import View3DState
 from skincal.guide.guidance import Target
-from skincal.mesh.surface import first_visible_point, make_surface
 from skincal.model.scene import Landmark
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, contact, decided, live, snapshot
 from tests.app.view3d_on_screen import Drawn, around, canvas_of, make_view, pixels, renderer_of, settle, turn
+from tests.app.window_support import luminance
 
 UP = np.array([0.0, 0.0, 1.0])
 HEAD = Landmark("head", np.array([0.020, -0.022, 0.0]), UP)
@@ -116,13 +116,6 @@ def test_few_landmarks_have_names_and_many_have_none(view):
     np.testing.assert_array_equal(pixels(view), with_names)
 
 
-def luminance(colours: np.ndarray) -> np.ndarray:
-    """Relative, by WCAG 2."""
-    share = colours / 255.0
-    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    return linear @ [0.2126, 0.7152, 0.0722]
-
-
 @pytest.mark.parametrize("dark", [True, False])
 def test_names_are_read_upon_the_part_and_beside_it_poked_or_not(view, dark):
     view.set_dark(dark)
@@ -188,21 +181,14 @@ def test_a_landmark_that_is_asked_for_has_the_ring_in_any_scene(qtbot, surface):
     renderer_of(view).auto_camera.wanted = False
     assert changed(before, pixels(view), seen(view, wanted.place), 30) > 60
     np.testing.assert_array_equal(renderer_of(view).target.at, wanted.place)
-    for place in (HEAD.place, CORNER.place):
-        x, y = seen(view, place)
-        assert 0 < x < view.width()
-        assert 0 < y < view.height()
-
-
-def test_landmarks_come_into_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
-    view = make_view(qtbot, surface=False, plan=False)
-    far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
-    show(view, session(1, far))
-    settle()
-    for landmark in far:
-        x, y = seen(view, landmark.place)
-        assert 0 < x < view.width()
-        assert 0 < y < view.height()
+    if not surface:
+        far = tuple(replace(landmark, place=landmark.place + np.array([0.5, 0.4, 0.3])) for landmark in (HEAD, CORNER))
+        show(view, session(2, far))
+        settle()
+        for landmark in far:
+            x, y = seen(view, landmark.place)
+            assert 0 < x < view.width()
+            assert 0 < y < view.height()
 
 
 # The point of the part that a click means
@@ -282,18 +268,3 @@ def test_a_scene_without_a_part_to_click_on_cannot_be_picked(qtbot):
     view = make_view(qtbot, surface=False)
     assert not view.can_pick
     assert renderer_of(view).pick_surface(320.0, 240.0) is None
-
-
-def test_an_inner_side_in_front_is_no_place_to_poke():
-    """Two facing squares, open around: through the near one's back one does not pick what lies behind it."""
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.02
-    low, high = (np.column_stack([corners, np.full(4, z)]) for z in (0.0, 0.05))
-    facing_up, facing_down = [(0, 1, 2), (0, 2, 3)], [(4, 6, 5), (4, 7, 6)]
-    eye, down = np.array([0.001, 0.002, 0.3]), -UP
-    alone = make_surface(low, np.array(facing_up))
-    np.testing.assert_allclose(first_visible_point(alone, eye, down), [0.001, 0.002, 0.0], atol=1e-15)
-    both = make_surface(np.concatenate([low, high]), np.array(facing_up + facing_down))
-    assert first_visible_point(both, eye, down) is None
-    assert first_visible_point(both, eye + np.array([0.03, 0.0, 0.0]), down) is None, "beside both"
-    np.testing.assert_allclose(first_visible_point(both, np.array([0.001, 0.002, 0.03]), down), [0.001, 0.002, 0.0], atol=1e-15)
-    assert first_visible_point(alone, np.array([0.001, 0.002, -0.1]), down) is None, "behind the eye"

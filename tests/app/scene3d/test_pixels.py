@@ -17,7 +17,7 @@ from app.scene3d.camera import VIEW_SLOPE, facing, pose_of, project, rotate, zoo
 from app.scene3d.canvas import Canvas
 from app.scene3d.offscreen import draw
 from app.scene3d.scene_renderer import SceneRenderer
-from app.scene3d.scene_state import DARK, HUES, LIGHT, Cloud, Comparison, StaticScene, Tint, View3DState
+from app.scene3d.scene_state import DARK, HUES, LIGHT, Comparison, StaticScene, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.mesh.lay import PlacedLayout
@@ -26,6 +26,7 @@ from skincal.model.scene import Landmark
 from skincal.taxels.result import Method
 from tests.app.scene3d_support import box, decided, estimate, laid, layout, scene, snapshot
 from tests.app.view3d_on_screen import KEPT, make_plotter, pixels, renderer_of, turn, view_of
+from tests.app.window_support import contrast
 
 pytestmark = pytest.mark.pixels
 
@@ -89,7 +90,7 @@ def asked_for() -> Target:
 def comparison() -> Comparison:
     """Each taxel by the plan, and 8 mm below that inside the part."""
     below = PLACES - 8e-3 * UP
-    return Comparison((Cloud(Tint.FROM, PLACES), Cloud(Tint.TO, below)), np.stack([PLACES, below], axis=1))
+    return Comparison({"from": PLACES, "to": below}, np.stack([PLACES, below], axis=1))
 
 
 @pytest.mark.parametrize("method", list(Method))
@@ -109,7 +110,7 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
 
     compared = pictures.of(replace(frame, comparison=comparison(), target=None))
     for channel in range(24):
-        for tint, place in ((Tint.FROM, PLACES[channel]), (Tint.TO, PLACES[channel] - 8e-3 * UP)):
+        for tint, place in (("from", PLACES[channel]), ("to", PLACES[channel] - 8e-3 * UP)):
             dot = pictures.around(compared, place, 1)
             assert (np.abs(dot - DARK.tints[tint]).max(axis=1) < 60).sum() >= 5, f"{tint} of channel {channel}"
 
@@ -176,8 +177,8 @@ def test_as_many_balls_are_seen_as_taxels_face_the_camera_however_deep_they_lie(
             own = cosines[12 * module : 12 * module + 12]
             assert np.abs(own).min() > 0.02, "none on the edge, where half a ball would count"
             assert spots(picture, hue.astype(float), 0.3 * size**2) == (own > 0).sum(), f"turned by {turned}"
-        view.set_comparison(Comparison((Cloud(Tint.TO, places),), np.full((24, 2, 3), np.nan)))
-        dots = spots(pixels(view).astype(float), np.array(DARK.tints[Tint.TO], float), 12)
+        view.set_comparison(Comparison({"to": places}, np.full((24, 2, 3), np.nan)))
+        dots = spots(pixels(view).astype(float), np.array(DARK.tints["to"], float), 12)
         assert dots == (cosines > 0).sum()
         view.set_comparison(None)
 
@@ -193,10 +194,10 @@ def test_what_is_brought_before_a_flat_part_seen_straight_from_afar_is_not_cut_o
         camera = pictures.renderer.camera
         rotate(camera, -FIRST_LEAN_DEG[0], -FIRST_LEAN_DEG[1])
         zoom(camera, 0.05)
-        dots = Comparison((Cloud(Tint.TO, PLACES),), np.full((24, 2, 3), np.nan))
+        dots = Comparison({"to": PLACES}, np.full((24, 2, 3), np.nan))
         compared = pictures.of(replace(moment(Method.FREE), comparison=dots))
         for place in PLACES:
-            assert (np.abs(pictures.around(compared, place, 1) - DARK.tints[Tint.TO]).max(axis=1) < 60).sum() >= 5
+            assert (np.abs(pictures.around(compared, place, 1) - DARK.tints["to"]).max(axis=1) < 60).sum() >= 5
 
 
 def test_no_layer_asks_for_a_polygon_offset(pictures):
@@ -205,14 +206,6 @@ def test_no_layer_asks_for_a_polygon_offset(pictures):
 
     pictures.of(replace(moment(Method.FREE), target=asked_for(), comparison=comparison()))
     assert vtkMapper.GetResolveCoincidentTopology() == 0
-
-
-def contrast(first: np.ndarray, second: np.ndarray) -> float:
-    """Of two colours, (3,) 0 to 255 (WCAG)."""
-    parts = np.stack([first, second]) / 255.0
-    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    low, high = np.sort(linear @ [0.2126, 0.7152, 0.0722])
-    return float((high + 0.05) / (low + 0.05))
 
 
 @pytest.mark.parametrize("zoom", [1.0, 6.0], ids=["beside the part", "on the part"])
@@ -228,4 +221,4 @@ def test_the_lines_of_axes_and_scale_are_seen(pictures, look, zoom):
         x, y = (0.5 * (start + end)).round().astype(int)
         strip = [shown[y + int(step * along[0]), x - int(step * along[1])] for step in range(-4, 5)]
         line = min(strip, key=lambda colour: np.abs(colour - look.ink).max())
-        assert max(contrast(line, beside) for beside in strip) >= 3.0
+        assert max(contrast(line, np.array(beside)) for beside in strip) >= 3.0

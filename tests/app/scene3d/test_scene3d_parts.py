@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from app import theme
 from app.scene3d.part_layers import SurfaceLayer
-from app.scene3d.scene_state import HUES, LIGHT, StaticScene, Tint, module_hues
+from app.scene3d.scene_state import HUES, LIGHT, StaticScene, module_hues
 from skincal.mesh.surface import contact_point, entry_points, make_surface
 from skincal.model.skin import KINDS, Layout, Module
 from skincal.palette import METHODS
@@ -137,7 +137,7 @@ def test_a_method_has_one_colour_in_window_3d_view_and_figures():
     for method in Method:
         hue = theme.LIGHT.methods[method.value]
         assert METHODS[method.value] == hue
-        assert "#{:02X}{:02X}{:02X}".format(*LIGHT.tints[Tint(method.value)]) == hue
+        assert "#{:02X}{:02X}{:02X}".format(*LIGHT.tints[method.value]) == hue
 
 
 def test_importing_the_view_loads_no_drawing_library():

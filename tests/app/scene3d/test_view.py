@@ -19,13 +19,14 @@ from app.scene3d import offscreen
 from app.scene3d.axes import MAX_AXES
 from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
+from app.scene3d.estimates import BLIND_HALF_LENGTH
 from app.scene3d.scene_state import DARK, HUES, LIGHT, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
 from skincal.model.errors import InputError
 from skincal.model.scene import Landmark
-from skincal.taxels.result import Estimate, Method, State
-from tests.app.scene3d_support import box, contact, estimate, laid, layout, live, scene, snapshot
+from skincal.taxels.result import Estimate, Method, Rival, State
+from tests.app.scene3d_support import box, contact, decided, estimate, laid, layout, live, scene, snapshot
 from tests.app.view3d_on_screen import (
     KEPT,
     Drawn,
@@ -130,55 +131,39 @@ def test_without_a_mesh_lines_lead_to_the_other_method_that_there_is(qtbot, show
     assert (pixels(view) != before).any(axis=-1).sum() > 30
 
 
-def test_nothing_is_drawn_when_nothing_changed(view):
-    session, still = snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), live()
-    pressing = live((0.0, 0.0, 0.1))
-    view.show_moment(session, still, Method.FREE, None)
+def test_a_change_makes_one_picture_and_a_hidden_view_none(view):
+    session, drawn = snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), Drawn(view)
+    view.show_moment(session, live(), Method.FREE, None)
     settle()
-    drawn = Drawn(view)
-    for _ in range(5):
-        assert not view.show_moment(session, live(), Method.FREE, None)
+    for pressing, pictures in ((False, 1), (False, 1), (True, 2), (True, 2)):
+        moment = live((0.0, 0.0, 0.1)) if pressing else live()
+        assert view.show_moment(session, moment, Method.FREE, None) is (pictures > drawn.count)
         settle()
-    assert drawn.count == 0
-    assert view.show_moment(session, pressing, Method.FREE, None)
-    settle()
-    assert drawn.count == 1
-    assert not view.show_moment(session, pressing, Method.FREE, None)
-    settle()
-    assert drawn.count == 1
-
-
-def test_many_changes_in_one_tick_make_one_picture(view):
-    drawn = Drawn(view)
+        assert drawn.count == pictures
     for generation in range(2, 12):
         view.show_moment(snapshot(generation, {3: estimate(3, (0.001 * generation, 0.0, 0.0))}), None, Method.FREE, 3)
-    assert drawn.count == 0
     settle()
-    assert drawn.count == 1
-
-
-def test_a_hidden_view_draws_nothing_and_shows_the_newest_when_it_comes_back(view):
-    drawn = Drawn(view)
+    assert drawn.count == 3, "many changes in one tick make one picture"
     view.hide()
-    for generation in range(2, 6):
+    for generation in range(12, 16):
         assert not view.show_moment(snapshot(generation, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
         settle()
-    assert drawn.count == 0
+    assert drawn.count == 3
     view.show()
     settle()
-    assert drawn.count == 1
+    assert drawn.count == 4
     assert screen_place(view, 3) is not None
 
 
-@pytest.mark.parametrize("channel", [3, 8, 15, 20])
-def test_a_click_on_a_ball_names_its_channel(view, qtbot, channel):
+def test_a_click_on_a_ball_names_its_channel(view, qtbot):
     known = {c: estimate(c, (*PLAN.places[c], 0.0005)) for c in range(24)}
     view.show_moment(snapshot(1, known), None, Method.FREE, None)
     settle()
-    x, y = screen_place(view, channel)
-    with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
-        qtbot.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
-    assert picked.args == [channel]
+    for channel in (3, 8, 15, 20):
+        x, y = screen_place(view, channel)
+        with qtbot.waitSignal(view.taxel_picked, timeout=1000) as picked:
+            qtbot.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(round(x), round(y)))
+        assert picked.args == [channel]
 
 
 def test_neither_the_background_nor_a_drag_nor_the_far_side_picks(view, qtbot):
@@ -261,6 +246,24 @@ def test_what_has_no_position_gets_a_mark_at_its_planned_place_and_never_a_ball(
     assert np.isfinite(points_of(renderer_of(view).estimates.marks)).all()
 
 
+def test_a_line_joins_the_selected_taxel_to_its_second_position_or_shows_where_an_undetermined_one_may_be(view):
+    layer, direction, point = renderer_of(view).estimates, np.array([0.0, 0.6, 0.8]), np.array([0.01, 0.0, 0.0])
+    sure = estimate(3, (0.0, 0.0, 0.0))
+    rival = replace(sure, rival=Rival(np.array([0.034, 0.0, 0.0]), 1, 3.2))
+    blind = Estimate(3, Method.FREE, State.BLIND, 2, worst_direction=direction, line_point=point)
+    half = BLIND_HALF_LENGTH * direction
+    shown = point + (np.array([*PLAN.places[3], 0.0]) - point) @ direction * direction
+    for generation, (known, ends) in enumerate(
+        ((sure, None), (rival, [(0, 0, 0), (0.034, 0, 0)]), (blind, [shown - half, shown + half]))
+    ):
+        for selected in (3, 4, None):
+            view.show_moment(snapshot(generation, {3: known}), None, Method.FREE, selected)
+            drawn = points_of(layer.alternative).reshape(-1, 2, 3)
+            assert (len(drawn) > 0) is (selected == 3 and ends is not None)
+            if len(drawn):
+                np.testing.assert_allclose(drawn[0], ends, atol=1e-9)
+
+
 def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     pokes = [contact(n, 3 if n % 2 else 9, (*PLAN.places[3], 0.0), (0.1 * n, 0.0, -8.0)) for n in range(1, 101)]
     session = snapshot(1, {3: estimate(3, (*PLAN.places[3], 0.0))}, pokes=pokes)
@@ -279,10 +282,8 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
 @pytest.mark.parametrize("name", LAYERS)
 def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, name):
     known = {c: estimate(c, (*PLAN.places[c], 0.0), sd=3e-3) for c in range(12)}
-    session = replace(
-        snapshot(1, known, pokes=[contact(1, 3, (*PLAN.places[3], 0.0))]),
-        landmarks=(Landmark("screw", np.array([0.0, -0.03, 0.0]), None),),
-    )
+    poked = snapshot(1, known, pokes=[contact(1, 3, (*PLAN.places[3], 0.0))])
+    session = decided(poked, landmarks=(Landmark("screw", np.array([0.0, -0.03, 0.0]), None),))
     up = np.array([0.0, 0.0, 1.0])
     target = Target(None, np.array([0.0, 0.02, 0.0]), up, -up, 0.0, np.inf, 0.0)
     view.set_turning(False)
@@ -304,20 +305,20 @@ def test_a_layer_that_is_switched_off_is_gone_and_comes_back_as_it_was(view, nam
     np.testing.assert_array_equal(pixels(view), every)
 
 
-def test_the_themes_differ_in_background_and_ink(view):
-    assert tuple(pixels(view)[2, 2]) == DARK.background
-    view.set_dark(False)
-    assert tuple(pixels(view)[2, 2]) == LIGHT.background
-    view.set_dark(True)
-    assert tuple(pixels(view)[2, 2]) == DARK.background
-
-
-def test_a_screenshot_is_what_the_screen_shows(view, tmp_path: Path):
+def test_the_picture_follows_theme_and_size_and_can_be_saved(view, tmp_path: Path):
     view.show_moment(snapshot(1, {3: estimate(3, (0.0, 0.0, 0.0))}), None, Method.FREE, None)
+    for dark, colours in ((True, DARK), (False, LIGHT), (True, DARK)):
+        view.set_dark(dark)
+        assert tuple(pixels(view)[2, 2]) == colours.background
+    view.window().resize(800, 500)
+    settle()
     shown = pixels(view)
+    assert shown.shape == (500, 800, 3)
+    for corner in ((2, 2), (2, 797), (497, 2), (497, 797)):
+        assert tuple(shown[corner]) == DARK.background
     view.screenshot(tmp_path / "view.png")
     image = QImage(str(tmp_path / "view.png"))
-    assert (image.width(), image.height()) == (shown.shape[1], shown.shape[0])
+    assert (image.width(), image.height()) == (800, 500)
     assert image.pixelColor(2, 2).getRgb()[:3] == tuple(shown[2, 2])
     with pytest.raises(InputError, match="cannot be written"):
         view.screenshot(tmp_path / "no" / "view.png")
@@ -348,16 +349,6 @@ def test_sizes_follow_the_pixel_ratio_of_the_screen_and_letters_also_the_text_si
     assert spots()[1] > 1.2 * ink
 
 
-def test_what_something_covers_at_the_left_is_left_free(view):
-    view.cover(view.width() // 2)
-    settle()
-    x, y, _ = project(renderer_of(view).renderer, np.array(renderer_of(view).camera.focal_point)[None])[0]
-    assert (x, y) == pytest.approx((0.75 * view.width(), 0.5 * view.height()))
-    corners = project(renderer_of(view).renderer, box().vertices)
-    assert corners[:, 0].min() > view.width() / 2
-    assert corners[:, 0].max() < view.width()
-
-
 def test_estimates_stay_in_the_picture_where_nothing_else_says_where_the_part_is(qtbot):
     view = make_view(qtbot, surface=False, plan=False)
     view.show_moment(snapshot(1, {3: estimate(3, (0.5, 0.4, 0.3)), 4: estimate(4, (0.52, 0.4, 0.3))}), None, Method.FREE, None)
@@ -367,15 +358,6 @@ def test_estimates_stay_in_the_picture_where_nothing_else_says_where_the_part_is
         assert 0 < x < view.width()
         assert 0 < y < view.height()
     assert view.show_moment(snapshot(2, {}), live((0.5, 0.4, 0.3)), Method.FREE, 7)
-
-
-def test_a_new_size_gives_a_new_picture_without_a_gap(view):
-    view.window().resize(800, 500)
-    settle()
-    picture = pixels(view)
-    assert picture.shape == (500, 800, 3)
-    for corner in ((2, 2), (2, 797), (497, 2), (497, 797)):
-        assert tuple(picture[corner]) == DARK.background
 
 
 def test_closing_leaves_no_timer_thread_or_stage_and_may_be_repeated(view, qtbot):

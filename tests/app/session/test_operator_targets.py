@@ -14,7 +14,7 @@ import pytest
 from PySide6.QtCore import Qt
 
 from app.__main__ import main
-from app.session.controller import MAX_UNSOLVED
+from app.session.controller import AT_ONCE
 from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
@@ -26,10 +26,11 @@ from skincal.model.actions import FoundAtLandmark, Stamped, to_json
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction
-from skincal.robot.target_lines import GREETING, read_line
+from skincal.robot.target_lines import GREETING
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
+from skincal.simulate.robot_client import read_line
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates
@@ -45,10 +46,10 @@ def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", listen))
     for line in ("pace 2", "pace 1"):
-        server.send_line(line)
+        server.tell(line)
     server.stop()
     assert heard.read_text() == "pace 2\npace 1\n"
-    server.send_line("pace 2")  # nobody is there any more: nothing happens
+    server.tell("pace 2")  # nobody is there any more: nothing happens
 
 
 def test_a_process_that_never_reads_holds_nothing_up(qtbot):
@@ -56,9 +57,9 @@ def test_a_process_that_never_reads_holds_nothing_up(qtbot):
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
     for _ in range(5000):
-        server.send_line("x" * 100)  # eight times what a pipe holds
+        server.tell("x" * 100)  # eight times what a pipe holds
     server.stop()
-    assert not server.is_running
+    assert not server.running
 
 
 def test_the_rig_that_opens_by_default_follows():
@@ -183,7 +184,7 @@ def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resti
         first = targets(on_the_side(bench, peer.line))
         assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
         with monkeypatch.context() as solving:
-            solving.setattr(Session, "unsolved", MAX_UNSOLVED + 1)
+            solving.setattr(Session, "unsolved", AT_ONCE + 1)
             peer.say(f"skip {first.number}")
             bench.qtbot.wait(300)
         # What it says while all taxels are being solved is done once they are.

@@ -81,7 +81,7 @@ def test_no_sound_device_disables_the_entry_with_the_reason_and_nothing_else(qtb
 
 
 def test_no_key_does_two_things_and_all_are_listed():
-    keys = [key for command in COMMANDS for key in command.keys]
+    keys = [key for command in COMMANDS for key in command.keys.split()]
     assert len(keys) == len(set(keys))
     assert "<b>M</b>" in key_words(2)
     assert "<b>Shift+M</b>" in key_words(2)

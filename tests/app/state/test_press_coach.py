@@ -6,19 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, part, target
-from scene3d_support import box
-from window_support import PLAN, SCENE, frame, reading, session
 
-from app.state.press_coach import AIM_FAR, COACH_S, Ask, Lean, tilt_hint
+from app.state.press_coach import AIM_SHOWN, HINT_DELAY_S, HintKind, LeanDirection, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
-from skincal.guide.guidance import max_angle_error
+from skincal.guide.press_coaching import max_angle_error
 from skincal.session.guided_session import PressCoach
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
+from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, guidance, held, target
+from tests.app.scene3d_support import box
+from tests.app.window_support import PLAN, SCENE, frame, part, reading, session
 from tests.approved import approved
 
 DEGREE, BETWEEN = "\N{DEGREE SIGN}", "  \N{MIDDLE DOT}  "
@@ -47,18 +47,18 @@ class Line:
 
 def test_force_goes_before_all_else_and_the_rest_is_a_detail():
     line = Line()
-    now = line.show(held(10.0, newtons=3.0), 2 * COACH_S)
+    now = line.show(held(10.0, newtons=3.0), 2 * HINT_DELAY_S)
     assert (now.tone, now.headline) == (Tone.HOLD, "Press harder")
     assert now.detail == approved("press.too_soft_and_tilt", seen=3.0, least=4.0, degrees=18, neighbour="10-02")
-    now = line.show(held(10.0, newtons=16.0), 2 * COACH_S)
+    now = line.show(held(10.0, newtons=16.0), 2 * HINT_DELAY_S)
     assert (now.tone, now.headline) == (Tone.BAD, "Press softer")
 
 
 def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
     line = Line()
     assert line.show(held(10.0)).headline == "Hold still"
-    assert line.show(held(10.0), COACH_S / 2).headline == "Hold still"
-    now = line.show(held(10.0), COACH_S)
+    assert line.show(held(10.0), HINT_DELAY_S / 2).headline == "Hold still"
+    now = line.show(held(10.0), HINT_DELAY_S)
     assert (now.tone, now.headline) == (Tone.HOLD, approved("press.more_tilt", degrees=18, neighbour="10-02"))
     assert now.detail == approved("press.force_aim_tilt", newtons=8.0, aim_mm=0.0, degrees=10, wanted=28)
 
@@ -130,7 +130,7 @@ def test_a_tip_on_another_taxel_is_said_before_its_tilt_and_only_if_far():
     now = line.show(held(5.0, aside=off, landed=2), 1.0)
     assert now.headline == "Move the tip 6 mm toward 10-03"
     assert now.detail == approved("press.counts_there_and_tilt", newtons=8.0, taxel="10-02", degrees=5, wanted=28)
-    near = np.array(TO_2) * 0.9 * AIM_FAR
+    near = np.array(TO_2) * 0.9 * AIM_SHOWN
     assert Line().show(held(28.0, aside=near, landed=2), 1.0).headline == "Hold still"
     assert Line().show(held(28.0, aside=off, landed=3), 1.0).headline == "Hold still", (
         "the target answers: its place is not known"
@@ -142,14 +142,14 @@ def test_who_pokes_elsewhere_altogether_is_not_called_back():
     assert (now.headline, now.detail) == ("Hold still", approved("press.counts_there", newtons=8.0, taxel="11-03"))
 
 
-def test_the_surface_method_asks_for_no_tilt():
+def test_the_surface_method_asks_for_no_tilt_and_takes_any_that_does_not_slide():
     straight = target(3)
-    assert Line(straight, Method.SURFACE).show(held(20.0, asked=straight), 1.0).headline == "Hold still"
-    assert Line(straight, Method.SURFACE).show(held(31.0, asked=straight), 1.0).headline == f"Lean 31{DEGREE} less"
-    assert Line(straight, Method.FREE).show(held(20.0, asked=straight), 1.0).headline == f"Lean 20{DEGREE} less"
-
-
-def test_the_surface_method_takes_any_tilt_that_does_not_slide_as_learnt():
+    for method, tilt, headline in (
+        (Method.SURFACE, 20.0, "Hold still"),
+        (Method.SURFACE, 31.0, f"Lean 31{DEGREE} less"),
+        (Method.FREE, 20.0, f"Lean 20{DEGREE} less"),
+    ):
+        assert Line(straight, method).show(held(tilt, asked=straight), 1.0).headline == headline
     says = guidance(ASKED, method=Method.SURFACE)
     assert max_angle_error(replace(says, usable_tilt=0.3)) == 0.3
     assert np.degrees(max_angle_error(replace(says, method=Method.FREE))) == pytest.approx(10.0)
@@ -175,10 +175,10 @@ def test_without_a_target_the_line_says_what_it_always_said():
 @pytest.mark.parametrize(
     ("tilt", "turn", "expected"),
     [
-        (10.0, 0.0, (Ask.MORE, Lean(2, away=False))),
-        (45.0, 0.0, (Ask.LESS, None)),
-        (28.0, 90.0, (Ask.MORE, None)),
-        (1.0, 0.0, (Ask.MORE, Lean(2, away=False))),
+        (10.0, 0.0, (HintKind.MORE, LeanDirection(2, away=False))),
+        (45.0, 0.0, (HintKind.LESS, None)),
+        (28.0, 90.0, (HintKind.MORE, None)),
+        (1.0, 0.0, (HintKind.MORE, LeanDirection(2, away=False))),
     ],
 )
 def test_the_way_is_less_where_the_tool_leans_that_way_already(tilt, turn, expected):

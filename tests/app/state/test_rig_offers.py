@@ -1,4 +1,4 @@
-"""What is offered to put a rig right, and what is said of it: pure functions of a review and a snapshot."""
+"""Available corrections of sensor and arm, their words, and the Rig tab."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.panels.rig_panel import NO_POINTS, NOT_YET, WAITING, RigPanel
+from app.panels.rig_panel import NO_LANDMARK_POKES, NO_LANDMARKS, REVIEW_RUNNING, RigPanel
 from app.state.policies import RigReview, allowed, offers_of
 from app.state.running import Running
 from app.text.rig_text import LandmarkRow, landmark_rows, moved_words, offer_news, offer_text, offer_words, review_words
@@ -26,7 +26,7 @@ from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
 from skincal.words.units import DASH
 from tests.app.scene3d_support import decided, estimate
-from tests.app.window_support import PLAN, arm_scene, frame, session, slip, touch
+from tests.app.window_support import PLAN, arm_scene, context, frame, part, session, shown, slip, touch
 from tests.approved import approved
 
 CORNER, OTHER = (Landmark(name, np.array([x, 0.0, 0.0]), None) for name, x in (("corner", 0.03), ("other", -0.03)))
@@ -38,26 +38,11 @@ RIGHT = FrameDiagnosis(True, True, True, 0.0074, 0.0074, FrameCorrection())
 WRONG = FrameDiagnosis(False, True, True, 0.051, 0.006, FrameCorrection(TURN, 1.0, 1e-3))
 
 
-def rig(
-    *,
-    used: bool = True,
-    correction: Correction | None = None,
-    distances: Mapping[int, float] | None = None,
-    doubted: float = 1.0,
-):
+def rig(*, used: bool = True, correction: Correction | None = None, distances: Mapping | None = None, doubted: float = 1.0):
     """An answer from six pokes; how much the last of them counts."""
     trust = dict.fromkeys(range(1, 7), 1.0) | {6: doubted}
-    return RigAnswer(
-        correction or Correction(MATRIX),
-        used,
-        0.0074,
-        0.0012,
-        6,
-        trust,
-        distances or dict.fromkeys(trust, 0.001),
-        NOBODY,
-        NOBODY,
-    )
+    off = distances or dict.fromkeys(trust, 0.001)
+    return RigAnswer(correction or Correction(MATRIX), used, 0.0074, 0.0012, 6, trust, off, NOBODY, NOBODY)
 
 
 TOO_FEW = RigAnswer(None, False, float("nan"), float("nan"), 2, {1: 1.0, 2: 1.0}, {}, NOBODY, NOBODY)
@@ -168,10 +153,10 @@ def test_an_offer_is_announced_once_and_made_once():
     news = offer_news(rig_review.news(none))
     assert news.startswith(offer_words(made[0]))
     assert approved("rig.offer_keys") in news
-    assert rig_review.shown(none) is now
-    assert rig_review.shown(used) is None, "it says nothing of a session that uses another correction"
+    assert rig_review.in_use(none) is now
+    assert rig_review.in_use(used) is None, "it says nothing of a session that uses another correction"
     assert (rig_review.offers(used), rig_review.news(used)) == ((), None)
-    rig_review.review = replace(now, generation=2)
+    rig_review.review = replace(now)
     assert rig_review.offers(none) is not made
     assert rig_review.news(none) is None, "it was said, and was taken back"
     rig_review.review = then
@@ -187,8 +172,7 @@ def test_an_offer_is_announced_once_and_made_once():
 def test_what_is_in_use_is_said_with_its_misses(of, what):
     words = correction_sentence(in_use(of, 21))
     assert words.startswith(what)
-    for part in ("21", "1.2 mm", "7.4 mm"):
-        assert part in words
+    assert all(each in words for each in ("21", "1.2 mm", "7.4 mm"))
     assert ("not fitted" in words) == (of == RIG)
 
 
@@ -264,15 +248,10 @@ def test_each_landmark_has_its_pokes_and_how_far_they_pass_it():
 
 @pytest.fixture
 def panel(qtbot):
-    made = RigPanel(arm_scene().arm)
-    made.resize(430, 500)
-    qtbot.addWidget(made)
-    with qtbot.waitExposed(made):
-        made.show()
-    return made
+    return shown(qtbot, RigPanel(context(part(arm_scene()))), (430, 500))
 
 
-def shown(moment, answer=None, **changes):
+def state_of(moment, answer=None, **changes):
     return replace(frame(moment, where=arm_scene(), **changes), review=answer, offers=offers(answer, moment))
 
 
@@ -282,14 +261,14 @@ def cells(panel) -> list[list[str]]:
 
 
 def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
-    panel.show_state(shown(decided(at(), landmarks=())))
-    assert panel.said.text() == NO_POINTS
+    panel.show_state(state_of(decided(at(), landmarks=())))
+    assert panel.said.text() == NO_LANDMARKS
     assert not panel.points.isVisible()
-    panel.show_state(shown(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
-    assert panel.said.text() == WAITING
+    panel.show_state(state_of(replace(at(pokes=(here(1),), at_landmarks={1: "corner"}), generation=2)))
+    assert panel.said.text() == REVIEW_RUNNING
     assert cells(panel) == [["corner", "1", "1", DASH], ["other", "0", "0", DASH]]
-    panel.show_state(shown(replace(decided(at(), landmarks=(OTHER,)), generation=3)))
-    assert panel.said.text() == NOT_YET
+    panel.show_state(state_of(replace(decided(at(), landmarks=(OTHER,)), generation=3)))
+    assert panel.said.text() == NO_LANDMARK_POKES
     assert cells(panel) == [["other", "0", "0", DASH]]
     assert not panel.offer.isVisible()
     assert not panel.drop.isVisible()
@@ -297,22 +276,20 @@ def test_the_tab_says_what_is_missing_and_lists_what_is_there(panel):
 
 def test_the_buttons_use_what_is_offered_and_drop_what_was_used_last(qtbot, panel):
     answer = review()
-    panel.show_state(shown(at(), answer))
+    panel.show_state(state_of(at(), answer))
     assert panel.offer.text().startswith("Correct sensor and arm")
     assert panel.offer.isVisible()
-    with qtbot.waitSignal(panel.correct_requested) as wanted:
+    with qtbot.waitSignal(panel.command_wanted) as wanted:
         panel.offer.click()
-    assert wanted.args == [offers(answer, at())[0].action]
-    panel.show_state(shown(replace(at(in_use(FRAME), in_use(RIG)), generation=2), answer))
+    assert wanted.args == ["correct"]
+    panel.show_state(state_of(replace(at(in_use(FRAME), in_use(RIG)), generation=2), answer))
     assert not panel.offer.isVisible()
     assert panel.drop.isVisible()
-    with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
-        panel.drop.click()
-    assert Uncorrect(*dropped.args) == Uncorrect(RIG)
-    panel.show_state(shown(replace(at(in_use(FRAME)), generation=3), answer))
-    with qtbot.waitSignal(panel.uncorrect_requested) as dropped:
-        panel.drop.click()
-    assert dropped.args == [FRAME]
+    for generation, used in ((2, (FRAME, RIG)), (3, (FRAME,))):
+        panel.show_state(state_of(replace(at(*map(in_use, used)), generation=generation), answer))
+        with qtbot.waitSignal(panel.action_wanted) as dropped:
+            panel.drop.click()
+        assert dropped.args == [Uncorrect(used[-1])]
 
 
 def test_streamed_joints_that_name_the_same_pose_again_draw_nothing(panel, monkeypatch):
@@ -320,6 +297,6 @@ def test_streamed_joints_that_name_the_same_pose_again_draw_nothing(panel, monke
     monkeypatch.setattr(panel, "_list_points", drawn.append)
     moment, answer = at(), review()
     for pose in ("low", "".join(["l", "ow"]), "high"):
-        state = shown(moment, answer)
+        state = state_of(moment, answer)
         panel.show_state(replace(state, live=replace(state.live, pose=pose), offers=()))
     assert len(drawn) == 2

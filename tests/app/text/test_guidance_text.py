@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import guidance, part, target
+from guide_support import guidance, target
 from scene3d_support import layout, scene
-from window_support import NAMES, PLAN, SCENE, frame, reading, session, slip, touch
+from window_support import NAMES, PLAN, SCENE, frame, part, reading, session, slip, touch
 
-from app.state.press_coach import Lean, lean_of
+from app.state.press_coach import LeanDirection, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
 from app.text.now_text import PHASE_DEBOUNCE_S, NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import PressPhase
@@ -40,7 +40,7 @@ def test_the_tool_leans_to_where_its_upper_end_is():
     for channel in (7, 11, 2, 4):
         towards = PLAN.places[channel] - PLAN.places[3]
         asked = target(3, TILT, (*(towards / np.linalg.norm(towards)), 0.0))
-        assert lean_of(guidance(asked), asked) == Lean(channel, away=False)
+        assert lean_of(guidance(asked), asked) == LeanDirection(channel, away=False)
         assert asked.push @ np.array([*towards, 0.0]) < 0, "it pushes the other way"
 
 
@@ -73,7 +73,7 @@ def test_why_is_the_error_that_shrinks_or_else_what_is_missing():
 
 def test_a_place_that_is_asked_for_because_of_one_poke_says_so():
     asked = replace(target(3), landmark="wrist, top")
-    step = ClosingStep(ClosingPlace(ClosingPlaces.LANDMARKS, "wrist, top"), 3, 3, 1, lone=41)
+    step = ClosingStep(ClosingPlace(ClosingPlaces.LANDMARKS, "wrist, top"), 3, 3, 1, suspect_poke=41)
     says = replace(guidance(asked), phase=GuidePhase.CLOSING, closing=step)
     assert why_words(says, asked, ()) == approved("closing.once_more", poke=41)
 

@@ -14,8 +14,8 @@ from app.text.guidance_text import gain_words, landmark_words, target_words, why
 from app.text.now_text import NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide import guidance as landmarks_module
+from skincal.guide.believed_positions import PlannedPlaces
 from skincal.guide.guidance import GuidePhase, LandmarkTarget
-from skincal.guide.knowledge import PlannedPlaces
 from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
@@ -25,9 +25,9 @@ from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
 from skincal.words.poke_words import REASON_WORDS
-from tests.app.guide_support import guidance, part, target
+from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import decided, laid
-from tests.app.window_support import NAMES, PLAN, arm_scene, frame, session, slip, touch
+from tests.app.window_support import NAMES, PLAN, arm_scene, frame, part, session, slip, touch
 from tests.approved import approved
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -135,6 +135,11 @@ def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_said_onc
     assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == [FoundAtLandmark(2, "corner")]
 
 
+def test_a_poke_that_was_on_its_way_before_is_not_at_it():
+    assert asking().poked(of_pokes(press(1, 100.0 + 0.9 * REACTION_S))) == []
+    assert asking().poked(of_pokes(press(1, 99.0))) == []
+
+
 def test_a_poke_that_was_looked_at_before_the_landmark_came_is_not_taken_later():
     landmarks = Landmarks(part(), plan_of(part()))
     early = of_pokes(press(1, 500.0))
@@ -161,6 +166,11 @@ def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture()
     third = of_pokes(press(1, LATER), press(2, 300.1), press(3, 301.0), at={1: "corner"})
     (found,) = landmarks.poked(third)
     assert found.name == "other"
+
+
+def test_two_pokes_that_come_into_sight_together_are_both_at_the_landmark_that_was_asked_for():
+    both = of_pokes(press(1, LATER), press(2, LATER + 2.0))
+    assert asking().poked(both) == [FoundAtLandmark(1, "corner"), FoundAtLandmark(2, "corner")]
 
 
 @pytest.mark.parametrize(

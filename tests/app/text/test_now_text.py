@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.panels.plots import min_max_decimation
+from app.panels.readings_panel import min_max_decimation
 from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
-from app.state.view_state import LinkLook
+from app.state.view_state import LinkStatus
 from app.text.now_text import LAST_ACTION_SHOWN_S, PHASE_DEBOUNCE_S, RESULT_SHOWN_S, NowMemory, Said, Tone, now_line
 from app.text.outcomes import (
     error_words,
@@ -27,7 +27,7 @@ from app.text.outcomes import (
     verdict_words,
 )
 from skincal.contacts.outcome import RAW, PressPhase, Reason
-from skincal.model.actions import MissedLandmark
+from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import History, LastOperation, OperationKind
 from skincal.taxels.result import Estimate, Method, State
@@ -127,7 +127,7 @@ def test_the_state_of_a_session_in_words():
 
 def test_a_silent_link_says_when_not_how_long_so_that_nothing_moves():
     early, late = (link_words(link(last_s=100.0), round(now * 1e9)) for now in (103.0, 130.0))
-    assert early.look is LinkLook.SILENT
+    assert early.look is LinkStatus.SILENT
     assert early == late
 
 
@@ -135,15 +135,15 @@ def test_looks_of_links():
     def look(health, now_s=100.1):
         return link_words(health, round(now_s * 1e9)).look
 
-    assert look(link()) is LinkLook.STREAMING
-    assert look(link(last_s=100.0), 101.9) is LinkLook.STREAMING
-    assert look(link(last_s=100.0), 102.1) is LinkLook.SILENT
-    assert look(link(last_host_ns=0)) is LinkLook.WAITING
-    assert look(link(state=LinkState.LOST)) is LinkLook.LOST
-    assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkLook.LOST
-    assert look(link(state=LinkState.ENDED)) is LinkLook.ENDED
+    assert look(link()) is LinkStatus.STREAMING
+    assert look(link(last_s=100.0), 101.9) is LinkStatus.STREAMING
+    assert look(link(last_s=100.0), 102.1) is LinkStatus.SILENT
+    assert look(link(last_host_ns=0)) is LinkStatus.WAITING
+    assert look(link(state=LinkState.LOST)) is LinkStatus.LOST
+    assert look(link(state=LinkState.FAILED, last_host_ns=0)) is LinkStatus.LOST
+    assert look(link(state=LinkState.ENDED)) is LinkStatus.ENDED
     away = link_words(link(state=LinkState.LOST), round(100.1e9), connected=False)
-    assert (away.look, away.detail) == (LinkLook.AWAY, "")
+    assert (away.look, away.detail) == (LinkStatus.AWAY, "")
     assert link_words(link(), round(100.1e9)).short == "force/torque sensor 1000 Hz"
     assert link_words(link(), 0).losses == ((approved("now.checksum"), 3),)
 
@@ -248,12 +248,12 @@ def test_a_link_without_good_readings_is_said_in_place_of_waiting():
 @pytest.mark.parametrize(
     ("answer", "look"),
     [
-        (LinkAnswer.GOOD, LinkLook.STREAMING),
-        (LinkAnswer.LISTENING, LinkLook.WAITING),
-        (LinkAnswer.NO_READING, LinkLook.WRONG),
-        (LinkAnswer.OTHER_STREAM, LinkLook.WRONG),
-        (LinkAnswer.OTHER_WIDTH, LinkLook.WRONG),
-        (LinkAnswer.FROZEN, LinkLook.FROZEN),
+        (LinkAnswer.GOOD, LinkStatus.STREAMING),
+        (LinkAnswer.LISTENING, LinkStatus.WAITING),
+        (LinkAnswer.NO_READING, LinkStatus.WRONG),
+        (LinkAnswer.OTHER_STREAM, LinkStatus.WRONG),
+        (LinkAnswer.OTHER_WIDTH, LinkStatus.WRONG),
+        (LinkAnswer.FROZEN, LinkStatus.FROZEN),
     ],
 )
 def test_a_light_is_that_of_a_good_link_for_good_readings_alone(answer, look):
@@ -277,21 +277,21 @@ def test_what_may_be_done_follows_the_selection():
     pokes = [touch(1), slip(2), touch(3), touch(4)]
     at = session(1, {3: estimate(3, (0, 0, 0))}, pokes, excluded=[3], dead={7: "stuck"})
     may = allowed(at, SCENE, (), Running.STREAMING, [1, 2, 3], 7)
-    assert (may.exclude, may.restore, may.revive, may.mark_dead) == ((1,), (3,), True, False)
+    assert (may.exclude, may.taxel) == ((Exclude(1),), Revive(7))
     assert (may.export, may.switch_method, may.undo, may.space) == (True, True, "poke 4", "Pause")
     assert not may.another
     assert not may.verdict
     guided = allowed(at, SCENE, (), Running.STREAMING, [], None, guidance(target(3)))
     assert (guided.another, guided.verdict, guided.ends, guided.space) == (True, True, False, "Pause")
     empty = allowed(session(), SCENE, (), Running.OFFLINE, [], None)
-    assert (empty.export, empty.exclude, empty.mark_dead, empty.undo, empty.space) == (False, (), False, "", "Connect")
+    assert (empty.export, empty.exclude, empty.taxel, empty.undo, empty.space) == (False, (), None, "", "Connect")
 
 
 @pytest.mark.parametrize(
     ("running", "space", "pause"),
     [
         (Running.STREAMING, "Verdict", "Pause"),
-        (Running.PAUSED, "Go on", "Go on"),
+        (Running.PAUSED, "Continue", "Continue"),
         (Running.OFFLINE, "Connect", "Connect"),
         (Running.OPENING, "", ""),
     ],

@@ -10,9 +10,9 @@ from app.state.running import Running
 from app.text.now_text import modules_enough_words
 from skincal.session.guiding import ModulesEnough, plan_of
 from skincal.taxels.result import Estimate, Method, State
-from tests.app.guide_support import guidance, part
+from tests.app.guide_support import guidance
 from tests.app.scene3d_support import estimate
-from tests.app.window_support import PLAN, frame, session, slip, touch
+from tests.app.window_support import PLAN, frame, part, session, slip, touch
 from tests.approved import approved
 
 FIRST, SECOND = 3, 15

@@ -9,19 +9,19 @@ import time
 from skincal.model.errors import InputError
 
 
-def own_pid(_progress):
+def own_pid(_wanted):
     return os.getpid()
 
 
-def double(number, _progress):
+def double(number, _wanted):
     return 2 * number
 
 
-def refuse(sentence, _progress):
+def refuse(sentence, _wanted):
     raise InputError(sentence)
 
 
-def end_once(path, _progress):
+def end_once(path, _wanted):
     """End the process the first time, as where somebody kills it."""
     if not path.exists():
         path.touch()
@@ -30,23 +30,23 @@ def end_once(path, _progress):
     return "the second time"
 
 
-def end(_progress):
+def end(_wanted):
     os._exit(3)
 
 
-def until_unwanted(path, progress):
+def until_unwanted(path, wanted):
     path.touch()
-    while progress.is_wanted():
+    while wanted():
         time.sleep(0.001)
     return "unwanted"
 
 
-def deaf_look(_files, _progress):
+def deaf_look(_files, _wanted):
     """Look for ever, and ask nobody whether that is wanted."""
     time.sleep(60)
 
 
-def deaf_import(request, _progress):
+def deaf_import(request, _wanted):
     """Begin a session, and hear nothing from then on."""
     request.folder.mkdir(parents=True)
     (request.folder / "segment-0001.mcap").touch()

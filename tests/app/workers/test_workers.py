@@ -12,13 +12,11 @@ import time
 
 import pytest
 from PySide6.QtCore import QEvent, QObject
-from PySide6.QtWidgets import QApplication, QLabel, QWidget
+from PySide6.QtWidgets import QApplication
 
-from app.panels.plot_panels import PlotPanel
-from app.workers.processes import ProcessLostError, WorkerProcess
+from app.workers.processes import ProcessLostError, ProcessService
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
-from tests.app.whole_window import OPEN_MS
 from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
 from tests.approved import approved, approved_pattern
 
@@ -143,55 +141,12 @@ def test_nothing_is_called_once_the_owner_is_gone(qtbot):
     assert heard == []
 
 
-class Plots(PlotPanel):
-    """Counts what it makes."""
-
-    def __init__(self):
-        super().__init__()
-        self.made = 0
-
-    def make(self):
-        self.made += 1
-        return QWidget()
-
-    def draw_state(self, state):
-        pass
-
-
-def test_plots_are_made_when_their_panel_is_seen(qtbot):
-    panel = Plots()
-    qtbot.addWidget(panel)
-    panel.show_state(None)
-    assert panel.findChild(ThreadService) is None, "nothing is imported for a panel that nobody sees"
-    panel.show()
-    panel.show_state(None)
-    panel.hide()
-    qtbot.waitUntil(lambda: panel._imported, timeout=OPEN_MS)
-    assert (panel.made, panel.ready) == (0, False)
-    panel.show()
-    panel.show_state(None)
-    panel.show_state(None)
-    assert (panel.made, panel.ready) == (1, True)
-
-
-def test_that_there_are_no_plots_is_said(qtbot, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyqtgraph", None)
-    panel = Plots()
-    qtbot.addWidget(panel)
-    panel.show()
-    for _ in range(3):
-        panel.show_state(None)
-    qtbot.waitUntil(lambda: panel.findChild(QLabel).text().startswith("There are no curves: "), timeout=5000)
-    panel.show_state(None)
-    assert (panel.made, panel.ready) == (0, False)
-
-
 # In a process
 
 
 @pytest.fixture
 def processes():
-    made = WorkerProcess()
+    made = ProcessService()
     yield made
     made.close()
 
@@ -206,39 +161,39 @@ def is_running(pid: int) -> bool:
 
 def test_a_process_is_there_from_the_first_question_to_the_end(processes):
     assert processes.pid is None
-    assert processes.ask(processes.next_id(), double, 21) == 42
+    assert processes.ask(processes.ticket(), double, 21) == 42
     pid = processes.pid
-    assert processes.ask(processes.next_id(), own_pid) == pid != os.getpid()
+    assert processes.ask(processes.ticket(), own_pid) == pid != os.getpid()
     with pytest.raises(InputError, match="too far"):
-        processes.ask(processes.next_id(), refuse, "too far")
-    assert processes.ask(processes.next_id(), own_pid) == pid, "it lives on"
+        processes.ask(processes.ticket(), refuse, "too far")
+    assert processes.ask(processes.ticket(), own_pid) == pid, "it lives on"
     processes.close()
     assert not is_running(pid)
     with pytest.raises(ProcessLostError):
-        processes.ask(processes.next_id(), double, 1)
+        processes.ask(processes.ticket(), double, 1)
     processes.close()
 
 
 def test_a_process_that_was_killed_is_replaced_and_asked_again_once(processes, tmp_path):
-    first = processes.ask(processes.next_id(), own_pid)
+    first = processes.ask(processes.ticket(), own_pid)
     os.kill(first, signal.SIGKILL)
-    second = processes.ask(processes.next_id(), own_pid)
+    second = processes.ask(processes.ticket(), own_pid)
     assert second != first
-    assert processes.ask(processes.next_id(), end_once, tmp_path / "ended") == "the second time"
+    assert processes.ask(processes.ticket(), end_once, tmp_path / "ended") == "the second time"
     with pytest.raises(ProcessLostError, match=approved_pattern("workers.gone", code=3)):
-        processes.ask(processes.next_id(), end)
-    assert processes.ask(processes.next_id(), double, 4) == 8
+        processes.ask(processes.ticket(), end)
+    assert processes.ask(processes.ticket(), double, 4) == 8
 
 
 def test_work_hears_that_something_newer_is_asked(processes, tmp_path):
     heard = []
-    ticket = processes.next_id()
+    ticket = processes.ticket()
     asking = threading.Thread(target=lambda: heard.append(processes.ask(ticket, until_unwanted, tmp_path / "begun")))
     asking.start()
     while not (tmp_path / "begun").exists():
         time.sleep(0.01)
     assert heard == []
-    processes.next_id()
+    processes.ticket()
     asking.join(5)
     assert heard == ["unwanted"]
 
@@ -250,7 +205,7 @@ def test_closing_ends_the_process_at_once_whatever_it_does(processes, tmp_path, 
 
     def ask():
         with pytest.raises(ProcessLostError) as lost:
-            processes.ask(processes.next_id(), until_unwanted, b"x" * size if size > 1 else tmp_path / "begun")
+            processes.ask(processes.ticket(), until_unwanted, b"x" * size if size > 1 else tmp_path / "begun")
         heard.append(lost.value)
 
     asking = threading.Thread(target=ask)
@@ -268,16 +223,16 @@ def test_closing_ends_the_process_at_once_whatever_it_does(processes, tmp_path, 
 def test_a_process_that_cannot_be_started_is_said(processes, monkeypatch):
     monkeypatch.setattr(multiprocessing.spawn, "_python_exe", os.fsencode("/there-is-no-such-program"))
     with pytest.raises(ProcessLostError):
-        processes.ask(processes.next_id(), own_pid)
+        processes.ask(processes.ticket(), own_pid)
 
 
 ORPHAN = """
 import os, signal
-from app.workers.processes import WorkerProcess
+from app.workers.processes import ProcessService
 from tests.app.workers.process_support import own_pid
 if __name__ == "__main__":
-    processes = WorkerProcess()
-    print(processes.ask(processes.next_id(), own_pid), flush=True)
+    processes = ProcessService()
+    print(processes.ask(processes.ticket(), own_pid), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -313,5 +268,5 @@ def test_a_process_runs_nothing_of_the_working_folder(processes, tmp_path, monke
         (tmp_path / name).write_text("open('ran', 'w').close()\nraise SystemExit(99)\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    assert processes.ask(processes.next_id(), double, 3) == 6
+    assert processes.ask(processes.ticket(), double, 3) == 6
     assert not (tmp_path / "ran").exists()

@@ -50,7 +50,7 @@ def read(tmp_path):
 
 
 def wrench_of(batches):
-    return np.vstack([batch.wrench for batch in batches["wrench"]])
+    return np.vstack([batch.values for batch in batches["wrench"]])
 
 
 def skin_of(batches):
@@ -97,7 +97,7 @@ def test_decimal_commas_quotes_comments_and_a_byte_order_mark(read):
 def test_a_header_in_a_comment_names_the_columns(read):
     """`numpy.savetxt` writes it so. Read by place, the joints' radians would be degrees."""
     batches, _, findings = read(joints="# t_s, shoulder_rad\n" + "".join(f"{time},0.5\n" for time in TIMES))
-    np.testing.assert_allclose(np.vstack([batch.angles for batch in batches["joints"]]), 0.5, rtol=1e-9)
+    np.testing.assert_allclose(np.vstack([batch.values for batch in batches["joints"]]), 0.5, rtol=1e-9)
     assert not any("no header" in finding for finding in findings)
 
 
@@ -131,7 +131,7 @@ def test_joints_in_degrees_or_radians_become_radians(read):
     angles = np.array([[0.0, 94.0], [1.0, 45.0], [2.0, 30.0], [3.0, -90.0]])
     for header, values in ((["j0_deg", "j1_deg"], angles), (["j0_rad", "j1 [rad]"], np.radians(angles))):
         batches, _, _ = read(joints=table(["t_s", *header], with_time(values)))
-        np.testing.assert_allclose(np.vstack([b.angles for b in batches["joints"]]), np.radians(angles), rtol=1e-14)
+        np.testing.assert_allclose(np.vstack([b.values for b in batches["joints"]]), np.radians(angles), rtol=1e-14)
 
 
 def test_without_a_header_columns_go_by_their_place(read):
@@ -188,7 +188,7 @@ def test_joints_may_come_slowly_and_seconds_that_are_named_are_believed(read):
     batches, _, _ = read(
         joints=table(["t", "j0_deg"], slow), skin=table(["t_s", "t0", "t1", "t2"], with_time(SKIN, 1e3)[:2] - 499.5)
     )
-    assert len(np.vstack([batch.angles for batch in batches["joints"]])) == 2
+    assert len(np.vstack([batch.values for batch in batches["joints"]])) == 2
     assert len(skin_of(batches)) == 2
 
 

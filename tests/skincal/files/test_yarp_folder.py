@@ -89,8 +89,7 @@ def test_a_recording_decodes_to_what_was_logged(tmp_path, options, format_):
         wanted = np.array([values_at(time)[index] for time in times], dtype=float)
         device_s = np.concatenate([batch.device_s for batch in batches[name]])
         np.testing.assert_allclose(device_s - EPOCH, times, atol=1e-6)
-        field = {"wrench": "wrench", "skin": "values", "joints": "angles"}[name]
-        got = np.vstack([getattr(batch, field) for batch in batches[name]])
+        got = np.vstack([batch.values for batch in batches[name]])
         np.testing.assert_allclose(got, np.radians(wanted) if name == "joints" else wanted, rtol=1e-15)
     assert findings[0] == approved("csv_log.rate", link="wrench", lines=300, seconds=3.0, rate=100)
     assert len(findings) == 3
@@ -309,7 +308,7 @@ def test_the_new_ports_structure_is_read(tmp_path):
     ]
     links, chunks, findings = read_yarp(write_log(tmp_path / "w", rows), recording(tmp_path)["skin"])
     batches, counts = decode(links, chunks)
-    np.testing.assert_array_equal(np.vstack([b.wrench for b in batches["wrench"]])[:, 5], np.arange(300))
+    np.testing.assert_array_equal(np.vstack([b.values for b in batches["wrench"]])[:, 5], np.arange(300))
     assert not counts["wrench"]
     assert approved("yarp_log.two_sensors", link="wrench", count=2) in findings
 

@@ -7,6 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide import guidance as landmarks_module
+from skincal.guide.believed_positions import believed_positions, plan_from_layout
 from skincal.guide.guidance import (
     LANDMARK_POKE_MAX_OFFSET_M,
     Guidance,
@@ -16,7 +17,6 @@ from skincal.guide.guidance import (
     may_be_at_landmark,
     rig_error_sd,
 )
-from skincal.guide.knowledge import believed_positions, plan_from_layout
 from skincal.mesh.lay import place_layout
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain

@@ -1,224 +1,172 @@
-"""The guide over a session: what it asks, and what becomes of it."""
+"""The guide over a session: its targets, its needs, and what skips, exclusions and repeated reports do to them."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from guide_support import PART, GuidedBench, after, make_guide
 
-from skincal.guide import candidates
 from skincal.guide.guidance import GuidePhase
-from skincal.guide.guide import SKIPPED, Guide
-from skincal.guide.poke_history import PokeHistory
+from skincal.guide.guide import MAX_SKIPS_PER_SIDE
 from skincal.guide.progress import GuideSettings
 from skincal.model.actions import Exclude, MarkDead, Restore
+from skincal.session.guiding import SessionGuide
+from skincal.session.part import lay_part
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
-from skincal.simulate.courses import WAYS, Conditions, MeantPokes, errors_of, looks, poked, rig_beside, run_course
+from skincal.simulate.contacts import PressedPlaces, simulate_contacts
+from skincal.simulate.courses import WAYS, Conditions, errors_of, looks, run_course
+from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method, State
+from tests.skincal.sim_support import make_rig
+
+CHANNELS, PLACES, MODULES = PART.plan.channels, PART.plan.places, PART.plan.modules
 
 
-@cache
-def part():
-    return Bench()
+def row_of(channel):
+    return int(np.searchsorted(CHANNELS, channel))
 
 
-def guide(method=Method.FREE):
-    return Guide(part().plan, part().scene.noise, method, part().spacing)
+def errors(bench, method):
+    return errors_of(bench.session.snapshot().estimates[method], bench.rig)
 
 
-class Followed:
-    """A session whose operator does what the guide asks."""
-
-    def __init__(self, method=Method.FREE, seed=1):
-        solved = (Method.FREE, Method.SURFACE, *((method,) if method is Method.MODULES else ()))
-        self.session, self.guide = Session(part().scene, part().surface, solved), guide(method)
-        self.rig, self.rng = rig_beside(part(), Conditions(), seed), np.random.default_rng(seed)
-        self.contacts = {}
-        self.guidance = self.look()
-        self.asked = []
-
-    def look(self):
-        return self.guide.update(self.contacts, self.session.snapshot().estimates, self.session.evidence)
-
-    def poke(self, place=None):
-        target = self.guidance.target
-        self.asked.append(target.channel)
-        meant = MeantPokes((target.place if place is None else place)[None], target.push[None])
-        for contact in poked(part(), self.rig, meant, Conditions(), self.rng, self.session.last_poke + 1)[0]:
-            self.session.add(contact)
-            self.contacts[contact.poke] = contact
-        self.guidance = self.look()
-        return self
-
-
-@cache
-def after(pokes, method=Method.FREE):
-    followed = Followed(method)
-    for _ in range(pokes):
-        followed.poke()
-    return followed
-
-
-def test_the_first_target_stands_on_the_part_and_says_what_it_gains():
-    guidance = Followed().guidance
+def test_the_first_target_is_on_the_part_with_its_predicted_gain():
+    guidance = GuidedBench().guidance
     target = guidance.target
-    assert guidance.phase is GuidePhase.SWEEP
-    assert guidance.done == 0
-    row = int(np.flatnonzero(guidance.channels == target.channel)[0])
-    np.testing.assert_array_equal(target.place, part().plan.places[row])
-    assert np.linalg.norm(target.push) == pytest.approx(1.0)
+    assert (guidance.phase, guidance.done) == (GuidePhase.SWEEP, 0)
+    np.testing.assert_array_equal(target.place, PLACES[row_of(target.channel)])
     assert -target.push @ target.normal == pytest.approx(np.cos(target.tilt))
     assert target.tilt <= np.radians(28.0) + 1e-9
-    assert 0 < target.after < target.before
+    assert 0 < target.rms_after < target.rms_now
 
 
-def test_ninety_pokes_bring_the_free_method_to_five_millimetres():
-    followed = after(96)
-    errors = errors_of(followed.session.snapshot().estimates[Method.FREE], followed.rig)
-    assert errors.mean() < 0.0055
-    assert len(set(followed.asked)) > 50
-    # Targets lie near each other: a third of the part's length is seldom crossed.
-    places = {int(c): p for c, p in zip(part().plan.channels, part().plan.places, strict=True)}
-    steps = [np.linalg.norm(places[a] - places[b]) for a, b in zip(followed.asked, followed.asked[1:], strict=False)]
-    assert np.median(steps) < 0.03
+def test_ninety_pokes_bring_the_free_method_to_five_millimetres_by_short_ways():
+    bench = after(96)
+    assert errors(bench, Method.FREE).mean() < 0.0055
+    assert len(set(bench.asked)) > 50
+    places = PLACES[[row_of(channel) for channel in bench.asked]]
+    assert np.median(np.linalg.norm(np.diff(places, axis=0), axis=1)) < 0.03
 
 
-def test_on_a_surface_no_taxel_is_asked_for_again_before_all_had_their_turn():
-    followed, had = Followed(Method.SURFACE), set()
-    assert followed.guidance.phase is GuidePhase.OWN
-    while True:
-        own = zip(followed.guidance.channels.tolist(), followed.guidance.own.tolist(), strict=True)
-        waiting = {channel for channel, count in own if count == 0} - had
-        if not waiting:
-            break
-        target, pokes = followed.guidance.target.channel, len(followed.contacts)
-        assert target in waiting, "neither poked nor asked for"
-        followed.poke()
-        # A poke that no taxel answered is no poke: the target stays.
-        had |= {target} if len(followed.contacts) > pokes else set()
+def test_on_a_surface_each_taxel_has_its_turn_before_any_is_repeated():
+    bench, had = GuidedBench(Method.SURFACE), set()
+    assert bench.guidance.phase is GuidePhase.OWN
+    while waiting := {c for c, own in zip(CHANNELS.tolist(), bench.guidance.own.tolist(), strict=True) if not own} - had:
+        target, pokes = bench.guidance.target.channel, len(bench.contacts)
+        assert target in waiting
+        bench.poke()
+        # A poke that no taxel answered is none: the target stays.
+        had |= {target} if len(bench.contacts) > pokes else set()
     assert 50 < len(had) <= 84
 
 
 @pytest.mark.parametrize(("method", "pokes"), [(Method.FREE, 60), (Method.SURFACE, 240)])
-def test_a_session_that_is_opened_at_once_knows_what_a_followed_one_knows(method, pokes):
-    followed = after(pokes, method)
-    opened = guide(method).update(followed.contacts, followed.session.snapshot().estimates, followed.session.evidence)
-    np.testing.assert_array_equal(opened.own, followed.guidance.own)
-    np.testing.assert_allclose(opened.diversity, followed.guidance.diversity, atol=1e-12)
-    np.testing.assert_allclose(opened.places, followed.guidance.places, atol=1e-12)
-    np.testing.assert_array_equal(opened.rms, followed.guidance.rms)
-    assert opened.needs == followed.guidance.needs
+def test_a_guide_made_later_knows_the_same(method, pokes):
+    bench = after(pokes, method)
+    opened = bench.update(make_guide(method))
+    np.testing.assert_array_equal(opened.own, bench.guidance.own)
+    np.testing.assert_allclose(opened.diversity, bench.guidance.diversity, atol=1e-12)
+    np.testing.assert_allclose(opened.places, bench.guidance.places, atol=1e-12)
+    np.testing.assert_array_equal(opened.rms, bench.guidance.rms)
+    assert opened.needs == bench.guidance.needs
 
 
-def test_a_poke_that_is_taken_out_and_put_in_again_leaves_no_trace():
-    followed = Followed(seed=3)
+def test_an_excluded_poke_that_is_restored_leaves_no_trace():
+    bench = GuidedBench(seed=3)
     for _ in range(40):
-        followed.poke()
-    before = followed.guidance
-    followed.session.act(Exclude(17))
-    gone = followed.contacts.pop(17)
-    without = followed.look()
+        bench.poke()
+    before = bench.guidance
+    bench.session.act(Exclude(17))
+    gone = bench.contacts.pop(17)
+    without = bench.look()
     assert (without.own != before.own).any() or (without.diversity != before.diversity).any()
-    followed.session.act(Restore(17))
-    followed.contacts[17] = gone
-    again = followed.look()
+    bench.session.act(Restore(17))
+    bench.contacts[17] = gone
+    again = bench.look()
     np.testing.assert_array_equal(again.own, before.own)
     np.testing.assert_array_equal(again.diversity, before.diversity)
     assert again.needs == before.needs
 
 
-def test_a_target_that_is_skipped_gives_way_to_another():
-    followed = Followed(seed=5)
-    first = followed.guidance.target
-    followed.guide.skip()
-    assert followed.look().target.channel != first.channel
-
-
-def test_a_side_that_is_skipped_twice_is_asked_for_no_more():
-    followed = Followed(seed=5)
-    first = followed.guidance.target
-    for _ in range(SKIPPED):
-        followed.guide.skip()
-    followed.guidance = followed.look()
+def test_a_side_that_is_skipped_twice_is_left_out_and_worth_nothing():
+    bench = GuidedBench(seed=5)
+    first = bench.guidance.target
+    open_ = bench.diversity(row_of(first.channel))
+    assert (open_.worth > 0).all()
+    for _ in range(MAX_SKIPS_PER_SIDE):
+        bench.guide.skip(first)
+    axes = bench.diversity(row_of(first.channel))
+    np.testing.assert_array_equal(axes.worth == 0.0, axes.tried @ first.push > np.cos(np.radians(25.0)))
+    np.testing.assert_array_equal(axes.worth[axes.worth > 0], open_.worth[axes.worth > 0])
+    assert bench.look().target.channel != first.channel
     for _ in range(60):
-        target = followed.guidance.target
+        target = bench.guidance.target
         assert not (target.channel == first.channel and target.push @ first.push > 0.99)
-        followed.poke()
+        bench.poke()
 
 
-def test_a_dead_taxel_is_never_asked_for():
-    followed = Followed(seed=7)
-    dead = followed.guidance.target.channel
-    followed.session.act(MarkDead(dead))
-    followed.guidance = followed.look()
+def test_a_dead_taxel_is_no_target():
+    bench = GuidedBench(seed=7)
+    dead = bench.guidance.target.channel
+    bench.session.act(MarkDead(dead))
+    bench.look()
     for _ in range(30):
-        assert followed.guidance.target.channel != dead
-        followed.poke()
+        assert bench.guidance.target.channel != dead
+        bench.poke()
 
 
-def test_a_poke_that_is_reported_twice_is_asked_for_once():
-    followed = Followed(Method.SURFACE, seed=11)
-    first = followed.guidance.target
-    followed.poke()
-    number, contact = next(iter(followed.contacts.items()))
-    target = followed.guidance.target.channel
-    again = replace(contact, tare_change=0.02)
-    followed.session.add(again)
-    followed.contacts[number] = again
-    assert followed.look().target.channel == target
-    history, plan = PokeHistory(part().plan.channels, GuideSettings()), part().plan
-    pulls = candidates.answer_offsets(plan.places, candidates.find_answering(plan.places, part().spacing, part().scene.noise))
-    for reported in (contact, again):
-        history.follow({number: reported}, {}, first, plan.places, plan.normals, pulls)
-        assert history.asked[plan.channels == first.channel] == history.asked.sum() == 1
+def test_the_target_stays_while_a_poke_is_reported_again():
+    bench = GuidedBench()
+    for _ in range(12):
+        bench.poke()
+        target, newest = bench.guidance.target, max(bench.contacts)
+        before = bench.contacts[newest]
+        for report in (replace(before, force=before.force + np.array([0.3, -0.2, 0.1]), tare_change=0.3), before):
+            bench.report(report)
+            assert bench.look().target.channel == target.channel
+            assert bench.guidance.target.push @ target.push == pytest.approx(1.0)
+    first = bench.guidance.target
+    assert bench.skip().target.channel != first.channel
 
 
-def test_a_poke_on_another_taxel_counts_where_it_landed():
-    followed = Followed(seed=9)
-    row = int(np.flatnonzero(part().plan.channels == followed.guidance.target.channel)[0])
-    elsewhere = (row + 40) % 84
-    followed.poke(part().plan.places[elsewhere])
-    peak = next(iter(followed.contacts.values()))
-    hit = int(peak.channels[peak.responses.argmax()])
-    assert followed.guidance.own[np.flatnonzero(part().plan.channels == hit)[0]] == 1
+def test_a_poke_on_another_taxel_counts_for_that():
+    bench = GuidedBench(seed=9)
+    elsewhere = (row_of(bench.guidance.target.channel) + 40) % 84
+    bench.poke(PLACES[elsewhere])
+    hit = next(iter(bench.contacts.values())).strongest_channel
+    assert bench.guidance.own[row_of(hit)] == 1
 
 
-def test_what_is_doubted_counts_less_for_the_guide():
-    followed = after(60)
-    estimates, plain, doubting = followed.session.snapshot().estimates, guide(), guide()
-    row = int(followed.guidance.own.argmax())
-    # By the contacts alone: where a taxel's pokes miss by more than the scene's noise, its own error says what is known.
+def test_doubted_contacts_count_less_at_their_taxel_alone():
+    bench, plain, doubting = after(60), make_guide(), make_guide()
+    estimates, row = dict(bench.session.snapshot().estimates), int(bench.guidance.own.argmax())
+    # By the contacts alone: the solver's own error would count where it is larger.
     trusting = [each if each.rms is None else replace(each, rms=1e-6) for each in estimates[Method.FREE]]
-    estimates, mistrusted = {**estimates, Method.FREE: trusting}, list(trusting)
-    strongest: list[int] = followed.session.evidence([mistrusted[row].channel]).pokes[:2].tolist()
+    mistrusted = list(trusting)
+    strongest = bench.session.evidence([mistrusted[row].channel]).pokes[:2].tolist()
     mistrusted[row] = replace(mistrusted[row], doubted=dict.fromkeys(strongest, 0.0))
-    plain.update(followed.contacts, estimates, followed.session.evidence)
-    doubting.update(followed.contacts, {**estimates, Method.FREE: mistrusted}, followed.session.evidence)
-    # What is known less is worth more to poke; only around the taxel, since a poke on one tells of its neighbours.
-    beside = np.linalg.norm(followed.guidance.places - followed.guidance.places[row], axis=1)
+    bench.update(plain, {**estimates, Method.FREE: trusting})
+    bench.update(doubting, {**estimates, Method.FREE: mistrusted})
+    beside = np.linalg.norm(bench.guidance.places - bench.guidance.places[row], axis=1)
     for at, share in ((row, 1.05), (int(beside.argmax()), 1.0)):
-        channel = int(followed.guidance.channels[at])
-        worth = [each.axis_diversity(channel, followed.session.evidence).worth.max() for each in (plain, doubting)]
+        channel = int(bench.guidance.channels[at])
+        worth = [each.axis_diversity(channel, bench.session.evidence).worth.max() for each in (plain, doubting)]
         assert worth[1] > share * worth[0] if at == row else worth[1] == worth[0]
 
 
-def test_where_everything_is_done_it_says_so():
-    followed = after(60)
-    estimates = dict(followed.session.snapshot().estimates)
+def test_enough_is_said_if_nothing_is_needed():
+    bench = after(60)
+    estimates = dict(bench.session.snapshot().estimates)
     known = (replace(each, state=State.ESTIMATED, rms=1e-3, rival=None) for each in estimates[Method.SURFACE])
     estimates[Method.SURFACE] = tuple(known)
     content = GuideSettings(own_pokes=0, balance=float("inf"), settled=float("inf"))
-    easy = Guide(part().plan, part().scene.noise, Method.SURFACE, part().spacing, content)
-    guidance = easy.update(followed.contacts, estimates, followed.session.evidence)
-    assert guidance.phase is GuidePhase.ENOUGH
-    assert guidance.target is None
-    assert guidance.done == 84
+    guidance = bench.update(make_guide(Method.SURFACE, settings=content), estimates)
+    assert (guidance.phase, guidance.target, guidance.done) == (GuidePhase.ENOUGH, None, 84)
 
 
 @pytest.mark.parametrize("way", [*WAYS, "guided", "diversity", "optimal"])
 def test_a_course_is_the_same_each_time_and_gets_better(way):
-    one, two = (run_course(part(), way, Method.SURFACE, Conditions(), 2, 60) for _ in range(2))
+    one, two = (run_course(PART, way, Method.SURFACE, Conditions(), 2, 60) for _ in range(2))
     np.testing.assert_array_equal(one.mean, two.mean)
     np.testing.assert_array_equal(one.seconds, two.seconds)
     assert one.pokes.tolist() == looks(60).tolist()
@@ -227,143 +175,128 @@ def test_a_course_is_the_same_each_time_and_gets_better(way):
     assert one.falsely <= one.done
 
 
-def test_a_threshold_is_reached_where_the_error_stays_below_it():
-    course = run_course(part(), "round_robin", Method.SURFACE, Conditions(), 2, 120)
-    at = course.pokes_to(0.02)
-    place = int(np.searchsorted(course.pokes, at))
+def test_a_threshold_is_reached_once_the_error_stays_below_it():
+    course = run_course(PART, "round_robin", Method.SURFACE, Conditions(), 2, 120)
+    place = int(np.searchsorted(course.pokes, course.pokes_to(0.02)))
     assert (course.mean[place:] <= 0.02).all()
     assert course.mean[place - 1] > 0.02
     assert course.pokes_to(1e-6) == float("inf")
 
 
-def test_the_axis_diversity_of_a_taxel_is_what_its_contacts_say_of_it():
-    followed = after(60)
-    says, contacts = followed.guidance, followed.contacts
-    for channel in says.channels[says.own >= 2].tolist()[:5]:
-        axes = followed.guide.axis_diversity(channel, followed.session.evidence)
-        assert axes is not None
-        touching = {p: c for p, c in contacts.items() if channel in c.channels}
-        assert len(axes.pushes) == len(touching)
-        row = says.channels.tolist().index(channel)
-        assert int(axes.own.sum()) == says.own[row]
-        assert axes.diversity == says.diversity[row]
-        # In any order: each axis is a contact's, turned into the link frame.
-        turned = [c.link_from_sensor[:3, :3] @ c.force / np.linalg.norm(c.force) for c in touching.values()]
+def test_the_axis_diversity_of_a_taxel_describes_its_contacts():
+    bench = after(60)
+    says = bench.guidance
+    for row in np.flatnonzero(says.own >= 2)[:5].tolist():
+        axes, channel = bench.diversity(row), int(says.channels[row])
+        touching = [contact for contact in bench.contacts.values() if channel in contact.channels]
+        assert (len(axes.pushes), int(axes.own.sum()), axes.diversity) == (len(touching), says.own[row], says.diversity[row])
+        # In any order: each axis is a contact's, in the link frame.
+        turned = [c.link_from_sensor[:3, :3] @ c.force / np.linalg.norm(c.force) for c in touching]
         assert np.sort(axes.pushes @ turned[0]) == pytest.approx(np.sort([u @ turned[0] for u in turned]))
-        assert (axes.trust <= 1.0).all()
-        assert axes.normal @ axes.normal == pytest.approx(1.0)
         np.testing.assert_allclose(axes.offsets @ axes.normal, 0.0, atol=1e-12)
         assert np.linalg.norm(axes.beside) < 0.01
-        # Where one taxel answered alone, the poke was at it by all that is known.
         assert np.linalg.norm(axes.offsets, axis=1).max() < 0.015
+    fresh = GuidedBench()
+    assert make_guide().axis_diversity(0, fresh.session.evidence) is None, "before the first update"
+    assert fresh.diversity(row_of(fresh.guidance.target.channel)).pushes.shape == (0, 3)
+    assert fresh.guide.axis_diversity(10**6, fresh.session.evidence) is None
 
 
 @pytest.mark.parametrize("pokes", [3, 60, 150])
-def test_the_push_worth_most_at_the_target_is_the_one_that_is_asked_for(pokes):
-    followed = Followed(seed=2) if pokes == 3 else after(pokes)
-    for _ in range(3 if pokes == 3 else 0):
-        followed.poke()
-    target = followed.guidance.target
-    axes = followed.guide.axis_diversity(target.channel, followed.session.evidence)
-    assert axes is not None
-    np.testing.assert_array_equal(axes.tried[axes.worth.argmax()], target.push)
+def test_the_target_is_the_push_of_the_largest_gain(pokes):
+    bench = after(pokes)
+    axes = bench.diversity(row_of(bench.guidance.target.channel))
+    np.testing.assert_array_equal(axes.tried[axes.worth.argmax()], bench.guidance.target.push)
     assert axes.worth.max() > 0
-    assert axes.usable_tilt == followed.guidance.usable_tilt
+    assert axes.usable_tilt == bench.guidance.usable_tilt
 
 
-def test_a_taxel_without_contacts_has_an_empty_axis_diversity_and_an_unknown_channel_none():
-    followed = Followed()
-    assert guide().axis_diversity(0, followed.session.evidence) is None, "nothing is known yet"
-    target = followed.guidance.target
-    axes = followed.guide.axis_diversity(target.channel, followed.session.evidence)
-    assert axes is not None
-    assert (axes.pushes.shape, axes.offsets.shape, axes.own.shape, axes.diversity) == ((0, 3), (0, 3), (0,), 0.0)
-    assert followed.guide.axis_diversity(10**6, followed.session.evidence) is None
+# ---- modules ----
 
 
-def test_a_side_that_was_skipped_is_worth_nothing():
-    followed = Followed(seed=3)
-    first = followed.guidance.target
-    open_ = followed.guide.axis_diversity(first.channel, followed.session.evidence)
-    assert open_ is not None
-    assert (open_.worth > 0).all()
-    for _ in range(SKIPPED):
-        followed.guide.skip()
-    axes = followed.guide.axis_diversity(first.channel, followed.session.evidence)
-    assert axes is not None
-    np.testing.assert_array_equal(axes.worth == 0.0, axes.tried @ first.push > np.cos(np.radians(25.0)))
-    np.testing.assert_array_equal(axes.worth[axes.worth > 0], open_.worth[axes.worth > 0])
-
-
-def test_modules_are_enough_after_few_pokes_each_and_the_guide_goes_from_one_to_the_next():
-    followed = Followed(Method.MODULES)
-    for _ in range(90):
-        if followed.guidance.phase is GuidePhase.ENOUGH:
-            break
-        followed.poke()
-    assert followed.guidance.phase is GuidePhase.ENOUGH
-    assert followed.guidance.done == 84
-    # Eight to twelve pokes for each of the seven modules.
-    assert 56 <= len(followed.contacts) <= 84
-    errors = errors_of(followed.session.snapshot().estimates[Method.MODULES], followed.rig)
-    assert np.mean(errors > 0.003) < 0.02
+def test_modules_are_enough_after_ten_pokes_each():
+    bench = GuidedBench(Method.MODULES)
+    while bench.guidance.phase is not GuidePhase.ENOUGH and bench.count < 90:
+        bench.poke()
+    assert (bench.guidance.phase, bench.guidance.done) == (GuidePhase.ENOUGH, 84)
+    assert 56 <= len(bench.contacts) <= 84
+    assert np.mean(errors(bench, Method.MODULES) > 0.003) < 0.02
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_modules_take_turns_and_the_pokes_of_one_lie_far_apart(seed):
-    """Side by side they do not say how it is turned: 34 pokes to 3 mm instead of 18, over ten seeds."""
-    followed, plan = Followed(Method.MODULES, seed), part().plan
+def test_modules_take_turns_and_the_pokes_of_one_are_far_apart(seed):
+    """Side by side they do not show its turn: 34 pokes to 3 mm instead of 18, over ten seeds."""
+    bench = GuidedBench(Method.MODULES, seed)
     for _ in range(21):
-        followed.poke()
-    rows = np.searchsorted(plan.channels, followed.asked)
-    # A poke that falls on a neighbour's taxel is its turn.
-    assert np.bincount(plan.modules[rows], minlength=7).min() >= 2
+        bench.poke()
+    rows = np.array([row_of(channel) for channel in bench.asked])
+    assert np.bincount(MODULES[rows], minlength=7).min() >= 2
     for module in range(7):
-        places = plan.places[rows[plan.modules[rows] == module]]
+        places, wide = PLACES[rows[MODULES[rows] == module]], PLACES[module == MODULES]
         apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(places), 1)]
-        wide = plan.places[plan.modules == module]
         assert apart.max() > 0.75 * np.linalg.norm(wide[:, None] - wide, axis=2).max()
-    errors = errors_of(followed.session.snapshot().estimates[Method.MODULES], followed.rig)
-    assert np.median(errors) < 0.004
+    assert np.median(errors(bench, Method.MODULES)) < 0.004
 
 
-def test_a_taxel_that_is_asked_for_in_vain_gives_way_to_another_of_its_module():
-    """The hand never gets to the second taxel that is asked for of the first module, but to one of another module."""
-    followed, plan = Followed(Method.MODULES), part().plan
-    home = plan.modules[np.searchsorted(plan.channels, followed.guidance.target.channel)]
-    elsewhere = plan.places[np.flatnonzero(plan.modules == (home + 3) % 7)[4]]
+def test_a_taxel_that_is_missed_twice_gives_way_to_another_of_its_module():
+    bench = GuidedBench(Method.MODULES)
+    home = MODULES[row_of(bench.guidance.target.channel)]
+    elsewhere = PLACES[np.flatnonzero((home + 3) % 7 == MODULES)[4]]
     own, shunned = [], None
     for _ in range(30):
-        channel = followed.guidance.target.channel
-        if plan.modules[np.searchsorted(plan.channels, channel)] == home:
+        channel = bench.guidance.target.channel
+        if MODULES[row_of(channel)] == home:
             own.append(channel)
             shunned = channel if len(own) == 2 else shunned
-        followed.poke(elsewhere if channel == shunned else None)
+        bench.poke(elsewhere if channel == shunned else None)
     assert own.count(shunned) == 2
     assert len(set(own)) >= 4
 
 
 def test_a_skip_leads_to_another_module():
-    followed, plan = Followed(Method.MODULES), part().plan
-    homes = []
+    bench, homes = GuidedBench(Method.MODULES), []
     for _ in range(7):
-        homes.append(int(plan.modules[np.searchsorted(plan.channels, followed.guidance.target.channel)]))
-        followed.guide.skip()
-        followed.guidance = followed.look()
+        homes.append(int(MODULES[row_of(bench.guidance.target.channel)]))
+        bench.skip()
     assert sorted(homes) == list(range(7))
 
 
-def test_modules_in_space_are_pushed_from_all_sides():
-    """Parallel axes leave the depth blind where no mesh gives it."""
-    followed, plan = Followed(Method.MODULES), part().plan
-    followed.guide = Guide(plan, part().scene.noise, Method.MODULES, part().spacing, on_surface=False)
-    followed.guidance, pushes = followed.look(), {module: [] for module in range(7)}
+def test_modules_without_a_mesh_are_pushed_from_all_sides():
+    """Parallel axes leave the depth blind."""
+    bench = GuidedBench(Method.MODULES)
+    bench.guide = make_guide(Method.MODULES, on_surface=False)
+    bench.look()
+    pushes = {module: [] for module in range(7)}
     for _ in range(24):
-        target = followed.guidance.target
-        # How far is what the hand manages.
+        target = bench.guidance.target
         assert np.radians(9.9) < target.tilt < np.radians(28.1)
-        pushes[int(plan.modules[np.searchsorted(plan.channels, target.channel)])].append(target.push)
-        followed.poke()
+        pushes[int(MODULES[row_of(target.channel)])].append(target.push)
+        bench.poke()
     for own in pushes.values():
-        # One that fell on another module is asked for again from the same side.
         assert np.degrees(np.arccos(np.clip((np.array(own) @ np.array(own).T).min(), -1.0, 1.0))) > 25.0
+
+
+def test_a_flat_patch_without_a_mesh_is_finished_by_about_the_predicted_number_of_pokes():
+    rig, rng = make_rig(RigErrors.noise(), 0, "flat-patch"), np.random.default_rng(5)
+    session, guide = Session(rig.scene, None), SessionGuide(lay_part(rig.scene, None, ()))
+    stance, pokes = rig.stance(), 0
+
+    def follow():
+        pose = stance.name, stance.reported
+        return guide.next_target(session.snapshot(), pose, Method.MODULES, session.evidence, 100.0)
+
+    predicted = guide.costs[Method.MODULES]
+    while not (guidance := follow()).enough:
+        pokes += 1
+        place = np.append(guidance.target.place[:2] + 0.0015 * rng.standard_normal(2), 0.0)
+        push = guidance.target.push + np.append(np.radians(5.0) * rng.standard_normal(2), 0.0)
+        pressed = PressedPlaces(
+            np.zeros(1, dtype=np.int64), place[None], np.array([[0.0, 0.0, 1.0]]), push[None] / np.linalg.norm(push),
+            rng.uniform(6.0, 12.0, 1), rng.uniform(0.0, np.pi / 2, 1),
+        )  # fmt: skip
+        for contact in simulate_contacts(rig, pressed, rng, first_poke=pokes):
+            session.add(contact)
+    assert 0.75 * predicted < pokes < 1.25 * predicted
+    done = np.array([not needs for needs in guidance.needs])
+    assert done.mean() > 0.9
+    assert np.max(errors_of(session.snapshot().estimates[Method.MODULES], rig)[done]) < 0.003

@@ -2,26 +2,14 @@
 
 from dataclasses import replace
 from functools import cache
-from itertools import accumulate
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import plan_without_positions
-from skincal.guide.progress import (
-    PAUSE_S,
-    GuideSettings,
-    Need,
-    Tried,
-    Why,
-    count_pokes_from_start,
-    give_up_reason,
-    poke_interval,
-    pokes_left,
-    working_time,
-)
+from skincal.guide.progress import GuideSettings, Why
 from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
@@ -40,28 +28,6 @@ from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 
 SETTINGS = GuideSettings()
-TRIED = Tried(own=5, often=False, contacts=9, unanswered=0, shut=False, tilt=SETTINGS.usable_tilt)
-
-
-@pytest.mark.parametrize(
-    ("missing", "changes", "why"),
-    [
-        ((Need.SETTLED,), {}, None),
-        ((), {"own": 99}, None),
-        ((Need.SETTLED,), {"often": True}, Why.NOT_CONVERGED),
-        ((Need.DECISION,), {"often": True}, Why.AMBIGUOUS),
-        ((Need.POKES,), {"own": 0, "contacts": 0, "unanswered": SETTINGS.unanswered}, Why.NEVER_FIRED),
-        ((Need.POKES,), {"own": 0, "contacts": 1, "unanswered": SETTINGS.unanswered}, None),
-        ((Need.POKES,), {"own": 0, "contacts": 0, "unanswered": SETTINGS.unanswered - 1}, None),
-        ((Need.POKES,), {"own": 0, "contacts": 0, "shut": True}, Why.OUT_OF_REACH),
-        ((Need.SIDES,), {"tilt": np.radians(12.0)}, Why.TILT),
-        ((Need.SIDES, Need.ACCURACY), {"tilt": np.radians(12.0)}, Why.TILT),
-        ((Need.ACCURACY,), {"tilt": np.radians(12.0)}, None),
-        ((Need.SIDES,), {"tilt": np.radians(12.0), "own": SETTINGS.own_pokes - 1}, None),
-    ],
-)
-def test_a_taxel_is_given_up_only_where_more_pokes_would_not_help(missing, changes, why):
-    assert give_up_reason(missing, replace(TRIED, **changes), SETTINGS) is why
 
 
 # ---- held-out pokes ----
@@ -202,40 +168,6 @@ def test_the_chance_is_that_of_a_binomial():
         assert Check(checked_, inside).chance == pytest.approx(expected, abs=1e-12)
 
 
-# ---- what is left ----
-
-
-def test_pokes_left_are_none_where_nothing_is_open_and_fewer_the_more_is_known():
-    def left(own, rms=0.002, beside=0.0, moved=0.0, is_open=True):
-        numbers = [np.array([each]) for each in (own, rms, beside, moved)]
-        return pokes_left(Method.FREE, np.array([is_open]), *numbers, SETTINGS)
-
-    assert left(0, np.inf, 0.0, np.inf, is_open=False) == 0
-    falling = [left(0, np.inf, 0.0, np.inf), left(2, 0.004, 0.0, 0.001), left(5, 0.002, 0.0, 0.001)]
-    assert falling == sorted(falling, reverse=True)
-    assert falling[-1] >= 1
-    assert left(5, 0.006) > left(5, 0.002)
-    assert left(5, beside=0.002) > left(5)
-    assert left(SETTINGS.patience - 1, 0.02) <= 2, "no taxel gets more than the guide has patience for"
-
-
-@pytest.mark.parametrize(("method", "took"), [(Method.FREE, 820), (Method.SURFACE, 650)])
-def test_what_a_method_costs_is_told_to_a_third(method, took):
-    """Of the standard study, seven modules of twelve taxels."""
-    told = count_pokes_from_start(method, np.repeat(np.arange(7), 12), SETTINGS, on_mesh=True)
-    assert told == pytest.approx(took, rel=1 / 3)
-
-
-def test_the_pace_is_that_of_the_last_pokes_without_pauses():
-    times = np.array(list(accumulate([0.0, 3.0, 3.0, 500.0, 4.0, 3.0])))
-    assert poke_interval(times) == pytest.approx(3.0)
-    assert poke_interval(times[:2]) is None
-    begins, ends = times, times + 0.5
-    assert working_time(begins, ends) == pytest.approx(6 * 0.5 + 2.5 + 2.5 + 3.5 + 2.5)
-    assert PAUSE_S < 500.0
-    assert working_time(np.empty(0), np.empty(0)) == 0.0
-
-
 # ---- the verdict ----
 
 
@@ -249,7 +181,7 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
     snapshot = mine.snapshot()
     contacts = {each.poke: each for each in mine.contacts}
     guide = Guide(part().plan, part().scene.noise, Method.FREE, part().spacing)
-    guidance = guide.update(contacts, snapshot.estimates, mine.evidence)
+    guidance = guide.update(contacts, snapshot.estimates, mine.evidence, {}.get)
     estimates = snapshot.estimates[Method.FREE]
     verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
     by_modules = replace(guidance, method=Method.MODULES)
@@ -287,7 +219,7 @@ def test_it_is_not_enough_where_there_is_nothing():
     session = Session(part().scene, part().surface)
     guide = Guide(plan_without_positions(np.arange(12)), NoiseSettings(), Method.FREE, 0.005)
     estimates = {Method.FREE: [Estimate(channel, Method.FREE, State.UNSEEN, 0) for channel in range(12)]}
-    guidance = guide.update({}, estimates, session.evidence)
+    guidance = guide.update({}, estimates, session.evidence, {}.get)
     verdict = verdict_of(guidance, estimates[Method.FREE], {}, session.evidence, NoiseSettings(), None, SETTINGS)
     assert (verdict.done, verdict.used, verdict.enough) == (0, 0, False)
 
@@ -362,7 +294,7 @@ def test_a_session_of_a_rig_that_is_wrong_is_not_believed_without_its_correction
         for contact in pokes:
             session.add(contact)
         estimates, by_poke = session.snapshot().estimates, {each.poke: each for each in session.contacts}
-        guidance = guide.update(by_poke, estimates, session.evidence)
+        guidance = guide.update(by_poke, estimates, session.evidence, {}.get)
         verdict = verdict_of(
             replace(guidance, method=Method.MODULES), estimates[Method.MODULES], by_poke, session.evidence, rig.scene.noise,
             rig.surface, SETTINGS, session.module_model, landmark_agreement(answer, correction),

@@ -137,23 +137,23 @@ def nearest_from(surface, roots, offsets, pushes, start) -> NearestPoints:
     """`nearest_in_metric`, whose search begins at triangles where each optimum is likely."""
     count = len(roots)
     with surface_in_solver(surface)[0].call() as call:
-        starts = call.give(np.full(count, -1) if start is None else start, INTEGER)
+        starts = call.put(np.full(count, -1) if start is None else start, INTEGER)
         return _searched(call, surface, "nearest", (roots, offsets, pushes), [starts, 0, 0, 0], np.full(count, -1))
 
 
 def second_to_rows(surface, roots, offsets, pushes, best, radius, limit, every=False) -> NearestPoints:
     """The least separate minimum beside the best, where there is one: `skincal/solver/source/rival.h`."""
     with surface_in_solver(surface)[0].call() as call:
-        beside = [0, call.give(best.points), call.give(radius), call.give(limit)]
+        beside = [0, call.put(best.points), call.put(radius), call.put(limit)]
         return _searched(call, surface, "second", (roots, offsets, pushes), beside, best.triangles, every=every)
 
 
 def _searched(call, surface, name, asked, beside, triangles, *, every=False) -> NearestPoints:
     """Run an entry of the solver with the words of its `Search` (`solver.c`)."""
     count, place = len(triangles), surface_in_solver(surface)[1]
-    roots, offsets, pushes = (0 if each is None else call.give(each) for each in asked)
-    points, values, tried = call.room((count, 3)), call.room((count,)), call.room((count,), INTEGER)
-    found = call.changed(triangles, INTEGER)
+    roots, offsets, pushes = (0 if each is None else call.put(each) for each in asked)
+    points, values, tried = call.reserve((count, 3)), call.reserve((count,)), call.reserve((count,), INTEGER)
+    found = call.put_inout(triangles, INTEGER)
     call.run(name, [place, count, int(every), roots, offsets, pushes, *beside, points, values, found, tried])
-    numbers = [call.taken(each).astype(np.int64) for each in (found, tried)]
-    return NearestPoints(call.taken(points), numbers[0], call.taken(values), numbers[1])
+    numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
+    return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])

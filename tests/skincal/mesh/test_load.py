@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.mesh.geodesics import geodesics_of
-from skincal.mesh.load import FindingKind, load_surface, read_mesh
+from skincal.mesh.load import FindingKind, load_surface
+from skincal.mesh.readers import read_mesh
 from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import make_surface
 from skincal.model.errors import InputError

@@ -1,14 +1,9 @@
-from fractions import Fraction
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from mesh_support import Nearest, nearest_to, tube
 
 from skincal.mesh.search import nearest_in_metric, nearest_points
 from skincal.mesh.surface import Surface, make_surface
-from skincal.studies.baselines import closest_in_triangles
 
 
 def to_rows(surface, root, offset, push):
@@ -69,38 +64,6 @@ def test_equals_every_triangle_tried_one_by_one(spread):
             np.testing.assert_allclose(found.point, point, atol=1e-9)
 
 
-def test_the_point_lies_in_the_triangle_that_is_named():
-    rng = np.random.default_rng(8)
-    surface = tube()
-    for _ in range(30):
-        found = nearest_to(surface, random_metric(rng, 1e-3), rng.normal(0, 0.05, 3))
-        distance, _ = in_one_triangle(surface.corners[found.triangle], np.eye(3), found.point)
-        assert distance < 1e-28
-
-
-def test_equals_a_constrained_least_squares_per_triangle_as_the_paper_solves_it():
-    optimize = pytest.importorskip("scipy.optimize")
-    rng = np.random.default_rng(5)
-    surface = tube(around=5, along=2)
-    for _ in range(3):
-        metric, target, push = random_metric(rng, 0.05), rng.normal([0.03, 0, 0.07], 0.02), np.array([-1.0, 0.2, 0.1])
-        best = np.inf
-        for corners, normal in zip(surface.corners, surface.normals, strict=True):
-            if normal @ push >= 0:
-                continue
-
-            def cost(share, corners=corners, metric=metric, target=target):
-                off = share @ corners - target
-                return off @ metric @ off * 1e4
-
-            solved = optimize.minimize(
-                cost, np.full(3, 1 / 3), method="SLSQP", bounds=[(0, 1)] * 3, options={"ftol": 1e-15, "maxiter": 200},
-                constraints={"type": "eq", "fun": lambda share: share.sum() - 1},
-            )  # fmt: skip
-            best = min(best, solved.fun / 1e4)
-        assert nearest_to(surface, metric, target, push).value == pytest.approx(best, rel=1e-5, abs=1e-10)
-
-
 @pytest.mark.parametrize("shares", [[0.2, 0.5, 0.3], [0.4, 0.6, 0.0], [0.0, 1.0, 0.0]], ids=["inside", "edge", "vertex"])
 def test_a_target_on_the_surface_is_found_to_the_last_digits(shares):
     surface = tube()
@@ -158,16 +121,6 @@ def test_no_triangle_faces_the_push():
     assert nearest_to(flat, np.eye(3), np.zeros(3), -up) is not None
 
 
-def test_a_hole_is_not_closed():
-    flat = square(0.0, cells=4)
-    centre = np.linalg.norm(flat.centres[:2], axis=0)
-    holed = make_surface(flat.vertices, flat.triangles[centre > 0.02])
-    found = nearest_to(holed, np.eye(3), np.zeros(3), np.array([0.0, 0.0, -1.0]))
-    value, _ = by_every_triangle(holed, np.eye(3), np.zeros(3))
-    assert found.value == pytest.approx(value)
-    assert np.linalg.norm(found.point) > 0.01
-
-
 def test_duplicate_triangles_and_needles_change_nothing():
     rng = np.random.default_rng(9)
     surface = tube()
@@ -198,48 +151,6 @@ def test_turns_with_a_rigid_motion_of_everything():
         two = to_rows(moved, turned, turned @ (rotation @ target + shift), rotation @ push)
         np.testing.assert_allclose(rotation @ one.point + shift, two.point, atol=1e-11)
         assert one.triangle == two.triangle
-
-
-coordinate = st.floats(-1, 1, allow_nan=False).map(lambda x: round(x, 3))
-
-
-@settings(max_examples=150, deadline=None)
-@given(st.lists(coordinate, min_size=9, max_size=9), st.sampled_from([1.0, 1e-5, 1e-9, 0.0]))
-def test_closed_form_against_exact_fractions(numbers, squash):
-    """Also for needles and for triangles without area: `squash` flattens the third coordinate."""
-    corners = np.array(numbers).reshape(3, 3) * np.array([1.0, 1.0, squash])
-    shares, squared = closest_in_triangles(corners[None])
-    assert shares.min() >= -1e-15
-    assert shares.sum() == pytest.approx(1, abs=1e-12)
-    exact = exactly(corners)
-    assert float(squared[0]) == pytest.approx(float(exact), rel=1e-9, abs=1e-26)
-
-
-def exactly(corners) -> Fraction:
-    """Return the squared distance of the origin to a triangle in rational arithmetic."""
-    a, b, c = ([Fraction(float(x)) for x in corner] for corner in corners)
-
-    def dot(p, q):
-        return sum(x * y for x, y in zip(p, q, strict=True))
-
-    def mix(p, q, s):
-        return [x + s * (y - x) for x, y in zip(p, q, strict=True)]
-
-    best = min(dot(p, p) for p in (a, b, c))
-    for p, q in ((a, b), (b, c), (c, a)):
-        along = [y - x for x, y in zip(p, q, strict=True)]
-        if dot(along, along) > 0:
-            on = mix(p, q, min(max(-dot(p, along) / dot(along, along), Fraction(0)), Fraction(1)))
-            best = min(best, dot(on, on))
-    e, f = [y - x for x, y in zip(a, b, strict=True)], [y - x for x, y in zip(a, c, strict=True)]
-    ee, ef, ff, ae, af = dot(e, e), dot(e, f), dot(f, f), dot(a, e), dot(a, f)
-    det = ee * ff - ef * ef
-    if det > 0:
-        u, v = (ef * af - ff * ae) / det, (ef * ae - ee * af) / det
-        if u >= 0 and v >= 0 and u + v <= 1:
-            on = [x + u * y + v * z for x, y, z in zip(a, e, f, strict=True)]
-            best = min(best, dot(on, on))
-    return best
 
 
 def test_euclidean_points_equal_every_triangle():

@@ -10,7 +10,8 @@ import pytest
 from skincal.files.icub import read_icub
 from skincal.files.importers.csv_log import read_csv
 from skincal.files.reference import read_reference
-from skincal.mesh.load import load_surface, read_mesh
+from skincal.mesh.load import load_surface
+from skincal.mesh.readers import read_mesh
 from skincal.model import given
 from skincal.model.errors import SENTENCE_MOST, InputError, plain_text
 from skincal.model.scene import SurfaceSpec, load_scene
@@ -226,7 +227,7 @@ def test_thousands_of_vertices_in_a_micrometre(tmp_path):
 
 
 def test_text_meshes_have_a_limit(monkeypatch, tmp_path):
-    monkeypatch.setattr("skincal.mesh.load.TEXT_MESH_MOST", 100)
+    monkeypatch.setattr("skincal.mesh.readers.MAX_TEXT_MESH_BYTES", 100)
     for name, data in (("a.obj", b"v 1 2 3\n" * 20), ("a.off", b"OFF 1 1\n" * 20), ("a.stl", b"solid " * 20)):
         assert "bytes of text" in sentence_of(read_mesh, tmp_path / name, data)
 

@@ -89,7 +89,7 @@ def rows_of_all(model, contacts, noise, told, start):
 
     def rows(x):
         poses = model.ground.move(start, x.reshape(len(model.pads), -1))
-        pads = model.ground.place_pads(poses.take(fitted.of), flat)
+        pads = model.ground.place_pads(poses.select(fitted.of), flat)
         apart = [np.linalg.norm(np.subtract(*pads.points[[index[end] for end in each.ends]])) for each in told]
         off = [(length - each.length) / each.sd for length, each in zip(apart, told, strict=True)]
         across = pairs @ (axes - touches.contact_centres(pads)[0])[:, :, None]
@@ -111,7 +111,7 @@ def test_it_is_least_squares_over_all_pokes_and_distances(surface, rng):
     )
     known = ModuleModel(model.layout, model._anchor, model._surface, told)
     kept = {}
-    alone = estimate_modules(ContactTable(contacts), known, range(len(poses)), noise, [{}], {}, kept=kept)
+    alone = estimate_modules(ContactTable(contacts), known, range(len(poses)), noise, [{}], {}, fitted_modules=kept)
     for module, own in kept.items():
         # By the noise alone, without what slow errors may add.
         information = own.slopes.reshape(-1, model.ground.unknowns)
@@ -147,7 +147,7 @@ def test_what_all_modules_share_is_no_news_to_a_distance(rng):
     way = (ends[0] - ends[1]) / np.linalg.norm(ends[0] - ends[1])
     told = (KnownDistance(tuple(middles), True, float(np.linalg.norm(ends[0] - ends[1])), 1e-4),)
     known, kept = ModuleModel(model.layout, model._anchor, None, told), {}
-    alone = estimate_modules(ContactTable(contacts), known, range(len(poses)), noise, [{}], {}, kept=kept)
+    alone = estimate_modules(ContactTable(contacts), known, range(len(poses)), noise, [{}], {}, fitted_modules=kept)
     # One error shifts both along their distance, another one the first alone, by a millimetre each.
     for module, apart in ((0, way), (1, np.zeros(3))):
         moves = np.zeros((6, 2))
@@ -168,13 +168,13 @@ def test_a_wrong_distance_is_not_used_and_said():
         session.add(contact)
     tried = session.snapshot().tried_distances
     assert [each.use for each in tried] == [DistanceUse.OFF, *[DistanceUse.USED] * 20]
-    assert tried[0].told.length - tried[0].found == pytest.approx(0.020, abs=0.003)
+    assert tried[0].distance.length - tried[0].found == pytest.approx(0.020, abs=0.003)
     first, second = distance_sentences(tried)
     assert first == approved("distances.used", used=20, count="21 known distances")
-    (one, other), told, found = tried[0].told.ends, f"{tried[0].told.length * 1e3:.1f}", f"{tried[0].found * 1e3:.1f}"
+    (one, other), told, found = tried[0].distance.ends, f"{tried[0].distance.length * 1e3:.1f}", f"{tried[0].found * 1e3:.1f}"
     within = f"{2e3 * tried[0].sd:.1f}"
     assert second == approved("distances.off", one=one, other=other, told=told, found=found, within=within)
-    left = tuple(each for each in scene.distances if each is not tried[0].told)
+    left = tuple(each for each in scene.distances if each is not tried[0].distance)
     without = solved(rig, contacts, left)
     for estimate in session.snapshot().estimates[Method.MODULES]:
         np.testing.assert_allclose(estimate.position, without[estimate.channel].position, rtol=0, atol=1e-12)
@@ -212,7 +212,7 @@ def test_origins_of_modules_are_ends_as_well():
     rig, contacts = poked(3)
     model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)
     kept = {}
-    found = estimate_modules(ContactTable(contacts), model, range(7), rig.scene.noise, [{}], {}, kept=kept)
+    found = estimate_modules(ContactTable(contacts), model, range(7), rig.scene.noise, [{}], {}, fitted_modules=kept)
     ids = [module.id for module in model.layout.modules]
     apart = float(np.linalg.norm(kept[0].pose.points - kept[4].pose.points))
     told = (KnownDistance((ids[0], ids[4]), False, apart, SD),)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from skincal.modules.estimate import predicted_squares
+from skincal.modules.estimate import predicted_misses
 from skincal.modules.pose import ModuleModel
 from skincal.modules.pose_fit import fit_modules
 from skincal.rig.correction_fit import module_groups
@@ -15,6 +15,12 @@ from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from tests.skincal.sim_support import make_rig
+
+
+def predicted_squares(*case):
+    """Squared misses in standard deviations."""
+    misses, covariances, _ = predicted_misses(*case)
+    return np.sum(misses * np.linalg.solve(covariances, misses[:, :, None])[:, :, 0], axis=1)
 
 
 @cache

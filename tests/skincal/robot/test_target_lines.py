@@ -11,7 +11,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import SECONDS_MOST, SETTING_MOST
 from skincal.robot.target_lines import (
     GREETING,
-    LINE_MAX,
+    LINE_MAX_BYTES,
     Answer,
     AnswerKind,
     Judged,
@@ -20,10 +20,10 @@ from skincal.robot.target_lines import (
     PokeTarget,
     Refused,
     read_answer_line,
-    read_line,
     write_answer,
     write_line,
 )
+from skincal.simulate.robot_client import read_line
 from tests.approved import approved_pattern
 
 PUSH = np.array([0.28, -0.31, -0.91])
@@ -32,20 +32,15 @@ SHOWN = PokeTarget(
 )
 
 
-@pytest.mark.parametrize("word", list(NoTarget))
-def test_a_line_without_a_target_says_what_to_do(word):
-    assert read_line(write_line(word) + "\n") is word
-
-
 @pytest.mark.parametrize(
-    "line", [Judged(3), Judged(3, "too soft (2.1, limit 4 N)"), Refused("another robot is connected")], ids=str
+    "line", [*NoTarget, Judged(3), Judged(3, "too soft (2.1, limit 4 N)"), Refused("another robot is connected")], ids=str
 )
-def test_verdicts_survive_their_lines(line):
-    assert read_line(write_line(line)) == line
+def test_lines_without_a_target_are_read_back(line):
+    assert read_line(write_line(line) + "\n") == line
 
 
 @pytest.mark.parametrize("answer", [Answer(AnswerKind.REACHED, 3), Answer(AnswerKind.FAULT, 9, "joint 3 at its end")], ids=str)
-def test_answers_survive_their_lines(answer):
+def test_answers_are_read_back(answer):
     assert read_answer_line(write_answer(answer) + "\r") == answer
 
 
@@ -77,12 +72,12 @@ def test_what_thresholds_allow_survives_its_line():
 def test_a_line_is_bounded_whatever_the_names():
     link = "腕" * 60
     line = write_line(replace(SHOWN, number=999_999_999, channel=99_999, place=-SHOWN.place, frame=link, pose="é" * 100))
-    assert len(line.encode()) <= LINE_MAX
+    assert len(line.encode()) <= LINE_MAX_BYTES
     read = read_line(line)
     assert read.frame == link[: len(read.frame)] != ""
     assert read.pose == "é" * len(read.pose) != ""
     for words in (Judged(3, "腕" * 300), Refused("腕" * 300)):
-        assert len(write_line(words).encode()) <= LINE_MAX
+        assert len(write_line(words).encode()) <= LINE_MAX_BYTES
 
 
 GOOD = "target 7 204 r 1 0.1 0.2 0.3 0 0 -1 9.5 0.6"
@@ -145,6 +140,6 @@ def test_garbage_ends_in_an_answer_or_in_the_one_exception(data):
 
 @pytest.mark.parametrize("end", [b"", b"\n"])
 def test_a_line_is_bounded_whether_or_not_it_ends(end):
-    LineCutter().feed(b"x" * LINE_MAX)
-    with pytest.raises(InputError, match=approved_pattern("targets.more_than", most=LINE_MAX)):
-        LineCutter().feed(b"x" * (LINE_MAX + 1) + end)
+    LineCutter().feed(b"x" * LINE_MAX_BYTES)
+    with pytest.raises(InputError, match=approved_pattern("targets.more_than", most=LINE_MAX_BYTES)):
+        LineCutter().feed(b"x" * (LINE_MAX_BYTES + 1) + end)

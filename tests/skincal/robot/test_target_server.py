@@ -10,7 +10,8 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
-from skincal.robot.target_server import AGAIN_S, LINES_A_SECOND, RobotCame, TargetClient, TargetServer, parse_port
+from skincal.robot.target_server import LINES_PER_S_MAX, RECONNECT_AFTER_S, RobotCame, TargetServer, parse_port
+from skincal.simulate.robot_client import TargetClient
 from tests.approved import approved, approved_pattern
 from tests.skincal.robot.robot_support import Peer
 
@@ -96,7 +97,7 @@ LIES = {
     "another protocol": b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
     "no text": bytes(range(256)) + b"\n",
     "never ends": b"reached " * 100_000,
-    "a flood": b"reached 1\n" * 10 * LINES_A_SECOND,
+    "a flood": b"reached 1\n" * 10 * LINES_PER_S_MAX,
 }
 
 
@@ -112,7 +113,7 @@ def test_who_lies_or_floods_is_hung_up_on_for_one_sentence(server, lie):
             while said is not None and not said.startswith("refused "):
                 said = peer.line()
             assert said is not None or len(LIES[lie]) > 1000, "a sender that is far ahead may miss why"
-        time.sleep(AGAIN_S + 0.1)
+        time.sleep(RECONNECT_AFTER_S + 0.1)
     sentences = [item for item in taken(server) if isinstance(item, str) and approved("targets.hung_up_on") in item]
     assert len(sentences) == 1, "twice the same is said once"
     with robot(server) as peer:

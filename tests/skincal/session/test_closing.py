@@ -159,7 +159,7 @@ def with_one_far_off() -> tuple[Sessions, str]:
     it.beside = 0.025
     for _ in range(3):
         guidance = it.look()
-        assert guidance.closing.lone is None
+        assert guidance.closing.suspect_poke is None
         it.poke_landmark(guidance.landmark.landmark.name)
         it.beside = 0.0
     return it, first
@@ -178,7 +178,8 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
     assert (written["moved"], written["poke_left_out"], written["place_left_out"]) == (False, slipped, first)
     assert written["chance_without_poke"] == closing.chance_without_worst
     guidance = it.look()
-    assert (guidance.phase, guidance.closing.lone, guidance.landmark.landmark.name) == (GuidePhase.CLOSING, slipped, first)
+    shown = guidance.phase, guidance.closing.suspect_poke, guidance.landmark.landmark.name
+    assert shown == (GuidePhase.CLOSING, slipped, first)
     asked = 0
     while it.look().phase is GuidePhase.CLOSING:
         it.poke_landmark(it.look().landmark.landmark.name)

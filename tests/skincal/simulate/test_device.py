@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.cli.simulate import SERVED_NOISE_NM
-from skincal.model.readings import Loss, Stream
+from skincal.model.readings import Loss
 from skincal.simulate.device import (
     DeviceSettings,
     DeviceTimeline,
@@ -41,8 +41,7 @@ def decode(line, arrived, link, form="skb"):
     channels = line.rig.scene.skin.channels
     decoder = make_decoder(form, channels, (line.links[link],))
     batches = [batch for _, name, data in arrived if name == link for batch in decoder.feed(data)]
-    field = {Stream.WRENCH: "wrench", Stream.SKIN: "values", Stream.JOINTS: "angles"}[line.links[link]]
-    return decoder, np.concatenate([b.device_s for b in batches]), np.concatenate([getattr(b, field) for b in batches])
+    return decoder, np.concatenate([b.device_s for b in batches]), np.concatenate([b.values for b in batches])
 
 
 @given(st.binary(max_size=1100) | st.lists(st.sampled_from([0, 1, 255]), max_size=700).map(bytes))

@@ -7,14 +7,14 @@ import pytest
 
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
+from skincal.guide.believed_positions import plan_from_layout
 from skincal.guide.guide import Guide
-from skincal.guide.knowledge import plan_from_layout
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
-from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, read_line, write_line
+from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_line
 from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceTimeline
@@ -29,6 +29,7 @@ from skincal.simulate.operator import (
     PoseOrder,
     Told,
 )
+from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method

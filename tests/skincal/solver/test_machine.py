@@ -1,4 +1,4 @@
-"""The compiled solver is its source's, and what it has instead of a C library is right."""
+"""The compiled solver: built from its source, its replacements of the C library, its memory and threads."""
 
 import ctypes
 import math
@@ -59,7 +59,7 @@ def probe(tmp_path_factory):
     """The functions of `base.h` themselves, compiled with the solver's own flags."""
     folder = tmp_path_factory.mktemp("probe")
     (folder / "probe.c").write_text(PROBE, encoding="utf-8")
-    # What the probe does not call is no fault.
+    # The probe leaves functions unused.
     flags = [flag for flag in solver.COMPILER_FLAGS if flag != "-Werror"]
     command = [sys.executable, "-m", "ziglang", "cc", *flags, f"-I{solver.C_SOURCE.parent}", "-o", "probe.wasm", "probe.c"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
@@ -81,12 +81,12 @@ def probe(tmp_path_factory):
     return Probe()
 
 
-def test_the_program_is_what_its_source_compiles_to():
+def test_the_program_equals_its_compiled_source():
     assert solver.build() == PROGRAM.read_bytes(), "run `python -m tools.solver`"
 
 
 def answers():
-    """Bytes of what the solver finds: in metrics of all kinds on an odd mesh, and for all methods on a bad rig."""
+    """Bytes of the solver's results: all kinds of metrics on an odd mesh, and all methods on a bad rig."""
     rng = np.random.default_rng(7)
     surface = together(tube(), soup(rng))
     for kind in KINDS:
@@ -97,25 +97,26 @@ def answers():
     layout = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
     contacts = [contact for pose in rig.stances for contact in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
     for method in estimate_taxels(contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, model=layout).values():
-        for estimate in method.values():
-            yield from (
-                estimate.state,
-                *(value.tobytes() for value in (estimate.position, estimate.covariance) if value is not None),
-            )
+        yield from estimate_bytes(method)
 
 
-def test_the_solver_does_nothing_that_c_leaves_undefined(tmp_path, monkeypatch):
-    """A program that would end at it runs through, and finds the same to the last bit."""
+def estimate_bytes(estimates):
+    for estimate in estimates.values():
+        yield estimate.state
+        yield from (None if value is None else value.tobytes() for value in (estimate.position, estimate.covariance))
+
+
+def test_the_solver_has_no_undefined_behaviour(tmp_path, monkeypatch):
+    """Built so that undefined behaviour ends it, the program finishes with the same bits."""
     shipped = list(answers())
     strict = tmp_path / "strict.wasm"
     strict.write_bytes(solver.build(*solver.TRAP_FLAGS))
+    cached = (solver_machine._module, solver_machine.shared)
     with monkeypatch.context() as patch:
         patch.setattr(solver_machine, "PROGRAM", strict)
-        for kept in (solver_machine._module, solver_machine.shared):
-            kept.cache_clear()
+        [each.cache_clear() for each in cached]
         found = list(answers())
-    for kept in (solver_machine._module, solver_machine.shared):
-        kept.cache_clear()
+    [each.cache_clear() for each in cached]
     assert found == shipped
 
 
@@ -125,13 +126,14 @@ def number(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "here"), [("GRAZING", GRAZING), ("ROUND", search.ROUND), ("WIDTH", search.WIDTH), ("LEVELS", search.LEVELS)]
+    ("name", "here"),
+    [("GRAZING", GRAZING), ("ROUND", search.RADIUS_MARGIN), ("WIDTH", search.WIDTH), ("LEVELS", search.MAX_LEVELS)],
 )
-def test_a_number_that_stands_in_both_languages_is_the_same(name, here):
+def test_constants_in_c_and_python_are_equal(name, here):
     assert number(name) == here
 
 
-def test_both_languages_mean_the_same_tables():
+def test_tables_have_the_same_size_in_c_and_python():
     machine = Machine()
     assert machine.value("answer_size") == solve.ANSWER.itemsize
     assert machine.value("surface_size") == ctypes.sizeof(search.SurfaceTable)
@@ -197,32 +199,29 @@ def test_threads_take_turns():
     assert all(same(alone, other) for other in found)
 
 
-def test_what_is_kept_stays_while_the_memory_grows():
-    machine = Machine()
-    rng = np.random.default_rng(6)
-    kept = {}
+def test_permanent_arrays_stay_while_the_memory_grows_and_are_in_the_clone():
+    machine, rng, stored = Machine(), np.random.default_rng(6), {}
     for size in (0, 1, 1000, 300_000, 0, 5):
         array = rng.normal(size=size)
-        place = machine.keep(array)
-        assert place not in kept
-        kept[place] = array
+        address = machine.put_permanent(array)
+        assert address not in stored
+        stored[address] = array
     with machine.call() as call:
-        given = call.give(rng.normal(size=500_000))
-        assert given > max(kept)
-    for place, array in kept.items():
-        np.testing.assert_array_equal(machine.read(place, array.nbytes).view(float), array)
+        assert call.put(rng.normal(size=500_000)) > max(stored)
+    clone = machine.clone_for_thread()
+    assert clone is machine.clone_for_thread() is not machine
+    stored[machine.put_permanent(np.arange(7.0))] = np.arange(7.0)
+    for address, array in stored.items():
+        for each in (machine, machine.clone_for_thread()):
+            np.testing.assert_array_equal(each.read(address, array.nbytes).view(float), array)
 
 
-def test_a_twin_has_what_is_kept_and_what_is_kept_later():
-    machine = Machine()
-    first = machine.keep(np.arange(5.0))
-    twin = machine.twin()
-    assert twin is machine.twin()
-    assert twin is not machine
-    second = machine.keep(np.arange(7.0))
-    later = machine.twin()
-    for place, count in ((first, 5), (second, 7)):
-        np.testing.assert_array_equal(later.read(place, 8 * count).view(float), np.arange(count))
+def test_a_cache_folder_that_cannot_be_made_does_not_stop_the_solver(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    solver_machine._module.cache_clear()
+    assert Machine().value("answer_size") == solve.ANSWER.itemsize
+    solver_machine._module.cache_clear()
 
 
 @pytest.mark.parametrize("surface", [True, False])
@@ -233,20 +232,10 @@ def test_two_threads_find_what_one_does_to_the_last_bit(monkeypatch, surface):
     table, channels = ContactTable(contacts), rig.channels.tolist()
     wanted = [method for method in PER_TAXEL if surface or method is not Method.SURFACE]
 
-    def bits(value):
-        return None if value is None else value.tobytes()
-
     def solved(at_once):
         monkeypatch.setattr(methods, "_AT_ONCE", at_once)
         found = methods.estimate_from(table, channels, wanted, rig.scene.noise, rig.surface if surface else None)
-        return [
-            (
-                estimate.state,
-                *(None if value is None else value.tobytes() for value in (estimate.position, estimate.covariance)),
-            )
-            for method in wanted
-            for estimate in found[method].values()
-        ]
+        return [list(estimate_bytes(found[method])) for method in wanted]
 
     told = []
     solve_one = methods.solve

@@ -7,8 +7,9 @@ from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.transports import baud_search
 from skincal.streams.transports.baud_search import BAUDS, TRIAL_MAX_S, BaudSearchLink
-from tests.skincal.streams.maker_records import BOTA, ROBOTIQ
+from tests.skincal.streams.maker_records import VECTORS
 
+BOTA, ROBOTIQ = VECTORS["bota"].data, VECTORS["robotiq"].data
 TEXT = b"1.5,2.5,3.5,0.1,0.2,0.3\n"
 
 

@@ -255,7 +255,7 @@ def readings(link, enough):
         data = link.read(0.1)
         assert data[:1] in (b"", b"\xaa"), data  # nothing but frames
         for batch in decoder.feed(data):
-            found += list(zip(batch.wrench.tolist(), batch.device_s.tolist(), batch.saturated.tolist(), strict=True))
+            found += list(zip(batch.values.tolist(), batch.device_s.tolist(), batch.saturated.tolist(), strict=True))
     return decoder, found
 
 
@@ -398,7 +398,7 @@ def test_the_fake_is_like_the_driver():
     frame = driver.read_frame_blocking()
     assert driver.deactivate()
     (batch,) = BotaDecoder(None, (Stream.WRENCH,)).feed(encode_frame(frame))
-    assert batch.wrench[0].tolist() == pytest.approx([*frame.force, *frame.torque], rel=1e-6)
+    assert batch.values[0].tolist() == pytest.approx([*frame.force, *frame.torque], rel=1e-6)
     assert batch.device_s[0] == pytest.approx(frame.timestamp % 2**32 * 1e-6)
 
 

@@ -12,9 +12,10 @@ from cobs import cobs as reference_cobs
 from skincal.devices.decoding import pack
 from skincal.devices.netft import RECORDS
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream, WrenchBatch
-from skincal.streams.intake import INTERPOLATE_S, RING_READINGS, WAIT_S, Intake, Pairing, WrenchRing
+from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
+from skincal.streams.pairing import INTERPOLATION_MAX_S, WRENCH_WAIT_MAX_S, WRENCHES_KEPT, Pairing, WrenchRing
 from tests.skincal.streams.maker_records import rdt_packets, rdt_record
 
 LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
@@ -30,7 +31,8 @@ def wrench_batch(host_s, wrench=None, saturated=None, invalid=None):
     n = len(host_s)
     none = np.zeros(n, bool)
     wrench = ramp(host_s) if wrench is None else wrench
-    return WrenchBatch(
+    return Batch(
+        Stream.WRENCH,
         np.full(n, -1),
         np.full(n, np.nan),
         wrench,
@@ -44,7 +46,7 @@ def paired(wrench_s, frame_s, **flags):
     pairing.add_wrench(np.asarray(wrench_s), wrench_batch(np.asarray(wrench_s), **flags))
     for t in frame_s:
         pairing.add_frame(t, t, np.array([t]))
-    return pairing, pairing.advance(max(wrench_s[-1], frame_s[-1]))
+    return pairing, pairing.pop_paired(max(wrench_s[-1], frame_s[-1]))
 
 
 # ------------------------------------------------------------------ the mean over a frame's interval
@@ -64,12 +66,6 @@ def test_mean_over_the_interval_that_ends_at_the_frame():
         assert not sample.saturated
 
 
-def test_means_of_neighbouring_frames_share_no_reading_and_leave_none_out():
-    wrench_s = START + np.arange(1000) * 0.001 + 0.00037
-    _, samples = paired(wrench_s, START + 0.1 + np.arange(40) * 0.02)
-    assert sum(sample.readings for sample in samples) == 40 * 20
-
-
 def test_lost_frame_does_not_stretch_the_interval():
     frames = np.delete(START + 0.1 + np.arange(40) * 0.02, [20, 21])
     _, samples = paired(START + np.arange(1000) * 0.001, frames)
@@ -86,13 +82,13 @@ def test_slower_wrench_is_interpolated_at_the_middle_of_the_interval():
         np.testing.assert_allclose(sample.wrench, ramp(sample.host_s - 0.002), atol=1e-9)
 
 
-@pytest.mark.parametrize(("gap", "found"), [(INTERPOLATE_S - 0.002, True), (INTERPOLATE_S + 0.002, False)])
+@pytest.mark.parametrize(("gap", "found"), [(INTERPOLATION_MAX_S - 0.002, True), (INTERPOLATION_MAX_S + 0.002, False)])
 def test_wider_gaps_are_not_interpolated(gap, found):
     pairing = Pairing()
     wrench_s = np.array([START, START + gap, START + 0.2])
     pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
     pairing.add_frame(START + 0.03, START + 0.03, np.zeros(1))
-    samples = pairing.advance(START + 0.2)
+    samples = pairing.pop_paired(START + 0.2)
     assert len(samples) == (1 if found else 0)
 
 
@@ -138,10 +134,10 @@ def test_saturated_readings_mark_their_frames_and_no_others():
 def test_frame_waits_for_its_wrench():
     pairing = Pairing()
     pairing.add_frame(START, START, np.zeros(1))
-    assert pairing.advance(START + 0.2) == []
+    assert pairing.pop_paired(START + 0.2) == []
     wrench_s = START - 0.02 + np.arange(40) * 0.001
     pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
-    (sample,) = pairing.advance(START + 0.2)
+    (sample,) = pairing.pop_paired(START + 0.2)
     np.testing.assert_allclose(sample.wrench, ramp(START - 0.0095), atol=1e-9)
     assert not pairing.counts
 
@@ -149,33 +145,33 @@ def test_frame_waits_for_its_wrench():
 def test_frame_without_a_wrench_is_counted_after_its_wait_and_holds_up_none():
     pairing = Pairing()
     pairing.add_frame(START, START, np.zeros(1))
-    assert pairing.advance(START + WAIT_S) == []
+    assert pairing.pop_paired(START + WRENCH_WAIT_MAX_S) == []
     assert not pairing.counts
-    assert pairing.advance(START + WAIT_S + 0.001) == []
+    assert pairing.pop_paired(START + WRENCH_WAIT_MAX_S + 0.001) == []
     assert pairing.counts == Counter({Loss.UNPAIRED: 1})
     wrench_s = START + 0.3 + np.arange(40) * 0.001
     pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
     pairing.add_frame(START + 0.33, START + 0.33, np.zeros(1))
-    assert len(pairing.advance(START + 0.34)) == 1
+    assert len(pairing.pop_paired(START + 0.34)) == 1
 
 
 def test_wait_counts_from_the_arrival_of_a_frame_that_came_late():
     """A stalled program reads both links late: the skin's bytes are not given up before the wrench's are read."""
     pairing = Pairing()
     pairing.add_frame(START, START + 0.4, np.zeros(1))
-    assert pairing.advance(START + 0.41) == []
+    assert pairing.pop_paired(START + 0.41) == []
     wrench_s = START - 0.02 + np.arange(40) * 0.001
     pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
-    assert len(pairing.advance(START + 0.42)) == 1
+    assert len(pairing.pop_paired(START + 0.42)) == 1
 
 
 def test_frame_older_than_every_reading_kept_is_late():
     pairing = Pairing()
     for k in range(5):
-        wrench_s = START + (k * RING_READINGS + np.arange(RING_READINGS)) * 0.001
+        wrench_s = START + (k * WRENCHES_KEPT + np.arange(WRENCHES_KEPT)) * 0.001
         pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
     pairing.add_frame(START + 1.0, START + 1.0, np.zeros(1))
-    assert pairing.advance(START + 1.0) == []
+    assert pairing.pop_paired(START + 1.0) == []
     assert pairing.counts == Counter({Loss.LATE: 1})
 
 
@@ -187,7 +183,7 @@ def test_joint_angles_are_the_last_at_or_before_the_frame():
         pairing.add_joints(START + t, np.array([angle]))
     for t in (0.1, 0.12, 0.14, 0.16, 0.18, 0.2):
         pairing.add_frame(START + t, START + t, np.zeros(1))
-    angles = [None if s.angles is None else float(s.angles[0]) for s in pairing.advance(START + 0.3)]
+    angles = [None if s.angles is None else float(s.angles[0]) for s in pairing.pop_paired(START + 0.3)]
     assert angles == [None, 1.0, 1.0, 2.0, 3.0, 3.0]
 
 
@@ -205,7 +201,7 @@ def test_ring_keeps_the_newest_in_order_however_it_is_filled():
         np.testing.assert_array_equal(found, fed[-len(found) :])
         np.testing.assert_array_equal(wrench[:, 3], found)
         assert ring.newest_s == fed[-1]
-        assert ring.forgot(fed[0] - 1) == (len(found) < len(fed))
+        assert ring.is_older_than_kept(fed[0] - 1) == (len(found) < len(fed))
 
 
 # ------------------------------------------------------------------ the facade
@@ -292,24 +288,6 @@ def test_health_counts_rates_and_losses():
     assert intake.health(now + 10_000_000_000)[0].rate == 0
 
 
-def test_frame_of_the_wrong_width_is_said_with_both_numbers():
-    intake = Intake(5, LINKS)
-    assert feed_all(intake, rig(1)) == []
-    _, skin = intake.health(0)
-    assert skin.losses[Loss.BAD_WIDTH] == 49
-    assert "4 values" in skin.text
-    assert "5 are expected" in skin.text
-
-
-def test_skin_alone_is_counted_as_unpaired():
-    intake = Intake(4, LINKS)
-    items = [item for item in rig(2) if item.link == "skin"]
-    assert feed_all(intake, items) == []
-    assert 80 <= intake.unpaired < 100
-    assert intake.health(0)[1].losses[Loss.UNPAIRED] == intake.unpaired
-    assert intake.health(0)[1].readings == 100
-
-
 def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
     items = rig(4, broken=True)
     half = len(items) // 2
@@ -327,23 +305,6 @@ def test_link_that_went_away_and_came_back_goes_on_with_all_counts():
     assert skin.losses[Loss.MISSING] >= counted[1].losses[Loss.MISSING] > 0
     assert after[0].host_s > before[-1].host_s
     assert len(after) > 90
-
-
-def test_board_with_wrench_and_skin_on_one_link():
-    intake = Intake(4, (LinkSpec("board", "a", (Stream.WRENCH, Stream.SKIN)),))
-    items = []
-    for k in range(100):
-        t_us = 1000 + k * 20_000
-        data = b"".join(
-            frame(2, 20 * k + i, t_us + 1000 * i, struct.pack("<6fI", *ramp((t_us + 1000 * i) * 1e-6), 0)) for i in range(20)
-        )
-        items.append(Chunk("board", t_us * 1000 + 25_000_000, data + frame(1, k, t_us + 19_000, bytes(8))))
-    samples = feed_all(intake, items)
-    assert len(samples) == 100
-    for k, sample in enumerate(samples[2:], 2):
-        assert sample.readings == 20
-        middle_s = (1000 + k * 20_000 + 9_500) * 1e-6
-        np.testing.assert_allclose(sample.wrench, ramp(middle_s), rtol=1e-6)
 
 
 def test_memory_stays_flat():

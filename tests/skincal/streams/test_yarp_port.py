@@ -12,6 +12,11 @@ from tests.skincal.streams import maker_records as records
 from tests.skincal.streams.maker_records import yarp_doubles, yarp_list, yarp_measures, yarp_message
 
 NUMBER = records.YARP_NUMBER
+MIXED = records.YARP_HEAD + bytes.fromhex(
+    "0201ffffffffffffffff080000004000000000000000 000000007e440001 0001000006000000"
+    "0a000000000000000000e03f 01000000feffffff 0100000003000000 0100000004000000 0a0000000000000000001540 0100000006000000"
+)
+"""Sent by a port of YARP 3.12.3: integers among the doubles, no envelope."""
 HELLO = bytes.fromhex("5941641e0000525008000000736b696e63616c00")
 BECOME_READER = bytes.fromhex("59410a00000052500101ffffffffffffffff0800000000000000000000007e720001")
 
@@ -40,15 +45,15 @@ def test_names_as_a_real_server_writes_them():
 
 def test_captured_vector_with_an_envelope():
     (batch,), decoder = fed(records.YARP_VECTOR)
-    assert batch.wrench.tolist() == [list(records.YARP_VALUES)]
+    assert batch.values.tolist() == [list(records.VECTORS["yarp-port"].values[0])]
     assert batch.seq.tolist() == [236]
     assert batch.device_s.tolist() == [1795353452.30061]
     assert decoder.device_message == ""
 
 
 def test_captured_bottle_with_integers_among_the_doubles():
-    (batch,), _ = fed(records.YARP_MIXED)
-    assert batch.wrench.tolist() == [[0.5, -2, 3, 4, 5.25, 6]]
+    (batch,), _ = fed(MIXED)
+    assert batch.values.tolist() == [[0.5, -2, 3, 4, 5.25, 6]]
     assert batch.seq.tolist() == [-1]
     assert np.isnan(batch.device_s).all()
 
@@ -58,7 +63,7 @@ def test_measures_give_wrench_and_skin_by_their_places(groups):
     payload = yarp_measures(groups, records.WRENCH, [[1, 2], [3]])
     batches, _ = fed(yarp_message(payload, 5, 100.5), (Stream.WRENCH, Stream.SKIN), 3)
     wrench, skin = batches
-    assert wrench.wrench.tolist() == [list(records.WRENCH)]
+    assert wrench.values.tolist() == [list(records.WRENCH)]
     assert skin.values.tolist() == [[1, 2, 3]]
     assert wrench.device_s.tolist() == [100.5]
     (batch,), _ = fed(yarp_message(payload))
@@ -79,14 +84,14 @@ def test_joints_of_a_state_and_of_an_extended_one(count):
     pairs = yarp_list([angles, *([ok, yarp_doubles([0.0, 0.0])] * 11), ok][:count])
     for payload in (yarp_doubles([10.0, -20.0]), pairs):
         (batch,), _ = fed(yarp_message(payload, 1, 1.0), (Stream.JOINTS,))
-        assert np.degrees(batch.angles).tolist() == [pytest.approx([10, -20])]
+        assert np.degrees(batch.values).tolist() == [pytest.approx([10, -20])]
 
 
 def test_a_vector_fixes_the_width_of_one_stream_alone():
     """A listener that takes every stream: the first vector is a skin's, one of another width can still be the joints'."""
     messages = yarp_message(yarp_doubles([1.0] * 16), 1, 1.0) + yarp_message(yarp_doubles([10.0, 20.0]), 2, 1.1)
     batches, decoder = fed(messages, (Stream.SKIN, Stream.JOINTS))
-    assert [type(batch).__name__ for batch in batches] == ["SkinBatch", "JointsBatch"]
+    assert [batch.stream for batch in batches] == [Stream.SKIN, Stream.JOINTS]
     assert Loss.BAD_WIDTH not in decoder.counts
 
 

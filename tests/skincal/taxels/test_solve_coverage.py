@@ -1,11 +1,10 @@
 """The predicted uncertainty against simulated errors: how often 95 % ellipsoids hold the true place.
 
 `SKINCAL_LONG=1` runs 200 seeds and the limits of 93 to 97 %, in some minutes; else a few seeds with the limits that chance
-allows them. `python -m tests.skincal.taxels.test_solve_coverage` prints the table. Seeds are 1, 2, 3 ...: none is chosen.
+allows them. Seeds are 1, 2, 3 ...: none is chosen.
 """
 
 import os
-import sys
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -112,25 +111,3 @@ def test_errors_of_the_arm_that_the_scene_tells_are_covered(poses):
             [(trial[method].predicted ** 2).mean() for trial in found]
         )
         assert 0.5 < ratio < 2.0
-
-
-def row(method, own, guided, seeds):
-    """A line of the table."""
-    each = shares(method, own, guided, seeds)
-    found = [outcomes(own, guided, seed)[method] for seed in range(1, seeds + 1)]
-    error = 1e3 * np.sqrt(np.mean(np.concatenate([result.errors for result in found]) ** 2))
-    rms = 1e3 * np.sqrt(np.mean(np.concatenate([result.predicted for result in found]) ** 2))
-    loose = each.std() / np.sqrt(0.05 * 0.95 / 84)
-    taxels = np.mean([len(result.errors) for result in found])
-    return (
-        f"{method.value:8} {own:3} {'guided' if guided else 'unguided':9} {100 * each.mean():5.1f} % of {taxels:.1f} taxels, "
-        f"rms {error:5.2f} mm, predicted {rms:5.2f} mm, dispersion {loose:.2f}"
-    )
-
-
-if __name__ == "__main__":
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    for own, guided in ((own, guided) for own in (3, 1, 10, 30) for guided in (False, True)):
-        for method in PER_TAXEL:
-            sys.stdout.write(row(method, own, guided, count) + "\n")
-            sys.stdout.flush()

@@ -1,10 +1,6 @@
-"""What pokes that touch two places do to the estimates, and what the trust makes of them.
-
-`python -m tests.skincal.taxels.test_solve_trust` prints the table of a session with and without them. Seeds are 1, 2, 3 ...
-"""
+"""What pokes that touch two places do to the estimates, and what the trust makes of them."""
 
 import os
-import sys
 from dataclasses import replace
 from functools import cache
 
@@ -232,64 +228,6 @@ def test_extreme_numbers_leave_a_trust_from_0_to_1(rng):
         for chosen in (contacts, same):
             found = trust(ContactTable(chosen).evidence([0]), NOISE)
             assert ((found >= 0) & (found <= 1)).all()
-
-
-def test_what_is_doubted_is_reported(rng):
-    _, contacts = bundle(rng, 12, wrong=(4,))
-    estimate = estimate_taxels(contacts, [0], [Method.FREE], NOISE, None)[Method.FREE][0]
-    assert list(estimate.doubted) == [4]
-    assert estimate.doubted[4] < 0.05
-
-
-def test_a_session_with_double_touches_differs_from_the_clean_one_in_these_pokes_alone():
-    _, clean = session(10, False, 1, False)
-    _, doubled = session(10, False, 1, True)
-    twins = {contact.poke: contact for contact in clean}
-    differ = [poke for poke in doubled if poke.poke not in twins or (poke.force != twins[poke.poke].force).any()]
-    assert 0.05 < len(differ) / len(doubled) < 0.11
-    for poke in differ:
-        before = set(twins[poke.poke].channels.tolist()) if poke.poke in twins else set()
-        assert before <= set(poke.channels.tolist()), "what answered the first touch still answers"
-        added = np.linalg.norm(poke.force - twins[poke.poke].force)
-        assert 0.19 < added / np.linalg.norm(twins[poke.poke].force) < 0.53
-
-
-def test_a_recipes_pushes_lean_by_28_degrees_and_turn_by_120_each_round(rng):
-    rig = make_rig(RigErrors.noise(), 1)
-    pokes = recipe(rig, 30, rng)
-    lean = np.degrees(np.arccos(-np.sum(pokes.directions * pokes.normals, axis=1)))
-    assert lean.mean() == pytest.approx(28.0, abs=1.5)
-    assert lean.std() == pytest.approx(6.0, abs=1.5)
-    sideways = pokes.directions + np.cos(np.radians(28.0)) * pokes.normals
-    # Every third round comes from the same side; of a single one the hand turns the mean by 10 degrees (sd).
-    rounds = sideways.reshape(10, 3, -1, 3).mean(axis=(0, 2))
-    for row, other in ((0, 1), (1, 2), (2, 0)):
-        cosine = rounds[row] @ rounds[other] / np.linalg.norm(rounds[row]) / np.linalg.norm(rounds[other])
-        assert np.degrees(np.arccos(cosine)) == pytest.approx(120.0, abs=15.0)
-
-
-if __name__ == "__main__":
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 40
-    for own in (10, 30, 3):
-        for guided in (False, True):
-            clean = mean_and_worst(own, guided, False, seeds=count)
-            plain, harmed = (mean_and_worst(own, guided, twice, seeds=count, doubting=False) for twice in (False, True))
-            lines = {"no gate, no trust": harmed}
-            for name, gate in (("no gate", all_pass), ("pitch gate", pitch_gate), ("all gates", all_gates)):
-                lines[name] = mean_and_worst(own, guided, True, gate, seeds=count)
-            for method in PER_TAXEL:
-                mean, worst = clean[method]
-                cost = 100 * (mean / plain[method][0] - 1)
-                ratios = (
-                    f"{name} x{pair[method][0] / mean:.3f}, worst x{pair[method][1] / worst:.2f}"
-                    for name, pair in lines.items()
-                )
-                way = f"{own} {'guided' if guided else 'unguided'} {method.value}"
-                sys.stdout.write(
-                    f"{way}: clean {mean:.3f} mm, worst {worst:.2f} mm; trust costs {cost:.1f} %; {'; '.join(ratios)}\n"
-                )
-                sys.stdout.flush()
-            session.cache_clear()
 
 
 @pytest.mark.parametrize("seed", [202, 1011, 1382, 4828, 6779, 7226])

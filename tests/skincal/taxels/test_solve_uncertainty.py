@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import cross_matrix
+from skincal.geometry import cross_matrix, orthonormal_pair
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings
-from skincal.taxels.contact_table import ContactTable, orthonormal_pair
+from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import SD_MAX, Method, State
-from skincal.taxels.solve import factor
 from skincal.taxels.solve import solve as solve_evidence
-from tests.skincal.estimate_support import gather, solve
+from tests.skincal.estimate_support import gather, least_squares, solve
 
 NOISE = NoiseSettings(skin=0.0)
 FLAT = replace(NOISE, radius=1e9)
@@ -120,14 +119,14 @@ def test_the_covariance_equals_the_sandwich_of_the_papers_three_rows():
     taxel, pose, normal = np.array([0.03, 0.02, 0.01]), sensor_pose(), np.array([0.0, 0.6, 0.8])
     evidence = gather(pokes(rng, 8, taxel, normal, pose, NOISE, weights=(1.0, 0.9, 0.3)), [0])
     own = solve_evidence(evidence, [Method.FREE], NOISE, None, doubting=False)
-    push, point = own.pushes[0], own.factors.solutions[0]
+    push, point = own.answer["push"][0], own.answer["solution"][0]
     assert np.linalg.norm(point - taxel) < 0.005
     expected = written_out(evidence, point, push / np.linalg.norm(push), pose, NOISE)
-    np.testing.assert_allclose(own.free.covariances[0], expected, rtol=1e-9)
+    np.testing.assert_allclose(own.answer["free"]["covariance"][0], expected, rtol=1e-9)
     values, axes = np.linalg.eigh(expected)
-    assert own.free.sds[0] == pytest.approx(np.sqrt(values[-1]))
-    assert own.free.rms[0] == pytest.approx(np.sqrt(np.trace(expected)))
-    assert abs(own.free.worst_direction[0] @ axes[:, -1]) == pytest.approx(1)
+    assert own.answer["free"]["sd"][0] == pytest.approx(np.sqrt(values[-1]))
+    assert own.answer["free"]["rms"][0] == pytest.approx(np.sqrt(np.trace(expected)))
+    assert abs(own.answer["free"]["worst_direction"][0] @ axes[:, -1]) == pytest.approx(1)
 
 
 def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
@@ -138,8 +137,8 @@ def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
     plane = taxel + 0.2 * (tangent_basis(normal) @ np.array([[-1.0, -1], [1, -1], [0, 2]]).T).T
     surface = make_surface(plane, np.array([[0, 1, 2]]))
     surface = surface if surface.normals[0] @ normal > 0 else make_surface(plane, np.array([[0, 2, 1]]))
-    found = solve_evidence(evidence, [Method.SURFACE], NOISE, surface, doubting=False).surface
-    own, taxel = found.uncertain, found.points[0]
+    found = solve_evidence(evidence, [Method.SURFACE], NOISE, surface, doubting=False).answer[0]
+    own, taxel = found["on_surface"]["covariance"], found["point"]
     basis = tangent_basis(normal)
     squares, ends = [], 20_000
     k, sizes = evidence.weights, evidence.forces
@@ -157,8 +156,8 @@ def test_on_a_plane_it_equals_the_sandwich_confined_to_the_plane():
     metric = basis.T @ np.einsum("n,nij->ij", k**2, projections) @ basis
     squares = np.linalg.solve(metric, basis.T @ np.einsum("n,sni->is", k**2, moved))
     expected = basis @ np.cov(squares) @ basis.T
-    np.testing.assert_allclose(own.covariances[0], expected, atol=0.04 * np.abs(expected).max())
-    assert own.covariances[0] @ normal == pytest.approx(np.zeros(3), abs=1e-18)
+    np.testing.assert_allclose(own, expected, atol=0.04 * np.abs(expected).max())
+    assert own @ normal == pytest.approx(np.zeros(3), abs=1e-18)
 
 
 def test_weak_answers_share_their_offset_and_own_pokes_do_not():
@@ -254,7 +253,7 @@ def made(directions, moments, weights):
 
 
 def solution(a, b):
-    return factor(a, b, np.array([0, len(b)]))
+    return least_squares(a, b)
 
 
 def last_digit(rng, values):
@@ -288,7 +287,7 @@ def test_the_solver_loses_no_more_than_its_inputs_last_digit(case):
             moves.append(np.linalg.norm(by_80_digits(mpmath, moved) - exact))
     for order in (np.arange(10), np.arange(10)[::-1], rng.permutation(10)):
         again = made(*(part[order] for part in evidence[:3]))
-        error = np.linalg.norm(solution(*again[3:]).solutions[0] - exact)
+        error = np.linalg.norm(solution(*again[3:])[1] - exact)
         assert error <= 10 * max(moves) + 1e-15 * np.linalg.norm(exact)
 
 
@@ -307,8 +306,8 @@ def test_the_triangular_factor_keeps_the_sum_of_squares():
     rng = np.random.default_rng(26)
     a, b = axes_near(rng, np.array([0.03, 0.02, 0.1]), 0.4, rng.uniform(0.1, 1, 9))[3:]
     found = solution(a, b)
-    root, offset = found.roots[0], found.offsets[0]
-    least = np.sum((a @ found.solutions[0] - b) ** 2)
+    (root, offset), point = found
+    least = np.sum((a @ point - b) ** 2)
     for p in rng.normal(0, 0.1, (5, 3)):
         full = np.sum((a @ p - b) ** 2)
         assert np.sum((root @ p - offset) ** 2) == pytest.approx(full - least, rel=1e-9)

@@ -1,0 +1,113 @@
+"""Positions of taxels as the guide believes them: the layout laid on the part, corrected by the estimates.
+
+A skin lies off its plan as a whole, then module by module, then taxel by taxel. Each step takes the mean offset of the
+measured taxels, weighted by their precision, with a zero-mean prior.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray
+from skincal.guide.taxel_statistics import solve_each
+from skincal.mesh.lay import PlacedLayout
+from skincal.model.skin import Layout
+from skincal.taxels.result import Estimate
+
+DEFAULT_SPACING_M = 0.005
+"""Distance of neighbouring taxels without a layout: the iCub's and most others'."""
+SKIN_OFFSET_SD_M = 0.006
+"""Offset of the whole skin from its plan, each direction: by hand it is put on to a few millimetres."""
+MODULE_OFFSET_SD_M = 0.002
+"""Offset of a module from where the whole skin puts it: turns of the skin, and its bend."""
+TAXEL_OFFSET_SD_M = 0.001
+"""Offset of a taxel from where its module puts it: pads are printed more exactly; the mesh is not the part."""
+RIG_MODULE_SHARE = 0.3
+"""Part of a rig's shift that differs between modules: turns of an arm pose of 1 degree (`RigPrior`) move positions 0.1 m apart
+by 2 mm against each other, and the skin 0.2 to 0.4 m from the sensor by 3 to 7 mm."""
+MIN_ESTIMATE_SD_M = 0.0005
+"""No estimate counts as more precise, so that one taxel does not outvote the rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlannedPlaces:
+    """Positions of n taxels by the layout, link frame."""
+
+    channels: IntArray
+    """(n,)."""
+    places: FloatArray
+    """(n, 3) float, metres; NaN where the layout gives none."""
+    normals: FloatArray
+    """(n, 3) float, unit, outward; NaN likewise."""
+    modules: IntArray
+    """(n,) index of the module, from 0."""
+
+
+def plan_from_layout(layout: Layout, laid: PlacedLayout) -> PlannedPlaces | None:
+    """Make the plan of the taxels that a placed layout gives a position; `None` if there are none."""
+    channels = layout.channels
+    channels = channels[np.isfinite(laid.places[channels]).all(axis=1)]
+    if not len(channels):
+        return None
+    return PlannedPlaces(channels, laid.places[channels], laid.normals[channels], layout.module_of[channels])
+
+
+def plan_without_positions(channels: IntArray, modules: IntArray | None = None) -> PlannedPlaces:
+    """Make a plan of `channels` (n,) without positions; `modules` is (n,) their modules, `None` without a layout."""
+    nowhere = np.full((len(channels), 3), np.nan)
+    owners = np.zeros(len(channels), dtype=np.int64) if modules is None else modules
+    return PlannedPlaces(channels, nowhere, nowhere.copy(), owners)
+
+
+def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: float = 0.0) -> FloatArray:
+    """Compute (n, 3) the believed positions, metres; NaN without plan and estimate.
+
+    Errors of the rig shift all estimates nearly alike, as if the skin lay elsewhere. If the rig error is large, a common offset
+    of the estimates is attributed to the rig, and the targets stay on the planned skin.
+
+    Parameters
+    ----------
+    estimates : in the plan's order
+    rig : m, sd of the rig's shift in each direction
+    """
+    measured, covariances = np.full((len(estimates), 3), np.nan), np.zeros((len(estimates), 3, 3))
+    for row, estimate in enumerate(estimates):
+        if estimate.position is not None and estimate.covariance is not None:
+            measured[row], covariances[row] = estimate.position, estimate.covariance
+    precision = np.asarray(np.linalg.inv(covariances + MIN_ESTIMATE_SD_M**2 * np.eye(3)), dtype=np.float64)
+    precision[np.isnan(measured[:, 0])] = 0.0
+    off = np.where(np.isfinite(plan.places), measured - plan.places, np.nan)
+    known, module = np.isfinite(off).all(axis=1), plan.modules
+    everyone, rig_of_module = np.zeros(int(known.sum()), dtype=np.int64), RIG_MODULE_SHARE * rig
+    whole = _group_offsets(off[known], precision[known], everyone, 1, float(np.hypot(SKIN_OFFSET_SD_M, rig)))[0]
+    count, rest = int(module.max(initial=-1)) + 1, off - whole
+    sd = float(np.hypot(MODULE_OFFSET_SD_M, rig_of_module))
+    own = _group_offsets(rest[known], precision[known], module[known], count, sd)
+    if not count:
+        return _add_own_offset(plan.places.copy(), measured, precision, np.zeros(3))
+    moved = whole + own
+    skin = _skin_share(SKIN_OFFSET_SD_M, rig) * whole + _skin_share(MODULE_OFFSET_SD_M, rig_of_module) * own
+    return _add_own_offset(plan.places + skin[module], measured, precision, (moved - skin)[module])
+
+
+def _skin_share(skin: float, rig: float) -> float:
+    """Compute the part of a common offset that is the skin's, from the sd of both."""
+    return skin**2 / (skin**2 + rig**2)
+
+
+def _group_offsets(off: FloatArray, precision: FloatArray, groups: IntArray, count: int, sd: float) -> FloatArray:
+    """Compute (count, 3) the weighted mean of `off` (m, 3) in each group, with a zero-mean prior of `sd`."""
+    total, pull = np.tile(np.eye(3) / sd**2, (count, 1, 1)), np.zeros((count, 3))
+    np.add.at(total, groups, precision)
+    np.add.at(pull, groups, (precision @ off[:, :, None])[:, :, 0])
+    return solve_each(total, pull)
+
+
+def _add_own_offset(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:
+    """Shift positions towards each taxel's own estimate, less the rig's share, by how precise that is."""
+    off = np.nan_to_num(measured - places - rig)
+    own = solve_each(precision + np.eye(3) / TAXEL_OFFSET_SD_M**2, (precision @ off[:, :, None])[:, :, 0])
+    return np.where(np.isfinite(places), places + own, measured)

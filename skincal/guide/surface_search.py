@@ -1,0 +1,115 @@
+"""Search for taxels on a part without a layout: places spread evenly over the surface, first around taxels that answered."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray, orthonormal_pair
+from skincal.guide.poke_history import PokeAxis
+from skincal.mesh.search import nearest_in_metric
+from skincal.mesh.surface import Surface
+
+PLACE_SPACING_M = 0.008
+"""Between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
+MIN_SPACING_SHARE = 0.8
+"""Two places are at least this share of the spacing apart."""
+SKIN_NEIGHBOUR_M = 2.2 * PLACE_SPACING_M
+"""Places this near to an answered poke come first: where skin is, more skin is likely."""
+MAX_GAP_M = 0.025
+"""Elsewhere a place farther than this from each poke is tried: the smallest patches of skin are larger."""
+
+
+class SurfaceSearch:
+    """Places on a part's surface where taxels may be, and which of them are still to be poked."""
+
+    def __init__(self, surface: Surface) -> None:
+        self._surface = surface
+        self.places, triangles = spread_over(surface, PLACE_SPACING_M)
+        self.normals: FloatArray = surface.normals[triangles]
+        self._pokes: dict[int, tuple[FloatArray, bool]] = {}
+        """By number: position, (3,) metres, and whether a taxel answered."""
+        self._counted: list[int] = []
+        self._skipped = np.zeros(len(self.places), dtype=bool)
+
+    def add_poke(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
+        """Note a poke: it touched where its axis is nearest to the surface, on the side that faces it."""
+        root = np.vstack([orthonormal_pair(axis.direction[None])[0], np.zeros(3)])
+        found = nearest_in_metric(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
+        if found.triangles[0] >= 0:
+            self._pokes[number] = found.points[0], answered
+
+    def count_only(self, numbers: Collection[int]) -> None:
+        """Count the pokes among `numbers` alone: the others were undone."""
+        self._counted = sorted(self._pokes.keys() & set(numbers))
+
+    def skip(self, place: FloatArray) -> None:
+        """Never return this place, (3,) metres, again."""
+        self._skipped[int(np.sum((self.places - place) ** 2, axis=1).argmin())] = True
+
+    def next_place(self, hand: FloatArray | None) -> int | None:
+        """Choose the next place, given the last poke's position `hand` (3,), metres; `None` if all are covered."""
+        poked, answered = self._distances(), self._distances(answered_only=True)
+        waiting = (poked > PLACE_SPACING_M) & ~self._skipped
+        near = np.flatnonzero(waiting & (answered <= SKIN_NEIGHBOUR_M))
+        if near.size:
+            return self._nearest(near, self.places[near[0]] if hand is None else hand)
+        far = np.flatnonzero(waiting & (poked > MAX_GAP_M))
+        if not far.size:
+            return None
+        if not np.isfinite(poked[far]).all():
+            return self._nearest(far, self.places.mean(axis=0))
+        return int(far[int(poked[far].argmax())])
+
+    def _nearest(self, rows: IntArray, place: FloatArray) -> int:
+        return int(rows[int(np.sum((self.places[rows] - place) ** 2, axis=1).argmin())])
+
+    def _distances(self, *, answered_only: bool = False) -> FloatArray:
+        """Compute (n,) the distance of each place to the nearest poke, metres; infinite without one."""
+        pokes = [self._pokes[number] for number in self._counted]
+        points = [point for point, answered in pokes if answered or not answered_only]
+        if not points:
+            return np.full(len(self.places), np.inf)
+        spatial: Any = import_module("scipy.spatial")
+        return np.asarray(spatial.cKDTree(np.array(points)).query(self.places)[0], dtype=np.float64)
+
+
+def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
+    """Spread places (n, 3) over a surface, at least `MIN_SPACING_SHARE` of `spacing` apart; also return their triangles."""
+    corners = surface.corners
+    longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
+    # Pieces of at most half the spacing, thinned out afterwards.
+    steps = np.ceil(2.0 * longest / spacing).astype(np.int64).clip(min=1)
+    places, triangles = list[FloatArray](), list[IntArray]()
+    for count in np.unique(steps).tolist():
+        rows, shares = np.flatnonzero(steps == count), _piece_centres(count)
+        places.append((shares @ corners[rows]).reshape(-1, 3))
+        triangles.append(rows.repeat(len(shares)))
+    every, owners = np.concatenate(places), np.concatenate(triangles)
+    kept = _thin_out(every, MIN_SPACING_SHARE * spacing)
+    return every[kept], owners[kept]
+
+
+def _thin_out(places: FloatArray, apart: float) -> IntArray:
+    """Select places (n, 3) in a fixed order so that none is nearer than `apart` to one selected before."""
+    # Imported late and in the background: a scene with a layout needs none of it.
+    spatial: Any = import_module("scipy.spatial")
+    tree = spatial.cKDTree(places)
+    waiting = np.ones(len(places), dtype=bool)
+    kept = list[int]()
+    for row in np.lexsort(places.T).tolist():
+        if waiting[row]:
+            kept.append(row)
+            waiting[tree.query_ball_point(places[row], apart)] = False
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def _piece_centres(count: int) -> FloatArray:
+    """Compute (n, 3) the barycentric centres of the `count`^2 equal triangles into which a triangle is cut."""
+    upright = [(i, j) for i in range(count) for j in range(count - i)]
+    turned = [(i, j) for i in range(count - 1) for j in range(count - 1 - i)]
+    pairs = np.array([(i + 1 / 3, j + 1 / 3) for i, j in upright] + [(i + 2 / 3, j + 2 / 3) for i, j in turned]) / count
+    return np.column_stack([1.0 - pairs.sum(axis=1), pairs])

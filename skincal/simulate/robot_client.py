@@ -1,0 +1,136 @@
+"""Robot's side of the port for targets: reads skincal's lines and answers them, for a simulated robot."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import threading
+from collections.abc import Callable
+from urllib.parse import unquote
+
+import numpy as np
+
+from skincal.model.errors import InputError, shortened
+from skincal.model.scene import SECONDS_MOST, SETTING_MOST
+from skincal.robot.target_lines import (
+    KNOWN_POINT,
+    NO_TAXEL,
+    REASON_MAX_CHARS,
+    Answer,
+    AnswerKind,
+    AskedLine,
+    Judged,
+    LineCutter,
+    NoTarget,
+    PokeTarget,
+    Refused,
+    read_number,
+    write_answer,
+)
+from skincal.robot.target_server import POLL_S, READ_MAX_BYTES, RECONNECT_AFTER_S
+
+COORDINATE_MAX_M = 10.0
+"""m. No part reaches so far from its frame's origin."""
+FORCE_MAX_N = SETTING_MOST
+"""N. Maximum of a scene's thresholds; a robot has limits of its own."""
+HOLD_MAX_S = 2.0 * SECONDS_MOST
+"""s. Twice the longest still window."""
+
+
+def read_line(line: str) -> AskedLine | None:
+    """Read a line of skincal; `None` for an empty line, the greeting, and words of later versions.
+
+    Raises InputError: a known word is followed by something else than expected.
+    """
+    word, _, rest = line.strip().partition(" ")
+    try:
+        match word:
+            case "target":
+                return _target_of(rest.split())
+            case "accepted" | "rejected":
+                number, _, reason = rest.partition(" ")
+                return Judged(read_number(number), (reason or word) if word == "rejected" else "")
+            case "refused":
+                return Refused(rest)
+            case _:
+                return NoTarget(line.strip()) if line.strip() in {each.value for each in NoTarget} else None
+    except ValueError:
+        raise InputError(
+            f"{shortened(line.strip(), REASON_MAX_CHARS)!r} is no target; docs/wire.md describes these lines."
+        ) from None
+
+
+def _target_of(words: list[str]) -> PokeTarget:
+    if len(words) != 12:
+        raise ValueError(words)
+    number, what, frame, pose, *rest = words
+    values = np.array([float(value) for value in rest])
+    place, push, force, hold = values[:3], values[3:6], float(values[6]), float(values[7])
+    size = float(np.linalg.norm(push))
+    # NaN fails every comparison.
+    if not (
+        (np.abs(place) < COORDINATE_MAX_M).all() and 0.5 < size < 2.0 and 0 < force <= FORCE_MAX_N and 0 <= hold <= HOLD_MAX_S
+    ):
+        raise ValueError(words)
+    channel = None if what in (NO_TAXEL, KNOWN_POINT) else read_number(what)
+    frame, pose = ("" if name == NO_TAXEL else unquote(name) for name in (frame, pose))
+    return PokeTarget(read_number(number), channel, place, push / size, what == KNOWN_POINT, frame, pose, force, hold)
+
+
+class TargetClient:
+    """Client of a target server: connects, again and again until it is closed.
+
+    `take` gets every line that skincal sends. If it raises InputError, a target is answered with a fault.
+    """
+
+    def __init__(self, host: str, port: int, take: Callable[[AskedLine], object]) -> None:
+        self._place, self._take = (host, port), take
+        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="robot", daemon=True)
+        self._thread.start()
+
+    def say(self, answer: Answer) -> None:
+        """Send an answer, from any thread."""
+        self._answers.put(answer)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._stop.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            # The server may be away, or send something else: try again.
+            with (
+                contextlib.suppress(OSError, InputError),
+                socket.create_connection(self._place, RECONNECT_AFTER_S) as connection,
+            ):
+                self._talk(connection)
+            self._stop.wait(RECONNECT_AFTER_S)
+
+    def _talk(self, connection: socket.socket) -> None:
+        lines = LineCutter()
+        connection.settimeout(POLL_S)
+        while not self._stop.is_set():
+            with contextlib.suppress(queue.Empty):
+                while True:
+                    connection.sendall(f"{write_answer(self._answers.get_nowait())}\n".encode())
+            try:
+                data = connection.recv(READ_MAX_BYTES)
+            except TimeoutError:
+                continue
+            if not data:
+                return
+            for line in lines.feed(data):
+                self._hear(line)
+
+    def _hear(self, line: str) -> None:
+        asked = read_line(line)
+        try:
+            if asked is not None:
+                self._take(asked)
+        except InputError as error:
+            if isinstance(asked, PokeTarget):
+                self.say(Answer(AnswerKind.FAULT, asked.number, str(error)))

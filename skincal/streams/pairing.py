@@ -1,0 +1,205 @@
+"""Pairs each skin frame with the wrench that acted while it was taken.
+
+A frame's stamp ends its interval: the wrench of a frame is the mean of the readings in the interval of one frame period up to
+the stamp. So no reading from after the frame is needed, and the means of neighbouring frames share no reading. If the wrench
+is slower than the skin and no reading falls into an interval, the wrench at its middle is interpolated. A frame waits until
+the wrench stream has passed its stamp. A frame that waited too long is counted and left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from statistics import median
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.devices.decoding import WRENCH_WIDTH
+from skincal.geometry import FloatArray, mean_rows
+from skincal.model.readings import Batch, Loss, Sample
+
+WRENCH_WAIT_MAX_S = 0.25
+"""s. How long a frame waits for the wrench: longer than any adapter holds bytes back, short enough for a live picture."""
+PERIOD_FRAMES = 15
+"""The frame period is the median of this many intervals: lost frames and a jumpy clock do not move it."""
+PERIOD_GUESS_S = 0.02
+"""s. Period of the first frame, when no interval is known: skins send 50 frames a second."""
+INTERPOLATION_MAX_S = 0.05
+"""s. Readings further apart are not interpolated: twice the period of a sensor at 50 Hz with one reading lost, and a bit."""
+STAMP_TOLERANCE_S = 1e-6
+"""s. A reading this little after an edge counts as on it: stamps are rounded to the microsecond by the devices."""
+FRAMES_WAITING_MAX = 4096
+"""Frames that may wait, whatever their stamps say: a bound for memory."""
+JOINTS_KEPT = 512
+WRENCHES_KEPT = 16384
+"""10 s at 1.6 kHz."""
+
+
+class _Frame(NamedTuple):
+    host_s: float
+    arrival_s: float
+    period_s: float
+    values: FloatArray
+
+
+class Pairing:
+    """Brings wrench and joint angles to the instants of the skin frames. Stamps of each stream must ascend."""
+
+    def __init__(self) -> None:
+        self.ring = WrenchRing(WRENCHES_KEPT)
+        self.counts: Counter[Loss] = Counter()
+        """Frames left out: LATE and UNPAIRED."""
+        self._waiting: deque[_Frame] = deque()
+        self._intervals: deque[float] = deque(maxlen=PERIOD_FRAMES)
+        self._last_frame_s: float | None = None
+        self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
+
+    def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
+        """Add wrench readings. Readings that are not finite or not valid enter no mean."""
+        usable = np.isfinite(batch.values).all(axis=1) & ~batch.invalid
+        self.ring.append(host_s, batch.values, usable, batch.saturated | batch.invalid)
+
+    def add_joints(self, host_s: float, angles: FloatArray) -> None:
+        """Add joint angles, radians."""
+        self._joints.append((host_s, angles))
+
+    def add_frame(self, host_s: float, arrival_s: float, values: FloatArray) -> None:
+        """Add a skin frame, which `pop_paired` returns once its wrench is known."""
+        if self._last_frame_s is not None:
+            self._intervals.append(host_s - self._last_frame_s)
+        self._last_frame_s = host_s
+        period_s = median(self._intervals) if self._intervals else PERIOD_GUESS_S
+        self._waiting.append(_Frame(host_s, arrival_s, period_s, values))
+        if len(self._waiting) > FRAMES_WAITING_MAX:
+            self._waiting.popleft()
+            self.counts[Loss.UNPAIRED] += 1
+
+    def pop_paired(self, now_s: float) -> list[Sample]:
+        """Return the frames whose wrench is known at `now_s`, in order; count those that waited too long."""
+        samples: list[Sample] = []
+        while self._waiting:
+            frame = self._waiting[0]
+            sample = self._pair(frame) if self.ring.newest_s >= frame.host_s else None
+            if sample is not None:
+                samples.append(sample)
+            elif self.ring.is_older_than_kept(frame.host_s - frame.period_s):
+                self.counts[Loss.LATE] += 1
+            elif now_s - max(frame.host_s, frame.arrival_s) > WRENCH_WAIT_MAX_S:
+                self.counts[Loss.UNPAIRED] += 1
+            else:
+                break
+            self._waiting.popleft()
+        return samples
+
+    def _pair(self, frame: _Frame) -> Sample | None:
+        begin_s = frame.host_s - frame.period_s
+        if self.ring.is_older_than_kept(begin_s):
+            return None
+        among = self.ring.between(begin_s + STAMP_TOLERANCE_S, frame.host_s + STAMP_TOLERANCE_S)
+        wrench, readings = self.ring.mean(among)
+        if not readings:
+            between = self.ring.interpolate(frame.host_s - frame.period_s / 2, INTERPOLATION_MAX_S)
+            if between is None:
+                return None
+            (wrench, among), readings = between, 2
+        return Sample(frame.host_s, frame.values, wrench, readings, self.ring.has_flagged(among), self._angles_at(frame.host_s))
+
+    def _angles_at(self, host_s: float) -> FloatArray | None:
+        """Return the last joint angles at or before an instant. Older ones are dropped, since frames come in order."""
+        while len(self._joints) > 1 and self._joints[1][0] <= host_s:
+            self._joints.popleft()
+        return self._joints[0][1] if self._joints and self._joints[0][0] <= host_s else None
+
+
+class WrenchRing:
+    """Keeps the last `capacity` readings in order of their stamps, as one contiguous slice.
+
+    The arrays are twice as long as needed: when the end is reached, the newest half moves to the front.
+    """
+
+    def __init__(self, capacity: int) -> None:
+        self._capacity = capacity
+        self._host_s = np.zeros(2 * capacity)
+        self._wrench = np.zeros((2 * capacity, WRENCH_WIDTH))
+        self._usable = np.zeros(2 * capacity, np.bool_)
+        self._flagged = np.zeros(2 * capacity, np.bool_)
+        self._end = 0
+        self._dropped = False
+
+    def append(self, host_s: FloatArray, wrench: FloatArray, usable: NDArray[np.bool_], flagged: NDArray[np.bool_]) -> None:
+        """Add n readings that are newer than all before: stamps (n,), ascending, seconds; wrenches (n, 6), N and N m.
+
+        `usable` readings may be averaged. `flagged` readings are saturated or invalid, as the device says.
+        """
+        kept = slice(max(len(host_s) - self._capacity, 0), None)
+        count = len(host_s[kept])
+        if count < len(host_s):
+            # The kept readings are older than those left out: together they would have a hole.
+            self._dropped = True
+            self._end = 0
+        if self._end + count > len(self._host_s):
+            self._move_to_front()
+        into = slice(self._end, self._end + count)
+        self._host_s[into] = host_s[kept]
+        self._wrench[into] = wrench[kept]
+        self._usable[into] = usable[kept]
+        self._flagged[into] = flagged[kept]
+        self._end += count
+
+    def _move_to_front(self) -> None:
+        count = min(self._capacity, self._end)
+        newest = slice(self._end - count, self._end)
+        for array in (self._host_s, self._wrench, self._usable, self._flagged):
+            array[:count] = array[newest].copy()
+        self._dropped |= count < self._end
+        self._end = count
+
+    @property
+    def newest_s(self) -> float:
+        """Stamp of the last reading, seconds; minus infinity before the first reading."""
+        return float(self._host_s[self._end - 1]) if self._end else -np.inf
+
+    def is_older_than_kept(self, host_s: float) -> bool:
+        """Check whether `host_s` is before the oldest kept reading and readings were dropped there."""
+        return self._dropped and host_s < self._host_s[0]
+
+    def between(self, after_s: float, until_s: float) -> slice:
+        """Find the readings with `after_s < stamp <= until_s`."""
+        known = self._host_s[: self._end]
+        return slice(int(known.searchsorted(after_s, side="right")), int(known.searchsorted(until_s, side="right")))
+
+    def mean(self, among: slice) -> tuple[FloatArray, int]:
+        """Return the mean of the usable readings of a slice, (6,), and their number; NaN if there are none."""
+        usable = self._usable[among]
+        wrench = self._wrench[among]
+        if np.count_nonzero(usable) < len(usable):
+            wrench = wrench[usable]
+        if not len(wrench):
+            return np.full(WRENCH_WIDTH, np.nan), 0
+        return mean_rows(wrench), len(wrench)
+
+    def has_flagged(self, among: slice) -> bool:
+        """Check whether the device flagged a reading of a slice."""
+        return bool(np.count_nonzero(self._flagged[among]))
+
+    def interpolate(self, host_s: float, apart_max_s: float) -> tuple[FloatArray, slice] | None:
+        """Interpolate linearly between the usable readings around `host_s`; return also their slice.
+
+        `None` if one of the two is missing, or if they are `apart_max_s` seconds or more apart.
+        """
+        near = self.between(host_s - apart_max_s, host_s + apart_max_s)
+        usable = near.start + np.flatnonzero(self._usable[near])
+        right = int(np.searchsorted(self._host_s[usable], host_s))
+        if right in (0, len(usable)):
+            return None
+        pair = usable[right - 1 : right + 1]
+        (first_s, second_s), (first, second) = self._host_s[pair], self._wrench[pair]
+        if second_s - first_s >= apart_max_s:
+            return None
+        return first + (second - first) * ((host_s - first_s) / (second_s - first_s)), slice(int(pair[0]), int(pair[1]) + 1)
+
+    def since(self, host_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return copies of the stamps (n,) and wrenches (n, 6) from `host_s` on, usable or not."""
+        first = int(np.searchsorted(self._host_s[: self._end], host_s))
+        return self._host_s[first : self._end].copy(), self._wrench[first : self._end].copy()

@@ -1,0 +1,80 @@
+"""The search for taxels on a part without a layout."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from guide_support import PART
+
+from skincal.contacts.outcome import Reason, Rejection
+from skincal.guide.believed_positions import DEFAULT_SPACING_M, plan_without_positions
+from skincal.guide.guidance import GuidePhase
+from skincal.guide.guide import Guide
+from skincal.guide.poke_history import PokeAxis
+from skincal.guide.surface_search import MAX_GAP_M, PLACE_SPACING_M, SurfaceSearch, spread_over
+from skincal.mesh.search import nearest_points
+from skincal.session.session import Session
+from skincal.simulate.courses import Conditions, MeantPokes, poked, rig_beside
+from skincal.taxels.result import Estimate, Method, State
+
+
+def test_places_are_spread_evenly_without_a_hole():
+    places, triangles = spread_over(PART.surface, PLACE_SPACING_M)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    assert apart.min() >= 0.8 * PLACE_SPACING_M
+    assert np.linalg.norm(PART.surface.vertices[:, None] - places[None], axis=2).min(axis=1).max() < PLACE_SPACING_M
+    np.testing.assert_allclose(nearest_points(PART.surface, places)[0], places, atol=1e-9)
+    assert triangles.shape == places.shape[:1]
+
+
+def test_the_search_goes_far_from_all_pokes_and_around_those_that_were_answered():
+    search = SurfaceSearch(PART.surface)
+
+    def poke(number, index, answered):
+        search.add_poke(number, PokeAxis(-search.normals[index], search.places[index]), answered=answered)
+        search.count_only(range(number + 1))
+        return search.next_place(search.places[index])
+
+    first = search.next_place(None)
+    second = poke(1, first, answered=False)
+    assert np.linalg.norm(search.places[second] - search.places[first]) > MAX_GAP_M
+    third = poke(2, second, answered=True)
+    assert PLACE_SPACING_M * 0.8 <= np.linalg.norm(search.places[third] - search.places[second]) < 2.5 * PLACE_SPACING_M
+    search.skip(search.places[third])
+    assert search.next_place(search.places[second]) != third
+    search.count_only({1})
+    assert search.next_place(search.places[first]) == second, "the second poke was undone"
+
+
+@pytest.mark.parametrize("method", [Method.FREE, Method.SURFACE])
+def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
+    scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
+    plan = plan_without_positions(np.arange(scene.skin.channels))
+    guide = Guide(plan, scene.noise, method, DEFAULT_SPACING_M, search=SurfaceSearch(PART.surface))
+    session = Session(scene, PART.surface, (Method.FREE, Method.SURFACE))
+    rig, rng = rig_beside(PART, Conditions(), 1), np.random.default_rng(5)
+    contacts, rejections, targets, seen, phases = {}, {}, {}, set(), []
+    for poke in range(1, 181):
+        known = {m: {each.channel: each for each in every} for m, every in session.snapshot().estimates.items()}
+        estimates = {
+            m: [of.get(c) or Estimate(c, m, State.UNSEEN, 0) for c in plan.channels.tolist()] for m, of in known.items()
+        }
+        guidance = guide.update(contacts, estimates, session.evidence, targets.get, rejections)
+        phases.append(guidance.phase)
+        target = targets[poke] = guidance.target
+        made, pokes = poked(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
+        for contact in made:
+            session.add(contact)
+            contacts[poke] = contact
+            seen |= set(contact.channels.tolist())
+        if not made:
+            force, none = 8.0 * pokes.directions[0], np.empty(0, dtype=np.int64)
+            moment = np.cross(pokes.points[0], force)
+            rejections[poke] = Rejection(poke, 0.0, 1.0, Reason.NO_TAXEL, 0.0, 1.0, "", none, True, force, moment, np.eye(4))
+    assert phases[0] is GuidePhase.COVER
+    assert phases[-1] in (GuidePhase.OWN, GuidePhase.SWEEP)
+    assert set(guidance.channels.tolist()) <= seen
+    assert len(seen) > 70
+    assert len(guidance.needs) == len(guidance.channels) == len(guidance.places)
+    assert len(contacts) > 110, "hardly any poke misses once the skin is found"
