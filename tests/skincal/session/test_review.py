@@ -22,8 +22,8 @@ from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguide
 from skincal.simulate.faults import RigErrors
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved_pattern
+from tests.build import session_of
 from tests.skincal.poke_script import small_scene
-from tests.skincal.session.test_corrections import rejected
 from tests.skincal.sim_support import make_rig, scene_and_surface
 
 FIRST = 5001
@@ -38,20 +38,10 @@ def poked():
     return rig, contacts, poke_landmarks(rig, rig.scene.landmarks, 8, rng, FIRST)[:8]
 
 
-def session_of(poked, count=8):
-    rig, contacts, landmarks = poked
-    made = Session(rig.scene, rig.surface)
-    for contact in contacts:
-        made.add(contact)
-    for poke in landmarks[:count]:
-        made.add(rejected(poke))
-        made.act(AtLandmark(poke.poke, poke.name))
-    return made
-
-
 @pytest.fixture
 def session(poked):
-    return session_of(poked)
+    rig, contacts, landmarks = poked
+    return session_of(contacts, rig.scene, rig.surface, landmarks)
 
 
 def correct_rig_of(session):
@@ -151,7 +141,8 @@ def test_the_reported_miss_is_the_distance_in_the_sensors_frame(session):
 
 
 def test_too_few_landmark_pokes_offer_nothing(poked):
-    session = session_of(poked, 2)
+    rig, contacts, landmarks = poked
+    session = session_of(contacts, rig.scene, rig.surface, landmarks[:2])
     found = review_rig(ReviewRequest.of(session))
     assert (found.frame, found.rig.correction, found.before, found.after, len(found.reported)) == (None, None, {}, {}, 2)
     assert_is_of(session, found)
