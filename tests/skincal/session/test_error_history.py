@@ -33,6 +33,7 @@ from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.result import Method
 from tests.approved import approved_pattern
+from tests.build import session_of
 from tests.skincal.poke_script import error_series
 
 POKES = 14
@@ -48,14 +49,16 @@ def sample():
 
 
 def poked(pipeline, contacts) -> Session:
-    session = Session(pipeline.scene, pipeline.session.surface)
-    for contact in contacts:
-        session.add(contact)
-    return session
+    return session_of(contacts, pipeline.scene, pipeline.session.surface)
 
 
 def history_of(pipeline, truth) -> ErrorCourse:
     return ErrorCourse(pipeline.scene, pipeline.session.surface, None if truth is None else truth.places)
+
+
+def whole(session, truth):
+    """The course of a session at once."""
+    return error_series(session.scene, session.surface, session.snapshot(), None if truth is None else truth.places)
 
 
 def finish(history: ErrorCourse):
@@ -74,35 +77,26 @@ def same(one, other) -> bool:
     )
 
 
-def test_the_newest_point_is_what_the_report_says(sample):
+def test_each_point_is_the_summary_of_a_session_that_ended_there_and_of_each_module(sample):
     pipeline, truth, contacts = sample
-    session = poked(pipeline, contacts)
-    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
+    series = whole(poked(pipeline, contacts), truth)
     assert series.counts.tolist() == list(range(1, POKES + 1))
     assert (series.stride, series.missing) == (1, 0)
-    for method in (Method.FREE, Method.SURFACE):
-        summary = error_summary(session.snapshot().estimates[method], truth.places)
-        last = series.spreads[method][-1, 0]
-        assert last[TAXELS] == summary.taxels
-        assert last[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max], rel=1e-12)
-
-
-def test_each_point_of_the_past_is_a_session_that_ended_there(sample):
-    pipeline, truth, contacts = sample
-    series = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), truth.places)
-    for count in (1, 5, 9):
-        summary = error_summary(poked(pipeline, contacts[:count]).snapshot().estimates[Method.SURFACE], truth.places)
-        assert series.spreads[Method.SURFACE][count - 1, 0, [TAXELS, MEAN]] == pytest.approx([summary.taxels, summary.mean])
-        assert series.pokes[count - 1] == contacts[count - 1].poke
-
-
-def test_without_a_reference_it_is_the_predicted_error(sample):
-    pipeline, _, contacts = sample
-    session = poked(pipeline, contacts)
-    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), None)
-    predicted = [e.rms for e in session.snapshot().estimates[Method.SURFACE] if e.rms is not None]
-    assert series.spreads[Method.SURFACE][-1, 0, MEAN] == pytest.approx(np.mean(predicted))
-    assert series.spreads[Method.SURFACE][-1, 0, MAX] == max(predicted)
+    assert series.pokes.tolist() == [contact.poke for contact in contacts]
+    for count in (1, 5, POKES):
+        snapshot = poked(pipeline, contacts[:count]).snapshot()
+        for method in (Method.FREE, Method.SURFACE):
+            for row, channels in enumerate((None, *(module.channels for module in pipeline.scene.skin.layout.modules))):
+                inside = [each for each in snapshot.estimates[method] if channels is None or each.channel in channels]
+                summary, point = error_summary(inside, truth.places), series.spreads[method][count - 1, row]
+                assert point[TAXELS] == (0 if summary is None else summary.taxels)
+                if summary is not None:
+                    assert point[[MEAN, P95, MAX]] == pytest.approx([summary.mean, summary.p95, summary.max], rel=1e-12)
+        predicted = [each.rms for each in snapshot.estimates[Method.SURFACE] if each.rms is not None]
+        own = whole(poked(pipeline, contacts[:count]), None).spreads[Method.SURFACE][-1, 0]
+        assert own[[MEAN, MAX]] == pytest.approx([np.mean(predicted), max(predicted)]), "without a reference"
+    empty = whole(poked(pipeline, ()), truth)
+    assert (len(empty.counts), len(empty.times), empty.missing) == (0, 0, 0)
 
 
 def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(sample):
@@ -118,9 +112,8 @@ def test_followed_live_opened_late_and_in_pieces_it_is_the_same_to_the_last_bit(
     late = history_of(pipeline, truth)
     late.update(session.snapshot())
     assert late.series().missing == POKES - 1
-    whole = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
-    assert same(live.series(), whole)
-    assert same(finish(late), whole)
+    assert same(live.series(), whole(session, truth))
+    assert same(finish(late), whole(session, truth))
 
 
 def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
@@ -133,7 +126,7 @@ def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
     assert not history.missing
     assert same(
         history.series(),
-        error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts[:-1]).snapshot(), truth.places),
+        whole(poked(pipeline, contacts[:-1]), truth),
     )
     session.act(Restore(contacts[-1].poke))
     session.act(Exclude(contacts[3].poke))
@@ -141,9 +134,7 @@ def test_an_undo_drops_the_end_and_an_exclusion_rewrites_what_follows(sample):
     after = finish(history)
     assert contacts[3].poke not in after.pokes
     left_out = (*contacts[:3], *contacts[4:])
-    assert same(
-        after, error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, left_out).snapshot(), truth.places)
-    )
+    assert same(after, whole(poked(pipeline, left_out), truth))
     session.act(Restore(contacts[3].poke))
     history.update(session.snapshot())
     assert same(finish(history), before)
@@ -184,8 +175,7 @@ def test_work_under_way_counts_as_far_as_it_still_holds(sample, change):
     history.update(session.snapshot())
     history.add_points(*solved)
     assert (5 in history.series().counts.tolist()) == holds
-    whole = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
-    assert same(finish(history), whole)
+    assert same(finish(history), whole(session, truth))
 
 
 def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample):
@@ -202,27 +192,8 @@ def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample)
         live.update(session.snapshot())
     late.update(session.snapshot())
     assert same(finish(late), live.series())
-    plain = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, contacts).snapshot(), None)
+    plain = whole(poked(pipeline, contacts), None)
     assert (live.series().spreads[Method.SURFACE][5:, 0, MEAN] > 1.05 * plain.spreads[Method.SURFACE][5:, 0, MEAN]).all()
-
-
-def test_modules_are_told_apart(sample):
-    pipeline, truth, contacts = sample
-    session = poked(pipeline, contacts)
-    series = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
-    layout = pipeline.scene.skin.layout
-    for row, module in enumerate(layout.modules, start=1):
-        inside = [e for e in session.snapshot().estimates[Method.SURFACE] if e.channel in module.channels]
-        summary = error_summary(inside, truth.places)
-        last = series.spreads[Method.SURFACE][-1, row]
-        assert last[TAXELS] == (0 if summary is None else summary.taxels)
-        assert summary is None or last[MEAN] == pytest.approx(summary.mean)
-
-
-def test_a_session_without_pokes_has_an_empty_course(sample):
-    pipeline, truth, _ = sample
-    series = error_series(pipeline.scene, pipeline.session.surface, poked(pipeline, ()).snapshot(), truth.places)
-    assert (len(series.counts), len(series.times), series.missing) == (0, 0, 0)
 
 
 def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monkeypatch):
@@ -232,9 +203,9 @@ def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monke
     for contact in contacts:
         session.add(contact)
         live.update(session.snapshot())
-    late = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
+    late = whole(session, truth)
     monkeypatch.undo()
-    full = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places)
+    full = whole(session, truth)
     assert late.stride == 4
     assert late.counts.tolist() == [4, 8, 12, 14]
     assert np.array_equal(live.series().counts, late.counts)
@@ -302,4 +273,4 @@ def test_places_of_channels_that_the_skin_does_not_have_are_passed_over(sample):
     session = poked(pipeline, contacts[:3])
     assert isinstance(contacts[0], Contact)
     one = error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), more)
-    assert same(one, error_series(pipeline.scene, pipeline.session.surface, session.snapshot(), truth.places))
+    assert same(one, whole(session, truth))

@@ -159,8 +159,11 @@ def test_the_command_makes_the_same_session(request_of, tmp_path):
     assert keys(load(tmp_path / "other")) == keys(load(request.folder))
 
 
-def test_one_that_is_stopped_leaves_nothing_behind(request_of, tmp_path):
+def test_one_that_is_stopped_or_fails_leaves_nothing_behind(request_of, tmp_path, monkeypatch):
     request, shares = request_of(), []
+
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
 
     def go_on(share: float) -> bool:
         shares.append(share)
@@ -171,16 +174,17 @@ def test_one_that_is_stopped_leaves_nothing_behind(request_of, tmp_path):
         import_recording(request, go_on)
     assert shares[-1] >= 0.5
     assert not (tmp_path / "deep").exists()
-    import_recording(request)
-
-
-def test_what_was_in_the_folder_stays(request_of):
-    request = request_of()
+    with monkeypatch.context() as full:
+        full.setattr(writer.JournalWriter, "_add", refuse)
+        with pytest.raises(InputError, match="cannot be written"):
+            import_recording(request)
+    assert not (tmp_path / "deep").exists()
     request.folder.mkdir(parents=True)
     (request.folder / "notes.txt").write_text("mine")
     with pytest.raises(StoppedError):
         import_recording(request, lambda _: False)
-    assert [path.name for path in request.folder.iterdir()] == ["notes.txt"]
+    assert [path.name for path in request.folder.iterdir()] == ["notes.txt"], "what was there stays"
+    import_recording(request)
 
 
 def test_an_import_into_a_session_is_refused_and_changes_nothing_in_it(request_of):
@@ -190,18 +194,6 @@ def test_an_import_into_a_session_is_refused_and_changes_nothing_in_it(request_o
     with pytest.raises(InputError, match="holds a session"):
         import_recording(request)
     assert {path: path.read_bytes() for path in request.folder.rglob("*") if path.is_file()} == before
-
-
-def test_a_disk_that_is_full_leaves_nothing_behind(request_of, tmp_path, monkeypatch):
-    request = request_of()
-
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(writer.JournalWriter, "_add", refuse)
-    with pytest.raises(InputError, match="cannot be written"):
-        import_recording(request)
-    assert not (tmp_path / "deep").exists()
 
 
 def test_a_stream_of_nothing_is_no_session(request_of, tmp_path):
@@ -240,41 +232,27 @@ def weak(scene, sign=1.0):
     return script.quiet((300 - len(script.samples)) * 0.02)
 
 
-def unpoked(tmp_path, samples, write=write_yarp):
-    """What is said of a recording without a poke, by the window's import and by the command's text."""
-    scene = write_scene(tmp_path / "source")
-    logs = write(tmp_path / "logs", samples(scene).samples)
-    done = import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
-    assert (done.pokes, done.accepted) == (0, 0)
-    return done.unpoked
-
-
 FRAMES = 300
 """Of `Script.quiet(6.0)`."""
 
 
-def test_weak_presses_that_the_skin_answers_are_no_poke_and_it_is_said_why(tmp_path):
-    said = unpoked(tmp_path, weak)
-    assert said == approved("import.no_poke_answered", frames=FRAMES, seconds=6, force=0.43, taxels="2 taxels")
+NO_POKE = {
+    "answered": (weak, write_yarp, {"force": 0.43, "taxels": "2 taxels"}),
+    "fell": (lambda scene: weak(scene, -1.0), write_csv, {"force": 0.43, "fell": 2}),
+    "nothing": (lambda scene: Script(scene, force_noise=0.01).quiet(6.0), write_yarp, {"force": 0.04}),
+    "restless": (lambda scene: Script(scene, force_noise=0.5).quiet(6.0), write_yarp, {}),
+}
+"""Recordings without a poke: samples, format, and the numbers of the sentence."""
 
 
-def test_weak_presses_on_a_skin_of_the_other_sign_name_the_sign(tmp_path):
-    said = unpoked(tmp_path, lambda scene: weak(scene, -1.0), write_csv)
-    assert said == approved("import.no_poke_fell", frames=FRAMES, seconds=6, force=0.43, fell=2)
-
-
-def test_a_recording_in_which_nothing_happens_says_so(tmp_path):
-    said = unpoked(tmp_path, lambda scene: Script(scene, force_noise=0.01).quiet(6.0))
-    assert said == approved("import.no_poke_nothing", frames=FRAMES, seconds=6, force=0.04)
-
-
-def test_a_force_that_never_rests_says_so(tmp_path):
-    said = unpoked(tmp_path, lambda scene: Script(scene, force_noise=0.5).quiet(6.0))
-    assert said == approved("import.no_poke_restless", frames=FRAMES, seconds=6)
-
-
-def test_readings_of_different_times_say_so(tmp_path):
+@pytest.mark.parametrize("why", NO_POKE)
+def test_a_recording_without_a_poke_says_why(tmp_path, why):
+    samples, write, numbers = NO_POKE[why]
     scene = write_scene(tmp_path / "source")
+    logs = write(tmp_path / "logs", samples(scene).samples)
+    done = import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
+    assert (done.pokes, done.accepted) == (0, 0)
+    assert done.unpoked == approved(f"import.no_poke_{why}", frames=FRAMES, seconds=6, **numbers)
     assert no_poke_sentence(ContactDetector(scene).before_pokes, scene.contacts) == approved("import.no_poke_apart")
 
 

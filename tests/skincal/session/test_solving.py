@@ -11,11 +11,11 @@ from skincal.model.errors import InputError
 from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.corrections import correct_action
-from skincal.session.session import Session
 from skincal.session.solving import MODULES_AT_ONCE, TAXELS_AT_ONCE
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
 from skincal.taxels.result import Method
+from tests import build
 from tests.skincal.poke_script import same_estimates
 from tests.skincal.sim_support import make_rig
 
@@ -36,11 +36,9 @@ def contacts(rig):
 
 def session_of(rig, contacts, *, layout=True):
     scene = rig.scene if layout else replace(rig.scene, skin=replace(rig.scene.skin, layout=None, anchor=None))
-    session = Session(scene, rig.surface)
-    for contact in contacts:
-        session.add(contact)
-    session.snapshot()
-    return session
+    made = build.session_of(contacts, scene, rig.surface)
+    made.snapshot()
+    return made
 
 
 def steps_to_the_end(session):
@@ -90,16 +88,6 @@ def test_what_comes_in_between_is_in_it_too(rig, contacts):
     assert in_parts.snapshot().dead
 
 
-def test_taken_back_before_it_was_solved_all_is_as_it_was(rig, contacts):
-    session = session_of(rig, contacts)
-    before = session.snapshot()
-    session.act(ACTION)
-    session.snapshot(0.0)
-    session.act(Undo())
-    steps_to_the_end(session)
-    assert same_estimates(before, session.snapshot())
-
-
 def test_a_file_is_written_from_what_is_solved_to_the_end(rig, contacts):
     at_once, in_parts = session_of(rig, contacts), session_of(rig, contacts)
     for session in (at_once, in_parts):
@@ -111,17 +99,6 @@ def test_a_file_is_written_from_what_is_solved_to_the_end(rig, contacts):
     assert [estimate.position.tolist() for estimate in written] == [
         estimate.position.tolist() for estimate in at_once.snapshot().estimates[Method.MODULES]
     ]
-
-
-def test_the_first_snapshot_is_whole_and_a_poke_is_solved_in_one_step(rig, contacts):
-    session = Session(rig.scene, rig.surface)
-    for contact in contacts[:-1]:
-        session.add(contact)
-    assert session.snapshot(0.0).pokes
-    assert not session.unsolved
-    session.add(contacts[-1])
-    session.snapshot(0.0)
-    assert not session.unsolved
 
 
 def test_what_is_asked_meanwhile_is_of_the_snapshot_that_is_shown(rig, contacts, monkeypatch):
@@ -145,10 +122,16 @@ def test_what_is_asked_meanwhile_is_of_the_snapshot_that_is_shown(rig, contacts,
 
 def test_the_same_correction_is_not_used_twice(rig, contacts):
     session = session_of(rig, contacts[:20])
+    before = session.snapshot()
     session.act(ACTION)
     with pytest.raises(InputError, match="in use already"):
         session.act(ACTION)
+    session.snapshot(0.0)
     session.act(Undo())
-    assert not session.snapshot().decisions.corrections
+    steps_to_the_end(session)
+    assert same_estimates(before, session.snapshot()), "taken back before it was solved"
     session.act(ACTION)
     assert session.snapshot().decisions.corrections
+    session.add(contacts[20])
+    session.snapshot(0.0)
+    assert not session.unsolved, "a poke is solved in one step"
