@@ -26,16 +26,15 @@ if TYPE_CHECKING:
 _NONE_DEAD: Mapping[int, str] = {}
 _NONE_BEFORE: Mapping[int, Estimate] = {}
 LEADS_FROM = 0.95
-"""Share of the taxels that the best-known method knows, from which on another may lead: a small error of few taxels is no
-better calibration, and one taxel in twenty is what a method may leave blind on a part that is poked well."""
+"""A method may lead if it knows at least this share of the taxels that the most complete method knows: a small error of few
+taxels is no better calibration."""
 _AT_ONCE = 20_000
-"""Answers solved at once: what is made of them, some 10 MB, stays in the processor's cache; more are solved in two threads."""
+"""Answers solved at once: their results, some 10 MB, stay in the processor's cache. More are solved in two threads."""
 _SHARE = 3
-"""One part in so many is solved in the first thread, which also gathers the evidence and makes the estimates: both end about
-together."""
+"""One part in this many is solved in the first thread, which also makes the estimates: both threads end about together."""
 
 Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
-"""Of each method, of each channel."""
+"""By method and channel."""
 
 
 def estimate_taxels(
@@ -51,15 +50,15 @@ def estimate_taxels(
 ) -> Estimates:
     """Estimate each of `channels` from all contacts in which it answered, of any number of arm poses (eq. 6).
 
-    The result does not depend on the order of the contacts, nor on which other channels are asked for: not by a bit.
+    The result depends neither on the order of the contacts nor on the other channels, to the last bit.
 
     Parameters
     ----------
-    contacts : accepted and not excluded; those without one of `channels` do not matter
-    dead : channels that are not used, with the reason
-    doubting : whether contacts far off what a taxel's others say count less for it
-    model : needed by the modules method, which takes the contacts of all taxels of a module
-    shared : errors that all contacts share, to be carried into the covariances
+    contacts : accepted and not excluded
+    dead : unused channels with the reason
+    doubting : contacts far from the prediction of a taxel's others count less
+    model : needed by the modules method, which uses the contacts of all taxels of a module
+    shared : errors shared by all contacts, which the covariances include
 
     Raises
     ------
@@ -78,7 +77,7 @@ def estimate_taxels(
         if model is None:
             raise ValueError("the modules method needs the modules of a layout")
         modules = model.modules_of(channels)
-        # A distance joins modules that nobody asked for.
+        # A distance links further modules.
         modules = list(range(len(model.pads))) if model.distances else modules
         begin = Method.FREE if surface is None else Method.SURFACE
         others = estimate_from(table, model.channels_of(modules), [begin], noise, surface, dead, doubting=doubting)
@@ -96,15 +95,12 @@ def estimate_taxels(
 
 
 def leading_method(estimates: Mapping[Method, Sequence[Estimate]]) -> Method | None:
-    """Return the method of the smallest predicted error, in the mean, among those that know nearly all that any one knows.
-
-    None where no method knows a taxel.
-    """
+    """Choose the method with the smallest mean predicted error among nearly complete ones; `None` without an estimate."""
     return leading_by({method: [found.rms for found in of if found.rms is not None] for method, of in estimates.items()})
 
 
 def leading_by(errors: Mapping[Method, Sequence[float]]) -> Method | None:
-    """Return the leading method by the predicted errors, metres, of the taxels that each knows; see `leading_method`."""
+    """Choose the leading method by the predicted errors, metres, of its estimates; see `leading_method`."""
     known = max(map(len, errors.values()), default=0)
     enough = {method: float(np.mean(rms)) for method, rms in errors.items() if rms and len(rms) >= LEADS_FROM * known}
     return min(enough, key=enough.__getitem__, default=None)
@@ -120,12 +116,12 @@ def estimate_from(
     last: Mapping[int, Estimate] = _NONE_BEFORE,
     doubting: bool = True,
 ) -> Estimates:
-    """Estimate each of `channels` from the contacts of a table, by methods of `PER_TAXEL`; else as `estimate_taxels`.
+    """Estimate each of `channels` from a table by methods of `PER_TAXEL`; else as `estimate_taxels`.
 
     Parameters
     ----------
-    table : or its evidence of the channels that are not dead
-    last : the surface method's last answers, which make its search shorter and nothing else
+    table : or its evidence of the channels in use
+    last : the surface method's last estimates, which only shorten its search
     """
     if Method.SURFACE in methods and surface is None:
         raise ValueError("the surface method needs a surface")
@@ -145,7 +141,7 @@ def estimate_from(
 
 
 def _solved(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Solution]) -> Iterator[Solution]:
-    """Yield what `work` makes of each part, in any order; most are done in a second thread, which alone is told True."""
+    """Yield the solution of each part, in any order; `work` gets True in the second thread, which does most parts."""
     if len(parts) < 2:
         yield from (work(part, False) for part in parts)
         return
@@ -168,13 +164,12 @@ def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
 
 
 def _triangles(evidence: Evidence, last: Mapping[int, Estimate]) -> IntArray:
-    """Return (t,) the triangles of the last answers, -1 where there was none."""
+    # -1 without a last estimate.
     before = [last.get(channel) for channel in evidence.channels.tolist()]
     return np.array([-1 if est is None or est.triangle is None else est.triangle for est in before], dtype=np.int64)
 
 
 def _without(channel: int, method: Method, dead: Mapping[int, str]) -> Estimate:
-    """Return the estimate of a channel without evidence."""
     if channel in dead:
         return Estimate(channel, method, State.DEAD, 0, reason=StateReason(Cause.EXTERNAL_TEXT, text=dead[channel]))
     return Estimate(channel, method, State.UNSEEN, 0, reason=StateReason(Cause.UNPOKED))
@@ -191,8 +186,8 @@ def average_over_poses(
 ) -> dict[int, Estimate]:
     """Estimate each pose's contacts alone and average the positions with equal weights, the paper's IV-B.
 
-    A pose in which a taxel is not estimated does not count for it. Averages of methods on the surface leave it, as the
-    paper's do; their triangle is None.
+    A pose without an estimate of a taxel does not count for it. Averages of the surface method leave the surface, as in the
+    paper; their triangle is `None`.
 
     Parameters
     ----------
@@ -200,11 +195,11 @@ def average_over_poses(
         As for `estimate_taxels`; poses are distinguished by `Contact.pose`.
     """
     poses: dict[str, list[Contact]] = {}
-    # What distances say is the same in every pose, and would count once for each.
+    # Distances are the same evidence in every pose, and would count once for each.
     model = model if model is None or not model.distances else model.with_layout(model.layout)
     for contact in contacts:
         poses.setdefault(contact.pose, []).append(contact)
-    # By name, so that the order in which the poses came does not matter. Without contacts every taxel is unseen.
+    # By name, so that the order of the poses does not matter. Without contacts every taxel is unseen.
     each = [poses[pose] for pose in sorted(poses)] or [[]]
     solved = [estimate_taxels(own, channels, [method], noise, surface, model=model, shared=shared)[method] for own in each]
     return {int(channel): _average([found[int(channel)] for found in solved]) for channel in channels}
@@ -234,10 +229,10 @@ def _average(of_poses: list[Estimate]) -> Estimate:
     position, covariance = np.zeros(3), np.zeros((3, 3))
     moves = [estimate.moved for estimate in good if estimate.moved is not None]
     for count, estimate in enumerate(good, start=1):
-        # A running mean: of equal positions it is that position, to the last bit.
+        # Running mean: exact for equal positions.
         position = position + (np.asarray(estimate.position) - position) / count
         covariance = covariance + np.asarray(estimate.covariance)
-    # What is shared does not shrink with the number of poses as the rest does.
+    # Shared errors do not shrink with the number of poses.
     moved = np.mean(moves, axis=0) if moves else None
     covariance = (covariance - sum(move @ move.T for move in moves)) / len(good) ** 2
     covariance = covariance if moved is None else covariance + moved @ moved.T
@@ -253,5 +248,5 @@ def _average(of_poses: list[Estimate]) -> Estimate:
 
 
 def _unsigned(line: FloatArray) -> FloatArray:
-    """Return the unit vector along `line` (3,) whose largest component is positive: a line has no sign."""
+    # A line has no sign: its largest component is made positive.
     return line * np.sign(line[np.abs(line).argmax()])

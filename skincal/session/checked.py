@@ -1,4 +1,4 @@
-"""A session's calibration with what was checked of it, and its corrections: what commands, report and window do alike."""
+"""A session's calibration with its checks and corrections, for commands, report and window."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from skincal.words.verdict_words import verdict_sentence
 
 
 def use_offered(session: Session) -> None:
-    """Use the corrections that landmark pokes offer, the frame first, as `--correct` asks; the recording stays as it is.
+    """Use the corrections that landmark pokes offer, the frame first, for `--correct`; the recording does not change.
 
-    Raises InputError: there are no such pokes, they offer nothing, or they do not say for sure what is wrong with the frame.
+    `InputError` if there are no such pokes, they offer nothing, or the frame's mistake is not sure.
     """
     if not session.landmark_pokes:
         raise InputError(
             "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
         )
     frame, rig = diagnose_rig(ReviewRequest.of(session))
-    # A frame's correction changes what is found of the rig, so both are looked at again after each.
+    # A frame's correction changes the rig's, so both are found again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.decisions.corrections)) is not None:
-        # Each kind is used once, or what is found again and again would never end.
+        # Each kind once, else this might never end.
         if action.of in session.decisions.corrections:
             break
         if action.of == FRAME and frame is not None and not frame.sure:
@@ -46,32 +46,29 @@ def use_offered(session: Session) -> None:
 
 
 def verdicts_of(part: Part, snapshot: Snapshot, methods: Sequence[Method], rig: RigAnswer | None) -> dict[Method, Verdict]:
-    """Return by method what a session has come to, from what the snapshot says alone: any thread may work it out.
-
-    `rig` is what landmark pokes say; None where nobody has looked, or there are none.
-    """
+    """Judge a session by each method from its snapshot, in any thread; `rig` is the fit to its landmark pokes."""
     if part.cover is not None and part.surface is not None:
         from skincal.guide.surface_search import SurfaceSearch
 
-        # A guide notes in it what was poked, and another may be at work with the part's own.
+        # A guide writes into it, and another may use the part's own at the same time.
         part = replace(part, cover=SurfaceSearch(part.surface))
     guide, evidence = SessionGuide(part), ContactTable(snapshot.contacts).evidence
     return {method: guide.verdict(snapshot, method, evidence, rig) for method in methods}
 
 
 def words_of(verdicts: Mapping[Method, Verdict]) -> dict[Method, str]:
-    """Return verdicts in words, as `Calibration.verdicts` has them."""
+    """Put verdicts into words for `Calibration.verdicts`."""
     return {method: verdict_sentence(verdict).rstrip(".") for method, verdict in verdicts.items()}
 
 
 def checked(calibration: Calibration, rig: RigAnswer | None, verdicts: Mapping[Method, Verdict]) -> Calibration:
-    """Return what files are written from, with what landmark pokes say of a correction of the rig, and what verdicts say."""
+    """Add the check by landmark pokes and the verdicts to a calibration."""
     found = None if rig is None else landmark_check(rig)
     unchecked = {method: verdict.unchecked for method, verdict in verdicts.items()}
     return replace(calibration, landmark_check=found, verdicts=words_of(verdicts), unmodelled_rig_error_m=unchecked)
 
 
 def checked_calibration(session: Session, rig: RigAnswer | None, methods: Sequence[Method] | None = None) -> Calibration:
-    """Return what files are written from, with what was checked; `methods` are those whose verdict is wanted, else all."""
+    """Gather a session's calibration with its checks; `methods` limits the verdicts."""
     part, chosen = lay_part(session.scene, session.surface, ()), session.methods if methods is None else methods
     return checked(session.calibration(), rig, verdicts_of(part, session.snapshot(), chosen, rig))

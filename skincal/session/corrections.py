@@ -77,25 +77,25 @@ def corrected_progress(
 
 
 def _same(first: Correction, second: Correction) -> bool:
-    """Return whether two corrections are the same, with what they do not know."""
+    """Whether two corrections are the same, with their uncertainty."""
     rest = (np.array_equal(getattr(first, name), getattr(second, name)) for name in ("root", "quadratic"))
     return _numbers(first) == _numbers(second) and all(rest)
 
 
 def used_of(action: Correct) -> UsedCorrection:
-    """Return the correction that an action uses, with what speaks for it; InputError as for `correction_of`."""
+    """Make the correction of an action, with its evidence; `InputError` as for `correction_of`."""
     ratio = action.ratio or float("nan")
     correction = correction_of(action)
     return UsedCorrection(action.of, correction, action.before, action.after, action.pokes, ratio, action.noisier)
 
 
 def correction_of(action: Correct) -> Correction:
-    """Return the correction that an action names.
+    """Make the correction of an action.
 
     Raises
     ------
     InputError
-        Its kind is not known, its numbers are too few or not finite, or its matrix is not regular.
+        Its kind is unknown, numbers are missing or not finite, or its matrix is singular.
     """
     sizes = (len(action.matrix), len(action.everywhere), len(action.motions))
     wanted = (36, 16, 16 * len(action.poses))
@@ -127,27 +127,27 @@ def correction_of(action: Correct) -> Correction:
 
 
 def _is_motion(matrix: FloatArray) -> bool:
-    """Return whether (4, 4) is a rotation and a shift, within rounding."""
+    """Whether (4, 4) is a rotation and a shift, within rounding."""
     turn = matrix[:3, :3]
     square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE) and np.linalg.det(turn) > 0
     return bool(square and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]))
 
 
 def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapping[str, UsedCorrection]) -> Correct | None:
-    """Return the action that uses what landmark pokes offer; None where they offer nothing.
+    """Choose the correction that landmark pokes offer; `None` without one.
 
-    The sensor's frame comes first: what else was found under a wrong one is worth nothing. Where no wrong frame explains the
-    pokes, or it is not sure, the rig's correction comes before: one wild poke does not bend it, and held-out pokes tried it.
+    The sensor's frame comes first: other findings under a wrong frame are worthless. If no wrong frame explains the pokes, or
+    it is not sure, the rig's correction comes first: it was tested on held-out pokes, and one wild poke does not bend it.
 
     Parameters
     ----------
-    pokes : how many landmark pokes there are
-    used : corrections that were in use when that was found
+    pokes : number of landmark pokes
+    used : corrections that were in use at that time
     """
     tried = rig.correction if rig.used else None
     if frame is not None and not frame.right and frame.explained and (frame.sure or tried is None):
         found = frame_correction(frame.correction)
-        # It was found in the frame that is in use, and takes its place.
+        # It was found on top of the frame correction in use, and replaces it.
         whole = found.after(used[FRAME].correction) if FRAME in used else found
         return correct_action(FRAME, whole, frame.miss, frame.corrected_miss, pokes)
     if tried is None:
@@ -159,16 +159,16 @@ def offered(frame: FrameDiagnosis | None, rig: RigAnswer, pokes: int, used: Mapp
 def correct_action(
     of: str, correction: Correction, before: float, after: float, pokes: int, ratio: float = 0.0, noisier: float = 1.0
 ) -> Correct:
-    """Return the action that uses a correction; see `Correct` for the rest."""
+    """Make the action that uses a correction; see `Correct`."""
     spread = correction.root[np.triu_indices(len(correction.root))].tolist()
-    # Six digits of an uncertainty are more than anyone knows, and half of the file.
+    # Six digits suffice for an uncertainty, and halve the file.
     root = tuple(float(f"{value:.6g}") for value in spread)
     quadratic = tuple(correction.quadratic.ravel().tolist())
     return Correct(of, *_numbers(correction), before, after, pokes, root, quadratic, ratio, noisier)
 
 
 def _numbers(correction: Correction) -> tuple[tuple[float, ...], tuple[float, ...], tuple[str, ...], tuple[float, ...]]:
-    """Return matrix, motion everywhere, names of the poses that are moved, and their motions, as `Correct` has them."""
+    """Flatten matrix, common motion, names of moved poses and their motions, as in `Correct`."""
     names = tuple(sorted(correction.motions))
     motions = (value for name in names for value in correction.motions[name].ravel().tolist())
     return tuple(correction.matrix.ravel().tolist()), tuple(correction.everywhere.ravel().tolist()), names, tuple(motions)

@@ -1,12 +1,8 @@
-"""How the error fell over a session's pokes: for each of them, what the pokes up to it would have given.
+"""Course of the error over a session's pokes, and the check whether modules lie as planned. Both run beside an open session.
 
-A point of the course is solved from the first k pokes that count now, and from nothing else. A poke that was taken out
-leaves no trace in it, and a session that is opened again has the course that it had live, to the last bit.
-
-Where the taxels' places are known, the error is the distance of an estimate to its taxel's place. Where they are not, it
-is the error that the estimate predicts of itself (`Estimate.rms`).
-
-Whether modules lie as planned, worked out beside an open session: asked for nothing, it does nothing.
+Point k of the course is solved from the first k pokes that count now. An excluded poke leaves no trace, and a reopened session
+has the same course to the last bit. The error is the distance to the taxel's known position, else the predicted error
+(`Estimate.rms`).
 """
 
 from __future__ import annotations
@@ -37,55 +33,55 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 POINTS_MAX = 256
-"""Most points of a course: about half the pixels of a plot in a side panel."""
+"""Maximum number of points: about half the pixels of a plot in a side panel."""
 PAUSE_MAX_S = 60.0
-"""s. Longest pause between two pokes on the axis of time: a night between two halves of a session would hide both."""
+"""s. Longer pauses are cut to this on the time axis: a night between two halves of a session would hide both."""
 STEP_S = 0.03
-"""s. The background works on the past for so long at a time: about a picture, so that a window keeps half of the machine."""
+"""s of one background step: about one picture, so that the window keeps half of the machine."""
 TAXELS, MEAN, P95, MAX = range(4)
-"""Columns of a spread: how many taxels it is of, and metres."""
+"""Columns of a spread: number of taxels, then metres."""
 
 Spreads: TypeAlias = Mapping[Method, FloatArray]
 """Errors at one point of the course, (1 + modules, 4) float: all taxels, then each module; columns as for `spreads_of`."""
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
-"""Does work beside the session and hands its result over in a tick."""
+"""Does work in the background and hands its result over in a tick."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorSeries:
-    """The course of errors over a session. Values between two points were left out, never averaged."""
+    """Course of errors over a session, thinned and never averaged."""
 
     counts: IntArray
-    """(n,) number of pokes that count at each point, ascending."""
+    """(n,) number of counting pokes at each point, ascending."""
     pokes: IntArray
-    """(n,) number in the session of the last of them."""
+    """(n,) poke number of the last of them."""
     times: FloatArray
-    """(n,) s since the first poke that counts; pauses beyond `PAUSE_MAX_S` are cut to it."""
+    """(n,) s since the first counting poke, with pauses up to `PAUSE_MAX_S`."""
     spreads: Mapping[Method, FloatArray]
     """(n, 1 + modules, 4) float; see `Spreads`."""
     stride: int
-    """Every how many pokes there is a point; the newest is always one."""
+    """Number of pokes between points; the newest is always a point."""
     missing: int
-    """Points that are not worked out yet."""
+    """Number of points that are not solved yet."""
 
 
 def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
-    """Return number, mean, 95th percentile (numpy's, linear) and maximum of the errors of each group, (count, 4) float.
+    """Compute number, mean, 95th percentile (numpy's, linear) and maximum of the errors of each group, (count, 4) float.
 
     Parameters
     ----------
     errors : (n,) float, metres, finite
-    groups : (n,) int, 0 to count - 1; negative for none. One without an error has the number 0, and NaN
+    groups : (n,) int, 0 to count - 1; negative for none. A group without errors has the number 0, and NaN
     """
     result = np.full((count, 4), np.nan)
     result[:, TAXELS] = 0.0
-    # Group by group, and by size within each, so that percentile and maximum are places in it.
+    # Sorted by size within each group, so that percentile and maximum are entries.
     order = np.lexsort((errors, groups))
     errors, bounds = errors[order], np.searchsorted(groups[order], np.arange(count + 1))
     for group, (start, end) in enumerate(pairwise(bounds.tolist())):
         if start < end:
             own = errors[start:end]
-            # Not `np.quantile`, which takes ten times as long, for every module of a body at every point.
+            # `np.quantile` takes ten times as long.
             place = 0.95 * (len(own) - 1)
             low = own[int(place)]
             p95 = low + place % 1.0 * (own[math.ceil(place)] - low)
@@ -94,16 +90,16 @@ def spreads_of(errors: FloatArray, groups: IntArray, count: int) -> FloatArray:
 
 
 Rule: TypeAlias = Callable[[Mapping[Method, Sequence[Estimate]]], Spreads]
-"""What counts as the error of an estimate."""
+"""Computes the errors of estimates."""
 
 
 def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
-    """Return what gives the errors of each method's estimates.
+    """Make the function that computes the errors of each method's estimates.
 
     Parameters
     ----------
-    scene : says which module a channel is of
-    known : places of taxels by channel, (3,) float, metres, link frame; None for the predicted error
+    scene : for the modules of the channels
+    known : positions of taxels by channel, (3,) float, metres, link frame; `None` for the predicted error
     """
     width, layout = scene.skin.channels, scene.skin.layout
     modules = 0 if layout is None else len(layout.modules)
@@ -130,23 +126,23 @@ def error_rule(scene: Scene, known: Mapping[int, FloatArray] | None) -> Rule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseInput:
-    """Everything that a course of errors follows from."""
+    """Input of a course of errors."""
 
     contacts: tuple[Contact, ...] = ()
-    """Those that count, as the rig's correction has them, in the order of their numbers."""
+    """Corrected contacts that count, in the order of their numbers."""
     dead: Mapping[int, str] = field(default_factory=dict[int, str])
     correction: Correction | None = None
     """Correction of the rig in use; its uncertainty is part of the predicted error."""
 
     def common(self, other: CourseInput) -> int:
-        """Count the contacts with which both begin; 0 if dead channels or the correction differ."""
+        """Count the equal contacts at the beginning; 0 if dead channels or the correction differ."""
         if dict(self.dead) != dict(other.dead) or self.correction is not other.correction:
             return 0
         return _common(self.contacts, other.contacts)
 
 
 class ErrorCourse:
-    """The course of errors of a session that goes on.
+    """Course of errors of an open session.
 
     `update` adds the newest point from a snapshot. The points before it that are missing (after a session is opened, or after a
     poke is excluded) are solved by `work`, in any one thread, and added by `add_points`.
@@ -162,11 +158,11 @@ class ErrorCourse:
         self._points: Mapping[int, Spreads] = {}
         """By the number of contacts; replaced and never changed, since `work` reads it."""
         self._stride = 1
-        # The session that `work` solves the past with, and the contacts that count in it.
+        # `work` solves the past with this session, in which these contacts count.
         self._replica, self._fed = Session(scene, surface), tuple[Contact, ...]()
 
     def update(self, snapshot: Snapshot) -> None:
-        """Follow the session: drop points that no longer hold, add the newest."""
+        """Drop points that no longer hold, and add the newest."""
         used = snapshot.decisions.corrections.get(RIG)
         before, self._input = self._input, CourseInput(snapshot.contacts, snapshot.dead, used and used.correction)
         same, count = self._input.common(before), len(snapshot.contacts)
@@ -187,7 +183,7 @@ class ErrorCourse:
         self._replica.set_detected_dead(of.dead)
         self._replica.assume_corrected(of.correction)
         for count in self.missing:
-            # Poke by poke as in the session itself, so that a point has the bits that it had then.
+            # Poke by poke as in the live session, so that a point has the same bits.
             self._feed(of.contacts[:count])
             points[count] = self._rule(self._replica.snapshot().estimates)
             if time.monotonic() > end:
@@ -195,7 +191,7 @@ class ErrorCourse:
         return of, points
 
     def add_points(self, of: CourseInput, points: Mapping[int, Spreads]) -> bool:
-        """Add solved points that still hold; return whether there are any."""
+        """Add solved points that still hold; say whether there are any."""
         same = self._input.common(of)
         held = {at: point for at, point in points.items() if at <= same and at % self._stride == 0}
         self._points = {**self._points, **held}
@@ -216,7 +212,7 @@ class ErrorCourse:
         self._fed = contacts
 
     def series(self) -> ErrorSeries:
-        """Return the course as far as it is solved."""
+        """Give the course as far as it is solved."""
         counts = np.array(sorted(self._points), dtype=np.int64)
         points = [self._points[count] for count in counts.tolist()]
         methods: tuple[Method, ...] = tuple(points[-1]) if points else ()
@@ -232,15 +228,12 @@ class ErrorCourse:
 
 
 class ErrorFollower:
-    """Course of errors of an open session against a source that the operator chose; it works only while somebody asks.
-
-    The past is solved in the background, a moment at a time, so that other work comes in between.
-    """
+    """Course of errors against a source that the operator chose. The past is solved in the background in short steps."""
 
     def __init__(self, part: Part, run: Run) -> None:
         self._part, self._run = part, run
         self.sources: list[Reference | None] = [None] if part.plan is None else [part.plan, None]
-        """Positions that estimates can be compared with; `None` for the predicted error."""
+        """Positions to compare estimates with; `None` for the predicted error."""
         self.source = self.sources[0]
         self.version = 0
         """Changes whenever the course or its source changes."""
@@ -248,7 +241,7 @@ class ErrorFollower:
         self._seen: Snapshot | None = None
         self._busy = False
         self._failed_at: tuple[ErrorCourse, Snapshot] | None = None
-        """Course and snapshot whose work failed: it is tried again only once either changed."""
+        """Course and snapshot whose work failed; no retry before either changes."""
 
     def _new_course(self) -> ErrorCourse:
         known = None if self.source is None else self.source.places
@@ -267,7 +260,7 @@ class ErrorFollower:
             self.version += 1
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Follow a session, and let the background go on with the points that are missing."""
+        """Follow a session, and let the background solve missing points."""
         if snapshot is not self._seen:
             self._seen = snapshot
             self._course.update(snapshot)
@@ -280,7 +273,7 @@ class ErrorFollower:
             try:
                 return course.work(STEP_S)
             except BaseException:
-                # `run` reports why, and does not call `add` then.
+                # `run` reports it and does not call `add`.
                 self._failed_at, self._busy = at, False
                 raise
 
@@ -293,47 +286,43 @@ class ErrorFollower:
         self._run(work, add)
 
     def series(self) -> ErrorSeries:
-        """Return the course as far as it is solved."""
+        """Give the course as far as it is solved."""
         return self._course.series()
 
 
 def stride_of(count: int) -> int:
-    """Return every how many of `count` pokes there is a point: a power of two, so that a longer session keeps points."""
+    """Choose the stride for `count` pokes: a power of two, so that a growing session keeps its points."""
     return 1 << max(0, (count - 1) // POINTS_MAX).bit_length()
 
 
 def poking_times(ends_s: Sequence[float]) -> FloatArray:
-    """Return the time spent at each poke since the first, (n,) float, seconds.
+    """Compute the time since the first poke, (n,) float, seconds.
 
-    The host's clock starts anew with the machine, and a session may be taken up days later: a step back counts as nothing,
-    one of more than `PAUSE_MAX_S` as that.
+    The host's clock restarts with the machine, and a session may continue days later: a step back counts as 0, one of more than
+    `PAUSE_MAX_S` as that.
     """
     return np.cumsum(np.clip(np.diff(np.array(ends_s, dtype=float), prepend=ends_s[:1]), 0.0, PAUSE_MAX_S))
 
 
 def _common(first: Sequence[Contact], second: Sequence[Contact]) -> int:
-    """Return with how many of the same contacts both begin."""
     shorter = min(len(first), len(second))
     return next((at for at in range(shorter) if first[at] is not second[at]), shorter)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModulesFound:
-    """What was found in the estimates of one moment."""
+    """Result of the modules check for one snapshot."""
 
     method: Method
-    """Whose estimates were judged."""
+    """Method whose estimates were checked."""
     mend: LayoutRepair
-    """What is wrong with the modules, and how the layout is put right."""
+    """Misplaced modules, and how to repair the layout."""
     judged: int
-    """Modules of which enough is known."""
+    """Number of modules with enough estimates."""
 
 
 class ModulesCheck:
-    """Looks for mirrored, turned and swapped modules; the newest moment is judged, those that came meanwhile are not.
-
-    Without a layout there is nothing to look for.
-    """
+    """Looks for mirrored, turned and swapped modules in the newest snapshot. Without a layout it does nothing."""
 
     def __init__(self, part: Part, run: Run) -> None:
         self._part, self._run = part, run
@@ -341,10 +330,10 @@ class ModulesCheck:
         self._busy = False
         self._asked: Snapshot | None = None
         self.found: ModulesFound | None = None
-        """None while nothing was judged."""
+        """`None` before the first result."""
 
     def follow(self, snapshot: Snapshot) -> None:
-        """Judge a snapshot, unless an older one is still being judged."""
+        """Check a snapshot, unless an older one is still being checked."""
         layout = self._part.scene.skin.layout
         if layout is None or self._busy or snapshot is self._asked:
             return
@@ -358,12 +347,12 @@ class ModulesCheck:
             try:
                 return ModulesFound(method, repair_layout(model, estimates), count_judged_modules(model, estimates))
             except BaseException:
-                # `run` reports why, and does not call `_take` then.
+                # `run` reports it and does not call `_finish`.
                 self._busy = False
                 raise
 
         self._busy, self._asked = True, snapshot
-        self._run(work, self._take)
+        self._run(work, self._finish)
 
-    def _take(self, found: ModulesFound) -> None:
+    def _finish(self, found: ModulesFound) -> None:
         self._busy, self.found = False, found

@@ -1,4 +1,4 @@
-"""Sessions made of recordings of other programs, and what is taken away again of a session of no use."""
+"""Import of recordings of other programs as sessions, and removal of a useless session."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from skincal.words.link_words import silent_links
 from skincal.words.poke_words import no_poke_sentence
 
 PROGRESS_CHUNKS = 20
-"""Chunks from one word on how far it is to the next: a second of a recording, some hundredths of one of work."""
+"""Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
 STOPPED = "The import was stopped; nothing was left behind."
 
 
 class KeptError(InputError):
-    """A recording is at fault, but something was recorded, and stays."""
+    """A recording failed, but a part of it is kept."""
 
 
 class StoppedError(InputError):
-    """Nobody wants a session of the recording any more."""
+    """The operator stopped the import."""
 
 
 @contextlib.contextmanager
@@ -44,14 +44,14 @@ def new_session(
     *,
     copy: bool = False,
 ) -> Generator[Pipeline]:
-    """Make a session in `folder` and yield its pipeline; on an `InputError` but a `KeptError` take away what was made.
+    """Make a session in `folder` and yield its pipeline; on an `InputError` other than `KeptError` remove it again.
 
-    What was there before stays, and what another program makes there meanwhile.
+    Files of others in the folder stay.
 
     Parameters
     ----------
-    tell : hears the findings on the mesh and on the anchors that stand on it, in sentences
-    copy : the session is made of a recording, and could be made again
+    tell : gets sentences about the mesh and the anchors on it
+    copy : the session is made from a recording, and could be made again
     """
     missing = missing_folders(folder)
     journal = None
@@ -64,28 +64,28 @@ def new_session(
     except KeptError:
         raise
     except InputError:
-        # Nobody else's session is ever taken away.
+        # Never remove another program's session.
         take_away(folder if journal is not None else None, missing)
         raise
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """Return which of a folder and those that it lies in are not there yet, the innermost first: nothing else is taken away."""
+    """List which of a folder and its parents do not exist yet, the innermost first: only these may be removed."""
     return [place for place in (folder, *folder.parents) if not place.exists()]
 
 
 def take_away(session: Path | None, missing: Sequence[Path]) -> None:
-    """Take a session that was made here away again, and the folders of it that were `missing` before."""
+    """Remove a session that was made here, and those of its folders that were `missing` before."""
     if session is not None:
         shutil.rmtree(session / writer.SCENE_FOLDER, ignore_errors=True)
         for ending in ("mcap", "jsonl"):
             for segment in session.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
                 segment.unlink()
         if not writer_of(session):
-            # Of a process that was killed.
+            # Left by a killed process.
             (session / LOCK_NAME).unlink(missing_ok=True)
     for place in missing:
-        # A folder that is not empty is in use by others.
+        # A folder with other files stays.
         with contextlib.suppress(OSError):
             place.rmdir()
 
@@ -97,13 +97,8 @@ def play_recording(
 
     Parameters
     ----------
-    pose : name of the arm pose, where joints were not recorded
-    go_on : hears how much is done, 0 to 1, and says whether to go on
-
-    Raises
-    ------
-    StoppedError
-        It said no.
+    pose : name of the arm pose, if joints were not recorded
+    go_on : gets the finished share, 0 to 1, and says whether to continue; if not, a `StoppedError` follows
     """
     try:
         if pose:
@@ -121,24 +116,24 @@ def play_recording(
 
 @dataclass(frozen=True, slots=True)
 class ImportRequest:
-    """What is to become a session, and where."""
+    """A recording to import, and where to."""
 
     files: RecordingFiles
     scene: Path
     pose: str
-    """Name of the arm pose; empty where joints were recorded, or the scene has no arm."""
+    """Name of the arm pose; empty with recorded joints or without an arm."""
     folder: Path
 
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What a recording has come to."""
+    """Result of an import."""
 
     folder: Path
     pokes: int
     accepted: int
     unpoked: str = ""
-    """Why there is no poke, in a sentence; empty where there is one."""
+    """A sentence why there is no poke; empty with pokes."""
 
 
 def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = lambda _: True) -> Imported:
@@ -147,8 +142,8 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
     Raises
     ------
     InputError
-        There is none, and nothing is left behind: the recording or the scene cannot be read, the folder cannot be written, or
-        one of its files gave no reading that could be used.
+        The recording or the scene cannot be read, the folder cannot be written, or a file has no usable reading. No file is
+        left.
     """
     scene, recording = load_scene(request.scene), request.files.open()
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:

@@ -1,4 +1,4 @@
-"""Which pokes of a session were at which landmark."""
+"""Landmark pokes of a session: found after a request, or named by the operator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skincal.session.decisions import Decisions
 
 REACTION_S = 0.25
-"""s. A poke that is held so soon after another landmark came up was on its way to the one before: a visual reaction time."""
+"""s, visual reaction time. A poke that starts sooner after a new request was on its way to the landmark before."""
 NORMAL_FROM_MESH_M = 0.010
 """m. A landmark farther from the surface takes no normal from it; a point of a jig, say, may be poked from any side."""
 MISS_LIMIT_FACTOR = 3.0
@@ -46,11 +46,11 @@ class NearestLandmark:
     poke: int
     name: str
     miss: float
-    """m, how far the axis passes it."""
+    """m, distance of the axis from it."""
     other: float
-    """m, how far it passes the next one; infinite where there is none."""
+    """m, distance from the next one; infinite without one."""
     sure: bool
-    """The poke was at it: no taxel answered, and no other landmark is nearly as near."""
+    """No taxel answered, and no other landmark is nearly as near."""
 
 
 class LandmarkFinder:
@@ -58,35 +58,35 @@ class LandmarkFinder:
 
     Parameters
     ----------
-    places : gives (3,) float, metres, of taxels by their channel, where the layout puts them; called when it is first needed
-    surface : where it says what is outward at landmarks that do not say so themselves
+    places : gives the planned places of taxels, (3,) float, metres, by channel; called when first needed
+    surface : for the outward direction at landmarks without a normal
     """
 
     def __init__(self, places: Callable[[], Mapping[int, FloatArray]], surface: Surface | None) -> None:
         self._places, self._surface = places, surface
         self._outward: dict[bytes, FloatArray | None] = {}
         self.asked = ""
-        """Name of the landmark that is asked for; empty where none is."""
+        """Name of the requested landmark; empty without one."""
         self._asked_s = math.inf
 
     def ask(self, name: str, host_s: float) -> None:
-        """Take what the operator is asked for since `host_s`, seconds of the host's monotonic clock."""
+        """Set the request, made at `host_s`, seconds of the host's monotonic clock."""
         self.asked, self._asked_s = name, host_s
 
     def find(
         self, new: Iterable[Outcome], named: Iterable[LandmarkPoke], decisions: Decisions, noise: NoiseSettings
     ) -> list[FoundAtLandmark | MissedLandmark]:
-        """Find which new pokes were at the landmark that is asked for, and which missed it.
+        """Find which new pokes were at the requested landmark, and which missed it.
 
         A poke counts if it began `REACTION_S` after the request, has a force axis, and no taxel far from the landmark answered.
         A poke that misses by more than `MISS_LIMIT_FACTOR` times the expected miss is rejected, unless at least half of the
         earlier pokes missed as much. Then the sensor's frame may be wrong, and these pokes show it. Once most pokes hit, those
-        that missed are taken back, except those that the operator named.
+        that missed are removed, except those that the operator named.
 
         Parameters
         ----------
-        new : in the order of their numbers, in the right frame
-        named : landmark pokes before them
+        new : in the order of their numbers, after the frame's correction
+        named : earlier landmark pokes
         """
         known = {landmark.name: landmark for landmark in decisions.landmarks}
         landmark = known.get(self.asked)
@@ -109,7 +109,7 @@ class LandmarkFinder:
         return found
 
     def _miss(self, poke: LandmarkPoke, landmark: Landmark, noise: NoiseSettings) -> MissedLandmark | None:
-        """Tell how a poke missed a landmark; `None` if it hit."""
+        """Describe how a poke missed a landmark; `None` for a hit."""
         key = landmark.place.tobytes()
         if key not in self._outward:
             (self._outward[key],) = landmark_normals([landmark], self._surface)
@@ -120,13 +120,12 @@ class LandmarkFinder:
         return MissedLandmark(poke.poke, poke.name, poke.miss, limit, behind) if behind or not poke.miss <= limit else None
 
     def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
-        """Return whether a poke began late enough, and no taxel far from the landmark answered."""
         late = outcome.start_s >= self._asked_s + REACTION_S
         return late and (isinstance(outcome, Rejection) or may_be_at_landmark(outcome, landmark, self._places()))
 
 
 def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], named: Mapping[int, str]) -> list[LandmarkPoke]:
-    """Return those of `outcomes` that were at a landmark, in their order; one of `named`, by their number, may be gone."""
+    """Select the landmark pokes from `outcomes`, in their order; `named` gives the landmark's name by poke."""
     known = {landmark.name: landmark for landmark in landmarks}
     there = ((outcome, known.get(named.get(outcome.poke, ""))) for outcome in outcomes)
     found = (poke_at(outcome, landmark) for outcome, landmark in there if landmark is not None)
@@ -134,13 +133,13 @@ def landmark_pokes(outcomes: Iterable[Outcome], landmarks: Iterable[Landmark], n
 
 
 def can_be_at_landmark(outcome: Outcome) -> bool:
-    """Return whether a poke has an axis, and was rejected for no more than that no taxel answered."""
+    """Whether a poke has a force axis and was accepted, or rejected only because no taxel answered."""
     nowhere = Landmark("", np.zeros(3), None)
     return poke_at(outcome, nowhere) is not None
 
 
 def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
-    """Return a poke as one at a landmark; None where it was rejected for more than that no taxel answered."""
+    """Make a landmark poke of an outcome; `None` unless `can_be_at_landmark`."""
     if isinstance(outcome, Rejection) and outcome.reason is not Reason.NO_TAXEL:
         return None
     force, moment, pose = outcome.force, outcome.moment, outcome.link_from_sensor
@@ -152,12 +151,12 @@ def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
 def nearest_landmarks(
     outcomes: Iterable[Outcome], landmarks: Sequence[Landmark], surface: Surface | None
 ) -> dict[int, NearestLandmark]:
-    """Return for each poke that can be at a landmark, by its number, which its axis passes nearest; see `FIND_RADIUS_M`.
+    """Find the landmark nearest to the axis of each poke that can be at one, by poke number; see `FIND_RADIUS_M`.
 
     Parameters
     ----------
-    outcomes : in the right frame
-    surface : where it says what is outward at landmarks that do not say so themselves
+    outcomes : after the frame's correction
+    surface : for the outward direction at landmarks without a normal
     """
     if not landmarks:
         return {}
@@ -171,7 +170,7 @@ def nearest_landmarks(
         force, moment = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
         push = force / np.linalg.norm(force)
         misses = np.linalg.norm(np.cross(places - axis_point(force, moment), push), axis=1)
-        # Where nothing says what is outward, any push may be at it.
+        # Without an outward direction any push may be at it.
         misses[(outward @ push > MAX_PUSH_COSINE) & outward.any(axis=1)] = np.inf
         nearest = int(misses.argmin())
         miss, other = float(misses[nearest]), float(np.delete(misses, nearest).min(initial=np.inf))
@@ -182,9 +181,9 @@ def nearest_landmarks(
 
 
 def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> list[FloatArray | None]:
-    """Return which way is outward at each landmark: its own normal, else that of the nearest triangle, else None.
+    """Choose the outward normal of each landmark: its own, else that of the nearest triangle, else `None`.
 
-    A landmark that was added by hand has none of its own; without one a sensor that reports the reaction cannot be recognized.
+    A landmark added by hand has none. Without one, a sensor that reports the reaction force is not recognized.
     """
     normals = [landmark.normal for landmark in landmarks]
     missing = [i for i, normal in enumerate(normals) if normal is None]

@@ -1,4 +1,4 @@
-"""Places of taxels by what an operator calls them: a session with a method, its plan or its truth, or a file."""
+"""Positions of taxels by name: a session with a method, its plan or its truth, or a file."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from skincal.taxels.result import Method
 
 PLAN, TRUTH = "plan", "truth"
 PLACE_WORDS = (*(method.value for method in Method), PLAN, TRUTH)
-"""What may stand after the colon."""
+"""Words that may follow the colon."""
 
 
 def find_places(named: str) -> TaxelPositions:
-    """Return the places that a name stands for.
+    """Find the positions of a name.
 
     Parameters
     ----------
-    named : the folder of a session or a file (`read_places`), and after a colon a method; of a session also `plan`, the layout
-        laid on its part, or `truth`, the places of a simulated rig. Without that the method that leads
+    named : folder of a session or a file (`read_places`); after a colon a method, or for a session `plan` (the laid layout) or
+        `truth` (of a simulated rig). Without a colon the leading method
 
     Raises
     ------
     InputError
-        There is no such session or file, or it does not have what is named.
+        There is no such session or file, or it lacks the named positions.
     """
     head, _, last = named.rpartition(":")
     path, which = (Path(head), last) if head and not Path(named).exists() and Path(head).exists() else (Path(named), "")
@@ -48,9 +48,9 @@ def find_places(named: str) -> TaxelPositions:
 
 
 def session_places(folder: Path, which: str = "") -> TaxelPositions:
-    """Return places of a recorded session; `which` is one of `PLACE_WORDS`, empty for the method that leads.
+    """Find positions of a recorded session; `which` is one of `PLACE_WORDS`, empty for the leading method.
 
-    Raises InputError: it is no session, or does not have what is named.
+    `InputError` if it is no session or lacks them.
     """
     name = folder.resolve().name
     if which == TRUTH:
@@ -68,14 +68,12 @@ def session_places(folder: Path, which: str = "") -> TaxelPositions:
 
 
 def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelPositions, ...]:
-    """Return all places of the taxels of a part that a file, or the folder of a session by each of its methods, knows.
+    """Read all positions of a part's taxels from a file, or by each method from a session's folder, the leading one first.
 
-    The method that leads comes first.
-
-    Raises InputError: as for `find_places`; also where they are of another link than `link`, or know none of `channels`.
+    `InputError` as for `find_places`, and for another link than `link` or without any of `channels`.
     """
     read = _sets_of(load(path), path) if path.is_dir() else read_place_sets(path)
-    # A method that knows nothing yet is nothing to compare with; a file without any place is refused as such.
+    # A method without estimates is left out; a file without any position is refused below.
     sets = tuple(found for found in read if found.places) or read[:1]
     for found in sets:
         require_same_part(found, path, link, channels)
@@ -83,7 +81,7 @@ def places_for(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelP
 
 
 def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
-    """Return the places that each method of a session knows; InputError where none knows any."""
+    """Collect the positions of each method of a session; `InputError` if there are none."""
     estimates, scene, name = pipeline.snapshot().estimates, pipeline.scene, folder.resolve().name
     leads, modules = leading_method(estimates), _modules_of(scene.skin.layout)
     if leads is None:

@@ -1,6 +1,6 @@
-"""What is calibrated, as a scene describes it: the mesh, the layout laid on it, and where taxels may be before any poke.
+"""The calibrated part as a scene describes it: mesh, layout laid on it, and places where taxels may be.
 
-The imports stand inside the functions, so that a window can do this beside its own start.
+Imports are inside the functions, so that a window can load a part while it starts.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ unit = "{unit}"                            # of the mesh's numbers
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """What is calibrated, as the scene describes it."""
+    """The calibrated part as the scene describes it."""
 
     scene: Scene
     surface: Surface | None
@@ -51,23 +51,23 @@ class Part:
     channels: IntArray
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
-    """What is to say of the mesh and of the anchors that stand on it."""
+    """Sentences about the mesh and the anchors on it."""
     plan: Reference | None = None
-    """Where the layout places the taxels; None where it does not."""
+    """Planned positions of the taxels; `None` if the layout is not laid."""
     cover: SurfaceSearch | None = None
-    """Where to look for taxels that no layout places; None where there is nothing to look for, or no surface."""
+    """Places to search for taxels that no layout places; `None` without a surface or with a laid layout."""
 
 
 def load_part(path: Path) -> Part:
-    """Load a scene with its mesh and its layout; InputError where they cannot be used."""
+    """Load a scene with its mesh and its layout; `InputError` if they cannot be used."""
     scene = load_scene(path)
     return lay_part(scene, *load_scene_surface(scene))
 
 
 def scene_of_mesh(mesh: Path, scenes: Path) -> Path:
-    """Return the scene of a part of which a mesh alone is known, in a folder of its own under `scenes`; made where it is new.
+    """Make a scene for a mesh in a folder of its own under `scenes`, or find the one made before.
 
-    The mesh is copied beside it. What it cannot know has a default, and a comment in the file.
+    The mesh is copied there. Unknown values have defaults and comments in the file.
 
     Raises
     ------
@@ -94,10 +94,7 @@ def scene_of_mesh(mesh: Path, scenes: Path) -> Path:
 
 
 def _unit_of(mesh: Path) -> str:
-    """Return the unit in which a mesh has the size of a part: millimetres, or metres where it is too small for that.
-
-    Raises InputError: the mesh cannot be read, or is too small or too large in either.
-    """
+    """Guess the unit of a mesh from its size: millimetres, else metres; `InputError` if neither fits or it is unreadable."""
     from skincal.mesh.load import load_surface
 
     with contextlib.suppress(InputError):
@@ -108,7 +105,7 @@ def _unit_of(mesh: Path) -> str:
 
 
 def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:
-    """Return a scene's mesh, None where it has none, and what the loader has to say; InputError where it cannot be used."""
+    """Load a scene's mesh, `None` without one, and the loader's findings; `InputError` if it cannot be used."""
     if scene.surface is None:
         return None, ()
     from skincal.mesh.load import load_surface
@@ -118,16 +115,16 @@ def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:
 
 
 def anchor_findings(scene: Scene, surface: Surface | None) -> tuple[str, ...]:
-    """Return what is to say of the anchors of a scene's layout on its mesh; see `anchor_remarks`."""
+    """Check the anchors of a scene's layout on its mesh; see `anchor_remarks`."""
     from skincal.mesh.lay import anchor_remarks
 
     return () if scene.skin.layout is None else anchor_remarks(scene.skin.layout, scene.skin.anchor, surface)
 
 
 def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -> Part:
-    """Lay the scene's layout on its mesh, which takes a second where the mesh is large.
+    """Lay the scene's layout on its mesh: up to a second. `InputError` if the layout does not fit the surface.
 
-    `findings` is what the mesh loader has to say. InputError where the layout does not lie on the surface.
+    `findings` are those of the mesh loader.
     """
     layout = scene.skin.layout
     if layout is None:
@@ -135,7 +132,7 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
     from skincal.files.reference import plan_reference
     from skincal.mesh.lay import place_layout
 
-    # The layout works these out when they are first asked for: better here than in the window's thread.
+    # The layout computes these lazily: better here than in the window's thread.
     _ = layout.places, layout.module_of, layout.spacing
     laid = place_layout(layout, scene.skin.anchor, surface)
     findings = (*findings, *anchor_findings(scene, surface))
@@ -144,7 +141,7 @@ def lay_part(scene: Scene, surface: Surface | None, findings: tuple[str, ...]) -
 
 
 def _cover(surface: Surface | None) -> SurfaceSearch | None:
-    """Spread places over a surface; only where they are needed, since it takes half a second."""
+    # Half a second: only if needed.
     if surface is None:
         return None
     from skincal.guide.surface_search import SurfaceSearch

@@ -1,10 +1,10 @@
-"""The pipeline of the readings, from bytes to session: journal, decoding, pairing, pokes, landmarks.
+"""Pipeline from bytes to session: journal, decoding, pairing, pokes, landmarks.
 
-Real, replayed and simulated devices differ in where the items come from, and in nothing else. What a pipeline holds depends
-on the sequence of items and actions alone, never on a clock: played again it is the same, bit for bit.
+Real, replayed and simulated devices differ only in the source of the items. The result depends on the sequence of items and
+actions alone, never on a clock: a replay is the same bit for bit.
 
-A poke that the operator was asked to make at a landmark (`AskLandmark`) is found here, with or without a window, and becomes
-an action of its own (`FoundAtLandmark`), or was not there after all (`MissedLandmark`).
+After a request for a landmark (`AskLandmark`) the pipeline finds which poke was there and adds an action (`FoundAtLandmark` or
+`MissedLandmark`).
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 READ_AHEAD_ITEMS = 256
-"""Items of a recording that are read before the first is worked on: some four seconds."""
+"""Items of a recording that are read ahead: some four seconds."""
 DECODED_PERIOD_NS = 500_000_000
-"""ns. Decoded wrenches go to the journal so often."""
+"""ns between decoded wrenches in the journal."""
 TOTALS_PERIOD_NS = 5_000_000_000
-"""ns. Counts of readings go to the journal so often, and at the end."""
+"""ns between counts of readings in the journal; the last come at the end."""
 _LOST_STATES = (LinkState.LOST, LinkState.FAILED)
 
 
 class Pipeline:
-    """Takes items and actions, and holds what they led to.
+    """Processes items and actions, and holds the session.
 
     Parameters
     ----------
-    surface : the scene's mesh; None leaves out the surface method
-    journal : open for writing; None records nothing
-    laid : the layout on the part, where it was laid already; else it is laid when the first landmark poke needs it
+    surface : the scene's mesh; `None` leaves out the surface method
+    journal : open for writing; `None` records nothing
+    laid : the layout on the part; if missing it is laid for the first landmark poke
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class Pipeline:
         self.session = Session(scene, surface)
         self.journal = journal
         self.journal_failure = ""
-        """Why nothing is recorded any more, for the operator; empty while all is well."""
+        """Why recording has ended, for the operator; empty without a failure."""
         self.findings: tuple[str, ...] = ()
-        """Sentences about damage of the session that this pipeline was played from."""
+        """Sentences about damage of the replayed session."""
         self._detector = ContactDetector(scene)
         self._dead = self._detector.dead
         self._doubts: dict[int, Doubt] = {}
         self.laid = laid
-        """The layout on the part; None where it was not laid yet, or where it lies nowhere."""
+        """The layout on the part; `None` if it is not laid."""
         self._earlier = Totals()
         self._now_ns = 0
         self._found_dead = False
@@ -86,7 +86,6 @@ class Pipeline:
         self._connect(links)
 
     def _connect(self, links: Sequence[LinkSpec]) -> None:
-        """Begin with what comes from these links; nothing is known of what came from others."""
         self.links = tuple(links)
         arm = self.scene.arm
         self._intake = Intake(self.scene.skin.channels, links, 0 if arm is None else max(arm.arm.joints, default=-1) + 1)
@@ -99,7 +98,7 @@ class Pipeline:
         self._current_pose(None)
 
     def feed(self, item: Chunk | LinkEvent) -> None:
-        """Take the next item of the queue, the journal or a recording; InputError for a link that was not described."""
+        """Process the next item of the queue, the journal or a recording; `InputError` for an unknown link."""
         self._intake.check(item)  # before anything is recorded
         outcomes: list[Outcome] = []
         try:
@@ -112,7 +111,7 @@ class Pipeline:
         self._decoded_wrenches(item.host_ns)
 
     def ahead(self, items: Iterable[T]) -> Iterator[T]:
-        """Yield what is fed next, each to be fed before the next is asked for; chunks are decoded many at a time meanwhile."""
+        """Decode many chunks at a time and yield the items; feed each before asking for the next."""
         items = iter(items)
         while block := list(islice(items, READ_AHEAD_ITEMS)):
             for are_bytes, run in groupby(block, lambda item: isinstance(item, Chunk)):
@@ -122,7 +121,7 @@ class Pipeline:
                 yield from found
 
     def apply_note(self, note: Note) -> None:
-        """Take what this or another pipeline's detector made of an item: its outcomes, the dead channels, and counts."""
+        """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""
         if isinstance(note, Totals):
             self._earlier = note
             return
@@ -137,7 +136,7 @@ class Pipeline:
                 self._doubts[outcome.poke] = doubt
 
     def act(self, action: Action, host_ns: int) -> None:
-        """Do what the operator wants, and record it; InputError, and nothing done, where that cannot be."""
+        """Apply an action and record it; `InputError` if it is impossible, and then nothing changes."""
         self.session.act(action, host_ns * 1e-9)
         if isinstance(action, AskLandmark):
             self._landmarks.ask(action.name, host_ns * 1e-9)
@@ -145,7 +144,7 @@ class Pipeline:
         self._current_pose(None)
         self._detector.use_thresholds(self.session.decisions.thresholds)
         self._commit(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
-        # What is asked for is lost with the bytes that follow it, and without them nobody misses it.
+        # A request needs no fsync: without the bytes after it, it is useless.
         if not isinstance(action, AskLandmark | AskPoke):
             self._record(lambda journal: journal.sync())
 
@@ -156,19 +155,17 @@ class Pipeline:
 
     @property
     def asked_landmark(self) -> str:
-        """Name of the landmark that the operator is asked for; empty where none is."""
+        """Name of the requested landmark; empty without one."""
         return self._landmarks.asked
 
     def tick(self, now_ns: int) -> None:
-        """Write what the journal buffers if it is due; call it in any rhythm."""
+        """Write the journal's buffers if they are due; call it regularly."""
         self._record(lambda journal: journal.tick(now_ns))
 
     def snapshot(self, within_s: float = np.inf) -> Snapshot:
-        """Return what the session holds; see `Session.snapshot`."""
         return self.session.snapshot(within_s)
 
     def live(self, now_ns: int) -> LiveView:
-        """Return the newest readings."""
         detector = self._detector
         name, link_from_sensor = self.poses.current
         used = self.session.decisions.corrections
@@ -190,12 +187,12 @@ class Pipeline:
 
     @property
     def before_pokes(self) -> BeforePokes:
-        """What the samples until the first poke showed, since the devices began."""
+        """Statistics of the samples until the first poke, since the devices began."""
         return self._detector.before_pokes
 
     def can_measure(self, now_ns: int) -> bool:
-        """Return whether a poke would be measured now: samples of open links that live, in an arm pose that is known."""
-        # A pose that was chosen holds without joints.
+        """Whether a poke would be measured now: samples come from working links, in a known arm pose."""
+        # A chosen pose needs no joints.
         unneeded = {Stream.JOINTS} if self.session.decisions.pose or self.scene.arm is None else set[Stream]()
         needed = {link.name for link in self.links if set(link.carries) - unneeded}
         _, link_from_sensor = self.poses.current
@@ -205,11 +202,11 @@ class Pipeline:
         return self._detector.phase is not PressPhase.NO_DATA and not is_silent(self._detector.last_s, now_ns * 1e-9)
 
     def totals(self) -> Totals:
-        """Return how many readings the whole session has had, and lost."""
+        """Count the readings and losses of the whole session."""
         return self._earlier.plus(self._intake.health(0), self._intake.unpaired)
 
     def require_intact_journal(self) -> None:
-        """Raise InputError if the disk refused before: this pipeline holds what no segment does, and none may follow."""
+        """Raise `InputError` after a journal failure: the pipeline holds data that is on no disk, so no segment may follow."""
         if self.journal_failure:
             raise InputError(
                 "What happened since the disk refused is not recorded, so this session cannot be recorded on as it stands: "
@@ -217,17 +214,16 @@ class Pipeline:
             )
 
     def begin_segment(self, links: Sequence[LinkSpec] | None = None, journal: JournalWriter | None = None) -> None:
-        """Go on after a break: the devices and the detector start anew, and a poke in progress is forgotten.
+        """Continue after a break with a new detector. A poke in progress is lost.
 
-        What follows depends on the session as it stands and on nothing else, so that it does not matter whether the session
-        was recorded here, played or loaded.
+        The rest depends on the session alone, so it does not matter whether it was recorded here, replayed or loaded.
 
         Parameters
         ----------
-        links : where the items come from now; as before if None
-        journal : the new segment, which is refused as by `require_intact_journal`; None records nothing
+        links : new sources of items; `None` for the same
+        journal : the new segment, checked by `require_intact_journal`; `None` records nothing
         """
-        # The new segment holds the folder's lock by now, and gives it back as it is closed.
+        # Closing the new segment releases the folder's lock.
         if journal is not None and self.journal_failure:
             journal.close()
             self.require_intact_journal()
@@ -241,7 +237,7 @@ class Pipeline:
         self.renew_detector()
 
     def renew_detector(self) -> None:
-        """Let a new detector take the session up as it stands."""
+        """Replace the detector by a new one that knows the session."""
         session = self.session
         known = ((doubt, session.outcome(number)) for number, doubt in sorted(self._doubts.items()))
         doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
@@ -250,16 +246,16 @@ class Pipeline:
         self._detector.use_thresholds(session.decisions.thresholds)
         for outcome in self._detector.use_all_but(session.dead.keys()):
             session.add(outcome)
-        # In a session that was loaded the pose holds that was chosen last.
+        # In a loaded session the last chosen pose holds.
         self._current_pose(None)
 
     def end_session(self, host_ns: int) -> None:
-        """Come to an end in good order: a poke in progress is over, and those that wait are final."""
+        """End a poke in progress and finalize those that wait."""
         self._commit(Ending(host_ns), self._detector.reset())
 
     def close(self) -> None:
         """Finish the journal; the session stays."""
-        # As if half a second had passed, so that what is left is due.
+        # The rest becomes due.
         self._decoded_wrenches(self._decoded_ns + DECODED_PERIOD_NS)
         self.end_session(self._now_ns)
         self._record(lambda journal: journal.close())
@@ -280,11 +276,11 @@ class Pipeline:
         return outcomes
 
     def _commit(self, item: Item, outcomes: Sequence[Outcome]) -> None:
-        """Give the session what an item led to, and the journal both; then find which new pokes were at a landmark."""
-        # Asked before the outcomes are taken: the second outcome of a poke is no new poke.
+        """Apply the outcomes of an item, write both to the journal, and find new landmark pokes."""
+        # The second outcome of a poke is no new poke.
         last = self.session.last_poke
         self._journal_item(item, outcomes)
-        # In the order of their numbers: which one is taken can depend on those before it.
+        # In the order of their numbers, since a decision depends on the pokes before.
         new = sorted({outcome.poke for outcome in outcomes if outcome.poke > last})
         if new and self._landmarks.asked:
             session = self.session
@@ -312,7 +308,7 @@ class Pipeline:
             self._record(lambda journal: journal.sync())
 
     def _taxel_places(self) -> Mapping[int, FloatArray]:
-        """Return where the layout puts each taxel, (3,) float, metres, by its channel; none where it does not."""
+        """Planned places of the taxels, (3,) float, metres, by channel."""
         layout = self.scene.skin.layout
         if self.laid is None and layout is not None:
             from skincal.mesh.lay import place_layout  # it costs a second on a large mesh, and few sessions need it
@@ -332,12 +328,12 @@ class Pipeline:
         return True
 
     def _interrupts_samples(self, item: Chunk | LinkEvent) -> bool:
-        """Return whether an item interrupts the samples: a sensor froze or lives again, or an event says so."""
+        """Whether an item interrupts the samples: a sensor froze or works again, or a needed link ended."""
         before, self._frozen = self._frozen, self._intake.frozen
         return self._frozen != before or (isinstance(item, LinkEvent) and self._ends_samples(item))
 
     def _ends_samples(self, event: LinkEvent) -> bool:
-        """Return whether a needed link vanished, or the last of a recording ended."""
+        """Whether a needed link was lost, or the last one of a recording ended."""
         needed = {link.name for link in self.links if {Stream.WRENCH, Stream.SKIN} & set(link.carries)}
         if event.link not in needed:
             return False
@@ -351,7 +347,7 @@ class Pipeline:
         return self.poses.at(self.session.decisions.pose, angles)
 
     def _decoded_wrenches(self, host_ns: int) -> None:
-        """Hand the wrenches of the last half second, and the temperature, to the journal, for other programs."""
+        """Write the wrenches of the last half second and the temperature to the journal, for other programs."""
         if not self._wants_decoded or host_ns - self._decoded_ns < DECODED_PERIOD_NS:
             return
         self._decoded_ns = host_ns
@@ -368,11 +364,11 @@ class Pipeline:
         return self.journal is not None and self.journal.wants_decoded
 
     def sync(self) -> None:
-        """Force what is recorded onto the medium; where that fails recording ends, and `journal_failure` says why."""
+        """Flush the journal to the disk; on failure recording ends and `journal_failure` says why."""
         self._record(lambda journal: journal.sync())
 
     def _record(self, work: Callable[[JournalWriter], None]) -> None:
-        """Do something with the journal, if there is one; a full disk ends it and nothing else."""
+        """Work on the journal, if there is one; a full disk ends the recording and nothing else."""
         if self.journal is None:
             return
         try:

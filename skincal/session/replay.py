@@ -1,7 +1,7 @@
-"""A session loaded from what was made of its bytes, played again from the bytes, or taken up where it stopped.
+"""Loading a session from its stored pokes, replaying it from its bytes, or resuming it.
 
-The contacts are the truth of a session, the bytes are their evidence. Both ways lead to the same session to the last bit, as
-long as neither the scene nor the detector changed since.
+Loading is fast, replaying starts from the raw bytes. Both give the same session to the last bit, as long as neither the scene
+nor the detector has changed.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _MISFIT = "An action of the operator no longer fits and is left out"
 
 
 def replay(folder: Path, layout: Path | None = None) -> Pipeline:
-    """Play a session again into a pipeline of its own; nothing in the folder changes.
+    """Replay a session into a new pipeline; nothing in the folder changes.
 
-    The pipeline has the estimates of the live session to the last bit, and `findings` on damage. The file of a layout takes
-    the place of the scene's.
+    The pipeline has the estimates of the live session to the last bit, and `findings` on damage. `layout` is the file of a
+    layout to use in place of the scene's.
 
     Raises
     ------
@@ -39,24 +39,22 @@ def replay(folder: Path, layout: Path | None = None) -> Pipeline:
 
 
 def load(folder: Path, layout: Path | None = None) -> Pipeline:
-    """Return a session as it was taken, without playing its bytes; nothing in the folder changes.
+    """Load a session from its stored pokes; nothing in the folder changes.
 
-    Where the bytes must be played after all, they are: the session is older than the notes, or its scene was changed since.
-
-    All else is as for `replay`, but with the file of another layout pokes are as they were judged with the scene's, and a
-    streamed arm pose is unknown until joints are streamed again.
+    It is replayed if it has no stored pokes or its scene has changed. Else as `replay`, but with another layout pokes stay as
+    they were judged with the scene's, and a streamed arm pose is unknown until joints are streamed again.
     """
     return _load(SessionLog(folder), layout)
 
 
 def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
-    # What was made of the bytes holds for the scene that it was made with; the oldest sessions hold bytes alone.
+    # Stored pokes hold for the scene of the recording; the oldest sessions have none.
     if log.scene_changed or not log.has_notes:
         return _played(log, layout)
     pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
     for item in log.state():
-        # A later segment may be of another scene or an older version: that is known when it is reached.
+        # A later segment may be of another scene or an older version.
         if log.scene_changed or not log.has_notes:
             return _played(SessionLog(log.folder, own=log.own), layout)
         try:
@@ -69,14 +67,13 @@ def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
 
 
 def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
-    """Return an empty pipeline for a session, with the layout of a file where one is given."""
     scene = log.scene if layout is None else with_layout(log.scene, layout)
     return Pipeline(scene, log.links, load_scene_surface(scene)[0])
 
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
     if isinstance(item, Stamped):
-        # Not the pipeline's `act`: what the detector made of an action stands in the notes that follow.
+        # Not the pipeline's `act`: the following notes hold the detector's reaction.
         pipeline.session.act(item.action, item.host_ns * 1e-9)
         pipeline.note_skipped_pose(item.action)
     elif isinstance(item, Taken | Totals):
@@ -86,7 +83,7 @@ def _load_step(pipeline: Pipeline, item: LogState) -> None:
 
 
 def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
-    """Take a session up where it stopped: recovered if it was cut off, loaded, and open in a new segment.
+    """Resume a session: recover it if it was cut off, load it, and open a new segment.
 
     Without `links` readings come from those of the last segment.
 
@@ -97,7 +94,7 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     """
     if ships(folder):
         raise InputError(f"{folder}: ships with skincal and stays as it is; copy the folder and go on with the copy.")
-    SessionLog(folder)  # says what is wrong before anything is changed
+    SessionLog(folder)  # refuses before anything is changed
     lock = SessionLock(folder)
     with ExitStack() as at_failure:
         at_failure.callback(lock.release)
@@ -111,14 +108,14 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
 
 
 def step(pipeline: Pipeline, item: LogItem) -> None:
-    """Do one item of a log on a pipeline."""
+    """Apply one item of a log to a pipeline."""
     if isinstance(item, SegmentMark):
         if item.number > 1:
             pipeline.begin_segment(item.links)
         pipeline.poses.are_grouped = item.format >= FORMAT_WITH_GROUPED_POSES
         pipeline.session.set_clock(item.clock)
     elif isinstance(item, Stamped):
-        # The bytes and what was asked for lead to these again.
+        # These follow again from bytes and requests.
         if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
             pipeline.act(item.action, item.host_ns)
     elif isinstance(item, Ending):
@@ -136,7 +133,7 @@ def _played(log: SessionLog, layout: Path | None) -> Pipeline:
         except InputError as error:
             if not isinstance(item, Stamped):
                 raise
-            # Thresholds of the scene that were changed since may have made another thing of a poke.
+            # With changed thresholds of the scene a poke may have another outcome.
             misfits.append(f"{_MISFIT}: {error}")
     pipeline.findings = (*log.findings, *misfits)
     return pipeline

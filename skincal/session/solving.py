@@ -1,4 +1,4 @@
-"""The estimates of a session's taxels, kept until a poke or a decision changes what they follow from."""
+"""Cached estimates of a session's taxels. Only taxels with changed input are solved again."""
 
 from __future__ import annotations
 
@@ -25,55 +25,55 @@ if TYPE_CHECKING:
     from skincal.taxels.contact_table import Evidence
 
 MODULES_AT_ONCE, TAXELS_AT_ONCE = 4, 64
-"""Solved between two looks at the clock: some 40 ms by the modules method, less where taxels are solved alone."""
+"""Solved between two looks at the clock: some 40 ms by the modules method, less for taxels alone."""
 
 
 def methods_of(scene: Scene, surface: Surface | None) -> tuple[Method, ...]:
-    """Return the methods that a scene has: what it lacks costs nothing."""
+    """List the methods that a scene allows."""
     there = {Method.SURFACE: surface is not None, Method.MODULES: scene.skin.layout is not None}
     return tuple(method for method in Method if there.get(method, True))
 
 
 class Solving:
-    """Solves the taxels that changed, and no others; made from what a `Session` is made from."""
+    """Solves the taxels that changed; parameters as for `Session`."""
 
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None) -> None:
         self.methods = tuple(method for method in methods_of(scene, surface) if methods is None or method in methods)
         layout = scene.skin.layout
         solved = Method.MODULES in self.methods
         self.module_model: ModuleModel | None = None
-        """The modules; None where their method is not solved."""
+        """`None` if the modules method is not solved."""
         if layout is not None and solved:
             self.module_model = ModuleModel(layout, scene.skin.anchor, surface, scene.distances)
         self._apart: dict[int, Estimate] = {}
-        """By the modules method, before known distances count; empty where there are none."""
+        """Estimates of the modules method before known distances are applied; empty without distances."""
         self._fitted: dict[int, FittedModule] | None = {} if self.module_model and self.module_model.distances else None
         self.tried_distances: tuple[TriedDistance, ...] = ()
-        """Of each known distance, whether it is used."""
+        """For each known distance, whether it is used."""
         self._noise, self._surface = scene.noise, surface
         self.shared: SharedRows | None = None
-        """Errors that all pokes share, which the covariances carry."""
+        """Errors shared by all pokes, which the covariances include."""
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
-        """What is solved from, and what the last answers were: the same but while some taxels wait."""
+        """Input of the next solution, and of the shown one; they differ only while taxels wait."""
         self._estimates: dict[Method, dict[int, Estimate]] = {method: {} for method in self.methods}
         self._alike: dict[Method, dict[int, Estimate]] = {method: {} for method in self._alone}
-        """The same without shared errors: where the search for the modules begins, which these may not change."""
+        """The same without shared errors: start of the search for the modules, which shared errors may not change."""
         self._pokes, self._channels, self._fresh = set[int](), set[int](), set[int]()
-        """Pokes that the table lacks as they are now; taxels to solve; taxels for the next answer of `take_fresh`."""
+        """Pokes to update in the table; taxels to solve; taxels for the next `take_fresh`."""
 
     @property
     def waiting(self) -> int:
-        """How many taxels are to be solved."""
+        """Number of taxels to solve."""
         return len(self._channels)
 
     def poke_changed(self, poke: int, channels: Iterable[int]) -> None:
-        """Note that a contact came, went or changed, with the channels that answered."""
+        """Mark a contact as changed, with the channels that answered."""
         self._pokes.add(poke)
         self._channels.update(channels)
 
     def taxels_changed(self, channels: Iterable[int]) -> None:
-        """Note that channels are to be solved anew."""
+        """Mark channels as changed."""
         self._channels.update(channels)
 
     def solve(
@@ -88,18 +88,18 @@ class Solving:
 
         Parameters
         ----------
-        channels : those that are taxels
+        channels : the taxels
         known : all pokes
-        kept : gives those of some pokes that are contacts and count
-        dead : channels that are not used, with the reason
-        within_s : s. The work ends after so long, or little later; what is left waits
+        kept : gives the counting contacts of some pokes
+        dead : unused channels with the reason
+        within_s : s. The work ends after this or little later; the rest waits
         """
         end = time.perf_counter() + within_s
         self._fresh.update(self._channels)
         self._channels.intersection_update(channels)
         parts = self._parts(sorted(self._channels), within_s)
         if len(parts) > 1 and self._table is self._shown:
-            # What was known before is asked for until all is solved.
+            # The old table answers `evidence` until everything is solved.
             self._table = ContactTable(kept(known))
         else:
             for poke in self._pokes:
@@ -117,7 +117,6 @@ class Solving:
                 self._refine()
 
     def _refine(self) -> None:
-        """Let known distances count; each module's own fit stays as it is."""
         # Imported only where a scene knows distances.
         from skincal.modules.distances import apply_distances
 
@@ -127,21 +126,21 @@ class Solving:
         self._estimates[Method.MODULES].update({**self._apart, **moved})
 
     def estimates(self, channels: Sequence[int]) -> dict[Method, tuple[Estimate, ...]]:
-        """Return for each method one estimate a channel; all of them were solved once."""
+        """Give for each method one estimate a channel."""
         return {method: tuple(map(of.__getitem__, channels)) for method, of in self._estimates.items()}
 
     def take_fresh(self) -> IntArray:
-        """Return the channels that were solved since the last call, ascending."""
+        """Give the channels that were solved since the last call, ascending."""
         fresh = np.array(sorted(self._fresh), dtype=np.int64)
         self._fresh.clear()
         return fresh
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Return what contacts say of those of `channels` that answered, as when all was solved last; all count fully."""
+        """Give the rows of the shown solution's contacts for those of `channels` that answered."""
         return self._shown.evidence(channels)
 
     def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:
-        """Return channels in the parts that they are solved in; a module's stay together."""
+        """Split channels into parts to solve; a module's stay together."""
         if math.isinf(within_s):
             return [channels]
         if self.module_model is None:
@@ -160,7 +159,7 @@ class Solving:
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)
-            # The surface method's first, where there are any: the search for a module begins with the best.
+            # The surface method's first, if any: the search for a module starts from the best.
             others = [self._alike[method] for method in reversed(self._alone)]
             table, kept = self._table, self._fitted
             found = estimate_modules(

@@ -17,9 +17,9 @@ from skincal.session.closing_pokes import (
     MAX_POKES_PER_PLACE,
     MAX_REPEATS,
     MIN_CONTACTS_BETWEEN_CHECKS,
-    at_taxels,
     closing_rounds,
     closings_of,
+    taxel_pokes,
 )
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
@@ -204,7 +204,7 @@ def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_inste
         it.poke_landmark(other)
     assert it.look().phase is GuidePhase.ENOUGH
     (round_,) = closing_rounds(it.session.snapshot(), it.rig.scene.noise)
-    assert max(round_.made) == made, "those are not of the check"
+    assert max(round_.pokes) == made, "those are not of the check"
 
 
 def landmark_check(pokes):
@@ -249,7 +249,7 @@ def test_a_poke_that_is_left_out_counts_as_if_it_had_not_been_made():
 
 def test_without_landmarks_three_of_the_first_taxels_are_poked_once_more():
     it = Sessions(RigErrors.noise(), landmarks=False)
-    first = list(dict.fromkeys(poke.name for poke in at_taxels(it.session.snapshot())))[:3]
+    first = list(dict.fromkeys(poke.name for poke in taxel_pokes(it.session.snapshot())))[:3]
     assert it.close() == first
     (closing,) = it.verdict().closings
     assert (closing.at, set(closing.names)) == (ClosingPlaces.TAXELS, set(first))

@@ -109,7 +109,7 @@ def test_a_rejected_poke_says_why_and_the_same_is_asked_for_under_another_number
     course.asked(1.0, wants(3))
     course.pokes.append(poke(1, 2.0, Reason.TOO_SOFT))
     verdict, line = course.at(2.6, wants(3))
-    assert verdict == Judged(1, "too soft (2.5, limit 4 N)")
+    assert verdict == Judged(1, "too soft: 2.5 N (needs 4.0 N)")
     assert (line.number, line.channel) == (2, 3)
 
 
