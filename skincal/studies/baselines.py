@@ -18,7 +18,6 @@ from importlib import import_module, util
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
@@ -30,7 +29,7 @@ from skincal.modules.pose_fit import Touches, assign_pokes
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.solve import solve
 
-SLSQP: dict[str, Any] = {"method": "SLSQP", "bounds": ((0, 1), (0, 1)), "options": {"ftol": 1e-9, "maxiter": 100}}
+SLSQP_OPTIONS: dict[str, Any] = {"method": "SLSQP", "bounds": ((0, 1), (0, 1)), "options": {"ftol": 1e-9, "maxiter": 100}}
 """The objective is in mm^2, so that SLSQP's absolute tolerance means 3e-5 mm where a metric is near 1."""
 MM2_PER_M2 = 1e6
 QUADPROG = "quadprog"
@@ -105,11 +104,11 @@ def programmes(corners: FloatArray, root: FloatArray, offset: FloatArray) -> Pro
     return Programmes(MM2_PER_M2 * edges @ edges.swapaxes(1, 2), MM2_PER_M2 * (edges @ images[:, 0, :, None])[:, :, 0])
 
 
-_SIDES = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]])
-_LIMITS = np.array([0.0, 0.0, -1.0])
-_INWARD = np.array([-1.0, -1.0])
+_SIDE_NORMALS = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]])
+_SIDE_LIMITS = np.array([0.0, 0.0, -1.0])
+_THIRD_SIDE_GRADIENT = np.array([-1.0, -1.0])
 _THIRD_SIDE: dict[str, str | Callable[[FloatArray], Any]] = {
-    "type": "ineq", "fun": lambda x: 1.0 - x[0] - x[1], "jac": lambda _: _INWARD,
+    "type": "ineq", "fun": lambda x: 1.0 - x[0] - x[1], "jac": lambda _: _THIRD_SIDE_GRADIENT,
 }  # fmt: skip
 
 
@@ -121,7 +120,10 @@ def has_quadprog() -> bool:
 def by_quadprog(some: Programmes) -> FloatArray:
     """Solve each programme by Goldfarb and Idnani's dual method; returns shares (n, 2)."""
     solver: Any = import_module(QUADPROG)
-    solved = [solver.solve_qp(gram, -slope, _SIDES, _LIMITS)[0] for gram, slope in zip(some.grams, some.slopes, strict=True)]
+    solved = [
+        solver.solve_qp(gram, -slope, _SIDE_NORMALS, _SIDE_LIMITS)[0]
+        for gram, slope in zip(some.grams, some.slopes, strict=True)
+    ]
     return np.array(solved).reshape(-1, 2)
 
 
@@ -135,53 +137,33 @@ def by_slsqp(some: Programmes) -> FloatArray:
             gradient = gram @ x
             return 0.5 * float(x @ gradient) + float(slope @ x), gradient + slope
 
-        found = optimize.minimize(objective, (1 / 3, 1 / 3), jac=True, constraints=_THIRD_SIDE, **SLSQP)
+        found = optimize.minimize(objective, (1 / 3, 1 / 3), jac=True, constraints=_THIRD_SIDE, **SLSQP_OPTIONS)
         solved.append(found.x)
     return np.array(solved).reshape(-1, 2)
 
 
 def closest_in_triangles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Find for each triangle of `corners` (n, 3, 3) its point nearest to the origin.
-
-    The interior point comes from an orthogonalised pair of edges, the longest first, so that needles keep their digits. The
-    best of it and of the three edges' clamped projections is taken by its true distance.
+    """Find for each triangle of `corners` (n, 3, 3) its point nearest to the origin: the interior one, or the best on an edge.
 
     Returns
     -------
     shares : (n, 3) float, barycentric: the point is `shares @ corners`
     squared : (n,) float, its squared distance
     """
-    count, row = len(corners), np.arange(len(corners))
-    edges: FloatArray = np.roll(corners, -1, axis=1) - corners
-    lengths: FloatArray = np.sum(edges * edges, axis=2)
-    along: FloatArray = np.clip(-np.sum(corners * edges, axis=2) / lengths.clip(_TINY), 0.0, 1.0)
-    squared: FloatArray = np.sum((corners + along[:, :, None] * edges) ** 2, axis=2)
-    side: IntArray = np.argmin(squared, axis=1)
-    first: IntArray = np.argmax(lengths, axis=1)
-    corner, long, across = corners[row, first], edges[row, first], -edges[row, (first + 2) % 3]
-    length, tilt = lengths[row, first].clip(_TINY)[:, None], np.zeros((count, 1))
-    # Twice: the first pass leaves rounding of the long edge's size.
-    for _ in range(2):
-        part = (across * long).sum(axis=1, keepdims=True) / length
-        across, tilt = across - part * long, tilt + part
-    height = (across * across).sum(axis=1, keepdims=True)
-    start = -(corner * long).sum(axis=1, keepdims=True) / length
-    offset = corner + start * long
-    v = -(offset * across).sum(axis=1, keepdims=True) / height.clip(_TINY)
-    u = start - v * tilt
-    within: FloatArray = np.sum((offset + v * across) ** 2, axis=1)
-    inside: NDArray[np.bool_] = ((u >= 0) & (v >= 0) & (u + v <= 1) & (height > 0))[:, 0] & (within <= squared[row, side])
-    begin: IntArray = np.where(inside, first, side)
-    one: FloatArray = np.where(inside, u[:, 0], along[row, side])
-    other: FloatArray = np.where(inside, v[:, 0], 0.0)
-    shares: FloatArray = np.empty((count, 3))
-    shares[row, begin], shares[row, (begin + 1) % 3], shares[row, (begin + 2) % 3] = 1.0 - one - other, one, other
-    nearest: FloatArray = np.where(inside, within, squared[row, side])
-    return shares, nearest
-
-
-_TINY = 1e-300
-"""Least squared length that divides."""
+    row = np.arange(len(corners))
+    edges = np.roll(corners, -1, axis=1) - corners
+    along = np.clip(-(corners * edges).sum(axis=2) / (edges * edges).sum(axis=2), 0.0, 1.0)
+    squared = ((corners + along[:, :, None] * edges) ** 2).sum(axis=2)
+    side = squared.argmin(axis=1)
+    shares = np.zeros((len(corners), 3))
+    shares[row, side], shares[row, (side + 1) % 3] = 1.0 - along[row, side], along[row, side]
+    first, e, g = corners[:, 0], edges[:, 0], -edges[:, 2]
+    ee, eg, gg, fe, fg = ((p * q).sum(axis=1) for p, q in ((e, e), (e, g), (g, g), (first, e), (first, g)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = np.array([eg * fg - gg * fe, eg * fe - ee * fg]) / (ee * gg - eg * eg)
+    inside = (s > 0) & (t > 0) & (s + t < 1)
+    shares[inside] = np.column_stack([1.0 - s - t, s, t])[inside]
+    return shares, ((shares[:, :, None] * corners).sum(axis=1) ** 2).sum(axis=1)
 
 
 # ---- free ----
@@ -258,7 +240,7 @@ class ModuleProblem:
         evidence = self.table.evidence(self.model.channels_of([self.module]))
         return assign_pokes(evidence, self.table.totals(evidence.pokes), self.model, self.noise, [self.module])
 
-    def laid(self, pose: ModulePoses) -> Pads:
+    def place_pads(self, pose: ModulePoses) -> Pads:
         """Lay its pads at one pose."""
         flat = self.model.pads[self.module]
         return self.model.ground.place_pads(pose.select(np.zeros(len(flat), dtype=np.int64)), flat)
@@ -267,11 +249,11 @@ class ModuleProblem:
         """Find the pads (k, 3), metres, of least `misses` by scipy's Levenberg-Marquardt with a differenced Jacobian."""
         optimize: Any = import_module("scipy.optimize")
 
-        def moved(step: FloatArray) -> Pads:
-            return self.laid(self.model.ground.move(self.start, step[None]))
+        def displaced_pads(step: FloatArray) -> Pads:
+            return self.place_pads(self.model.ground.move(self.start, step[None]))
 
         def residuals(step: FloatArray) -> FloatArray:
-            return misses(moved(step)).ravel()
+            return misses(displaced_pads(step)).ravel()
 
         found = optimize.least_squares(residuals, np.zeros(self.model.ground.unknowns), method="lm", **tolerances)
-        return moved(np.asarray(found.x, dtype=np.float64)).points
+        return displaced_pads(np.asarray(found.x, dtype=np.float64)).points

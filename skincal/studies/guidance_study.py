@@ -1,7 +1,7 @@
-"""How many pokes each way to poke takes: people who are told nothing, a printed recipe, and the guide.
+"""Pokes needed by the guide, by a printed recipe, and by people without guidance.
 
-Ways, hand, rig and what counts as knowing are in `skincal/simulate/courses.py`. All of it is seeded. Courses run
-side by side, as many as the machine has cores; their numbers do not depend on it.
+Strategies, hand, rig and the errors over a session are in `skincal/simulate/courses.py`. Everything is seeded. Courses run in
+parallel, and their numbers do not depend on it.
 """
 
 from __future__ import annotations
@@ -15,29 +15,31 @@ from typing import Any
 import numpy as np
 
 from skincal.geometry import FloatArray
-from skincal.palette import BLACK, BLUE, GREEN, ORANGE, PINK, SKY, VERMILION
+from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.simulate.benches import Bench
-from skincal.simulate.courses import FOLLOWED, WAYS, Conditions, ErrorCourse, run_course
+from skincal.simulate.courses import Conditions, ErrorCourse, run_course
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 
-STANDARD = "standard"
-TO_5_MAX, TO_3_MAX = 87.0, 200.0
+STANDARD_CASE = "standard"
+STRATEGIES = ("clumped", "random", "round_robin", "tilt_recipe")
+"""Strategies without measurements."""
+POKES_TO_5_MM_MAX, POKES_TO_3_MM_MAX = 87.0, 200.0
 """Pokes of the guide until the free method's mean error is 5 and 3 mm."""
-TIMES_RANDOM, TIMES_RECIPE = 4.0, 1.3
-"""How many times fewer than unguided pokes, and than the recipe's, to 5 mm."""
-SURFACE_MAX = 1.1
+RANDOM_RATIO_MIN, RECIPE_RATIO_MIN = 4.0, 1.3
+"""Unguided pokes, and those of the recipe, over the guide's, to 5 mm."""
+SURFACE_RATIO_MAX = 1.1
 """Error of the surface method over round-robin's, at any count of pokes from one a taxel on."""
-DRIFT_MAX = 1.15
+DRIFT_RATIO_MAX = 1.15
 """Error with 0.25 N of drift over that without."""
-FALSE_MAX = 0.02
-"""Share of the taxels that are called done and are not."""
-COMPARED = (
+FALSELY_DONE_MAX = 0.02
+"""Share of the taxels that are called finished and are not."""
+COMPARED_COURSES = (
     ("guided", Method.FREE), ("tilt_recipe", Method.FREE), ("guided", Method.SURFACE), ("round_robin", Method.SURFACE),
 )  # fmt: skip
-"""What is compared in the cases beside the standard one: the guide with the best that needs no program."""
-_TAXELS = 84
+"""In all conditions but the standard one: the guide, and the best strategy without measurements."""
+TAXEL_COUNT = 84
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,23 +56,23 @@ class CourseTask:
 
 @dataclass(frozen=True, slots=True)
 class GuidanceSizes:
-    """What is run."""
+    """Numbers of seeds and pokes."""
 
     seeds: int = 20
-    """Of the standard case."""
+    """Of the guide in standard conditions."""
     other_seeds: int = 20
-    """Of the ways that the guide is compared with."""
+    """Of the other strategies."""
     case_seeds: int = 10
-    """Of the other cases."""
+    """Of the other conditions."""
     guided_limit: int = 756
-    """Pokes of the guide in the standard case, free method: nearly as many as it asks for."""
+    """Pokes of the guide in standard conditions, free method: nearly all that it asks for."""
     free_limit: int = 252
-    """Pokes of the others that follow, and of the other cases, free method; unguided ones go on to `long`."""
+    """Pokes in the other conditions, free method."""
     surface_limit: int = 1008
     modules_limit: int = 252
-    """A module is known long before."""
     modules_seeds: int = 20
     long: int = 4032
+    """Pokes of strategies without measurements, free method."""
     cases: Mapping[str, Conditions] = field(default_factory=dict[str, Conditions])
 
 
@@ -83,8 +85,8 @@ def _cases() -> dict[str, Conditions]:
     return cases
 
 
-FULL = GuidanceSizes(cases=_cases())
-QUICK = GuidanceSizes(
+FULL_SIZES = GuidanceSizes(cases=_cases())
+QUICK_SIZES = GuidanceSizes(
     seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,
     modules_limit=60, modules_seeds=2, long=1008,
     cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
@@ -92,56 +94,52 @@ QUICK = GuidanceSizes(
 
 
 def run(quick: bool, progress: Callable[[str], None], sizes: GuidanceSizes | None = None) -> dict[str, Any]:
-    """Measure; quick with fewer seeds, cases and pokes.
+    """Measure; quick with fewer seeds, conditions and pokes.
 
     Returns
     -------
-    JSON: `table` with a row for each way, method and case; `pokes_to_5mm` and `pokes_to_3mm` of the standard case, free
-    method, null where it takes more than `limits` pokes; `bars`
+    JSON: `table` with a row for each strategy, method and conditions; `pokes_to_5mm` and `pokes_to_3mm` in standard conditions
+    by the free method, null above `limits`; `bars`
     """
-    sizes = sizes or (QUICK if quick else FULL)
+    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
     tasks = list(_tasks(sizes))
     rows: list[dict[str, Any]] = []
     kept: dict[tuple[str, str, str], list[ErrorCourse]] = {}
-    # Longest first would be quicker; in order a person sees what is done.
     with processes() as pool:
         found = zip(tasks, pool.map(_run, tasks), strict=True)
         for (case, method, way), group in groupby(found, key=lambda pair: (pair[0].case, pair[0].method.value, pair[0].way)):
             own = list(group)
             courses = kept[case, method, way] = [course for _, course in own]
             rows.append(_row(own[0][0], courses))
-            progress(_in_words(rows[-1]))
-    free = {row["way"]: row for row in rows if (row["case"], row["method"]) == (STANDARD, "free")}
+            progress(_row_text(rows[-1]))
+    free = {row["way"]: row for row in rows if (row["case"], row["method"]) == (STANDARD_CASE, "free")}
     return {
-        "study": "guidance",
-        "quick": quick,
-        "table": rows,
+        "study": "guidance", "quick": quick, "table": rows,
         "pokes_to_5mm": {way: row["pokes_to_5mm"]["median"] for way, row in free.items()},
         "pokes_to_3mm": {way: row["pokes_to_3mm"]["median"] for way, row in free.items()},
-        "limits": {way: row["limit"] for way, row in free.items()},
-        "bars": _bars(free, rows, kept),
-    }
+        "limits": {way: row["limit"] for way, row in free.items()}, "bars": _bars(free, rows, kept),
+    }  # fmt: skip
 
 
 def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
-    """Give the seeds of each way, method and case one after another."""
+    """Yield the seeds of each strategy, method and conditions in turn."""
 
-    def seeds(way: str, method: Method, count: int, limit: int, case: str = STANDARD) -> Iterator[CourseTask]:
+    def seeds(way: str, method: Method, count: int, limit: int, case: str = STANDARD_CASE) -> Iterator[CourseTask]:
         conditions = sizes.cases.get(case, Conditions())
         return (CourseTask(way, method, case, conditions, seed, limit) for seed in range(1, count + 1))
 
     yield from seeds("guided", Method.FREE, sizes.seeds, sizes.guided_limit)
-    for way in (*WAYS, "diversity", "optimal"):
-        yield from seeds(way, Method.FREE, sizes.other_seeds, sizes.free_limit if way in FOLLOWED else sizes.long)
+    for way in STRATEGIES:
+        yield from seeds(way, Method.FREE, sizes.other_seeds, sizes.long)
     ways = ("guided", "round_robin", "random", "clumped")
     for way in ways:
-        # Two are compared to a tenth: that takes more seeds than the others.
+        # These two are compared to a tenth, which takes more seeds.
         count = sizes.seeds if way in ("guided", "round_robin") else sizes.other_seeds
         yield from seeds(way, Method.SURFACE, count, sizes.surface_limit)
     for way in ways:
         yield from seeds(way, Method.MODULES, sizes.modules_seeds, sizes.modules_limit)
     for case in sizes.cases:
-        for way, method in COMPARED:
+        for way, method in COMPARED_COURSES:
             yield from seeds(way, method, sizes.case_seeds, sizes.free_limit, case)
 
 
@@ -156,28 +154,23 @@ def _run(task: CourseTask) -> ErrorCourse:
 
 
 def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:
-    """Return the medians over seeds with their 95 % intervals, and the course of the mean error."""
+    """Summarise courses: medians over seeds with 95 % intervals, and the mean error against pokes."""
     thresholds = {"pokes_to_5mm": (0.005, False), "pokes_to_3mm": (0.003, False), "pokes_to_p95_8mm": (0.008, True)}
     return {
-        "case": task.case,
-        "conditions": asdict(task.conditions),
-        "method": task.method.value,
-        "way": task.way,
-        "seeds": len(courses),
-        "limit": task.limit,
+        "case": task.case, "conditions": asdict(task.conditions), "method": task.method.value, "way": task.way,
+        "seeds": len(courses), "limit": task.limit,
         **{name: _interval([course.pokes_to(*wanted) for course in courses]) for name, wanted in thresholds.items()},
         "seconds_to_5mm": _interval([_seconds_to(course, 0.005) for course in courses]),
-        "pokes": courses[0].pokes.tolist(),
-        "mean_mm": (1e3 * _over(courses, "mean")).round(4).tolist(),
-        "p95_mm": (1e3 * _over(courses, "p95")).round(4).tolist(),
+        "pokes": courses[0].pokes.tolist(), "mean_mm": (1e3 * _mean_over_seeds(courses, "mean")).round(4).tolist(),
+        "p95_mm": (1e3 * _mean_over_seeds(courses, "p95")).round(4).tolist(),
         "pokes_to_enough": _interval([course.enough for course in courses]),
         "given_up": float(np.mean([course.given_up for course in courses])),
         "done": float(np.mean([course.done for course in courses])),
-        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * _TAXELS)),
-    }
+        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * TAXEL_COUNT)),
+    }  # fmt: skip
 
 
-def _over(courses: Sequence[ErrorCourse], name: str) -> FloatArray:
+def _mean_over_seeds(courses: Sequence[ErrorCourse], name: str) -> FloatArray:
     return np.mean([getattr(course, name) for course in courses], axis=0)
 
 
@@ -187,7 +180,7 @@ def _seconds_to(course: ErrorCourse, error: float) -> float:
 
 
 def _interval(numbers: Sequence[float]) -> dict[str, float | None]:
-    """Return the median, and the 95 % interval of it by ranks (binomial); null where it is not reached."""
+    """Return the median and its 95 % interval by binomial ranks; `None` if it is not reached."""
     ordered = np.sort(np.array(numbers, dtype=float))
     count = len(ordered)
     reach = 1.96 * np.sqrt(count) / 2.0
@@ -201,27 +194,27 @@ def _bars(
 ) -> dict[str, dict[str, Any]]:
     to = {way: row["pokes_to_5mm"]["median"] for way, row in free.items()}
     guided, to_3 = to["guided"] or np.inf, free["guided"]["pokes_to_3mm"]["median"] or np.inf
-    # Where a way does not get there, it takes more than its limit.
+    # A strategy that does not get there takes more than its limit.
     times = {way: (to[way] or free[way]["limit"]) / guided for way in ("random", "round_robin", "tilt_recipe")}
-    ours, theirs = (kept[STANDARD, "surface", way] for way in ("guided", "round_robin"))
-    late = ours[0].pokes >= _TAXELS
-    surface = float((_over(ours, "mean")[late] / _over(theirs, "mean")[late]).max())
+    ours, theirs = (kept[STANDARD_CASE, "surface", way] for way in ("guided", "round_robin"))
+    late = ours[0].pokes >= TAXEL_COUNT
+    surface = float((_mean_over_seeds(ours, "mean")[late] / _mean_over_seeds(theirs, "mean")[late]).max())
     # At the last poke with drift, over the seeds that both cases have.
     drifting = kept["drift 0.25 N", "free", "guided"]
-    still = [course.mean_at(drifting[0].pokes[-1]) for course in kept[STANDARD, "free", "guided"][: len(drifting)]]
+    still = [course.mean_at(drifting[0].pokes[-1]) for course in kept[STANDARD_CASE, "free", "guided"][: len(drifting)]]
     return check_limits({
-        "guided_pokes_to_5mm": (guided, "<=", TO_5_MAX),
-        "guided_pokes_to_3mm": (to_3, "<=", TO_3_MAX),
-        "random_over_guided": (times["random"], ">=", TIMES_RANDOM),
-        "round_robin_over_guided": (times["round_robin"], ">=", TIMES_RANDOM),
-        "tilt_recipe_over_guided": (times["tilt_recipe"], ">=", TIMES_RECIPE),
-        "surface_over_round_robin": (surface, "<=", SURFACE_MAX),
-        "drift_over_none": (float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", DRIFT_MAX),
-        "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSE_MAX),
+        "guided_pokes_to_5mm": (guided, "<=", POKES_TO_5_MM_MAX),
+        "guided_pokes_to_3mm": (to_3, "<=", POKES_TO_3_MM_MAX),
+        "random_over_guided": (times["random"], ">=", RANDOM_RATIO_MIN),
+        "round_robin_over_guided": (times["round_robin"], ">=", RANDOM_RATIO_MIN),
+        "tilt_recipe_over_guided": (times["tilt_recipe"], ">=", RECIPE_RATIO_MIN),
+        "surface_over_round_robin": (surface, "<=", SURFACE_RATIO_MAX),
+        "drift_over_none": (float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", DRIFT_RATIO_MAX),
+        "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSELY_DONE_MAX),
     })  # fmt: skip
 
 
-def _in_words(row: Mapping[str, Any]) -> str:
+def _row_text(row: Mapping[str, Any]) -> str:
     def pokes(name: str) -> str:
         count = row[name]["median"]
         return f"over {row['limit']}" if count is None else f"{count:.0f}"
@@ -234,28 +227,25 @@ def _in_words(row: Mapping[str, Any]) -> str:
 
 
 def summary(result: dict[str, Any]) -> list[str]:
-    """Return a line for each row, and the bars."""
-    return [*map(_in_words, result["table"]), *limit_lines(result["bars"])]
+    """Describe each row and each limit."""
+    return [*map(_row_text, result["table"]), *limit_lines(result["bars"])]
 
 
 # ---- figure ----
 
 WAY_LOOKS: dict[str, tuple[str, str, str]] = {
     "guided": (BLUE, "-", "the guide"),
-    "optimal": (SKY, "-", "A-optimal without an end"),
-    "diversity": (GREEN, "-", "least spread of the axes first"),
     "tilt_recipe": (ORANGE, "--", "round by round, tilted by a recipe"),
-    "random_sides": (PINK, "--", "anywhere, from any side"),
     "round_robin": (VERMILION, "--", "round by round, along the normal"),
     "random": (BLACK, ":", "anywhere, along the normal"),
     "clumped": (GREY, ":", "favourite places, along the normal"),
 }
-"""Colour, line and words of each way; dashed and dotted ones follow no measurement."""
-POKES = (20, 50, 84, 168, 252, 504, 1008, 2016, 4032)
+"""Colour, line and label of each strategy; dashed and dotted ones follow no measurement."""
+POKE_TICKS = (20, 50, 84, 168, 252, 504, 1008, 2016, 4032)
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw the standard case of all methods side by side, and the other cases below."""
+    """Draw the standard conditions of all methods, and the other conditions below."""
     figure.set_size_inches(17.0, 10.0)
     figure.suptitle("Mean error of 84 taxels against pokes: the lower left is reached by few pokes")
     top, bottom = figure.subfigures(2, 1, height_ratios=[1.5, 1.0])
@@ -274,19 +264,18 @@ def _draw_courses(axes: Axes, rows: Sequence[Mapping[str, Any]], title: str) -> 
     for error in (5.0, 3.0):
         axes.axhline(error, color=GREY, linewidth=0.8)
     last = max(row["pokes"][-1] for row in rows)
-    set_log_scales(axes, tick_labels([at for at in POKES if at <= last]), tick_labels((0.5, 1, 2, 3, 5, 10, 20, 50)))
+    set_log_scales(axes, tick_labels([at for at in POKE_TICKS if at <= last]), tick_labels((0.5, 1, 2, 3, 5, 10, 20, 50)))
     axes.set(xlim=(20, last), xlabel="pokes", ylabel="mean error (mm); a taxel without estimate counts 60", title=title)
     axes.legend()
 
 
 def _mean_after(row: Mapping[str, Any], pokes: int) -> float:
-    # Between two evaluations along a line: courses with different limits share no number of pokes.
+    # Interpolated: courses with different limits share no number of pokes.
     counts, means = (np.array(row[name], dtype=float) for name in ("pokes", "mean_mm"))
     return float(np.interp(pokes, counts, means))
 
 
 def _draw_cases(axes: Axes, rows: Sequence[Mapping[str, Any]], method: str) -> None:
-    """Draw the errors after as many pokes as all courses have."""
     cases = list(dict.fromkeys(row["case"] for row in rows))
     pokes = min(row["pokes"][-1] for row in rows)
     baseline = "tilt_recipe" if method == "free" else "round_robin"

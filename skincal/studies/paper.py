@@ -1,10 +1,9 @@
-"""The paper's experiment done again, and what rigid modules and landmark pokes make of it.
+"""Repeat the paper's experiment, and add the modules method and landmark corrections.
 
 Table I's seven arm poses are poked for their minutes on the simulated forearm with the rig errors of `RigErrors.paper()`, each
 seed another rig. Each pose alone is the paper's figure 4, the poses averaged one after another are its figure 5. Added are all
 pokes pooled, 21 and 70 landmark pokes, one wrong landmark poke, a rig that is only noisy, and the error against pokes. All but
-the times is seeded. Trials run in parallel, and their numbers do not depend on it. The simulator is the one that the program
-was developed with; the study `unmodelled` has another.
+the times is seeded. The program was developed with this simulator; the study `unmodelled` has another.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,21 +32,19 @@ from skincal.studies.benchmarking import check_limits, finite, limit_lines, proc
 from skincal.taxels.result import Method
 
 Measured: TypeAlias = dict[str, Any]
-"""Numbers as JSON can hold them; errors are what `spread` gives of them."""
+"""JSON. Errors are those of `error_statistics`."""
 METHODS = tuple(Method)
-LANDMARKS = (3, 10)
+NAMES = tuple(method.value for method in Method)
+LANDMARKS_PER_POSE = (3, 10)
 """Landmark pokes in each of the seven arm poses: 21 and 70."""
-OFF = 0.010
-"""m: a landmark poke that is of another point."""
-FIRST_LANDMARK = 100_001
-"""Number of the first landmark poke."""
+WRONG_LANDMARK_M = 0.010
+"""Distance of the wrong landmark poke from its landmark."""
+FIRST_LANDMARK_NUMBER = 100_001
 GOOD_POKES = 252
 """Of a good rig: three a taxel."""
-CORRECTED = "modules_21"
+CORRECTED_NAME = "modules_21"
 """Name of the modules method on a rig that 21 landmark pokes correct."""
-NAMES = tuple(method.value for method in Method)
-COURSES = (*NAMES, CORRECTED)
-PUBLISHED: dict[str, Any] = {
+PUBLISHED_ERRORS: dict[str, Any] = {
     "source": "Del Prete et al., IROS 2011, section IV; taxels 84",
     "per_pose_mean_mm": {"free": [8.1, 18.5], "surface": [5.2, 19.3]},
     "per_pose_sd_mm": {"free": [4.2, 8.3], "surface": [3.1, 13.1]},
@@ -55,18 +52,18 @@ PUBLISHED: dict[str, Any] = {
     "averaged_sd_mm": {"free": 3.0, "surface": 2.9},
     "averaged_largest_mm": {"free": 18.5, "surface": 19.4},
 }
-"""What the paper's text says; its figures 4 and 5 give no numbers."""
-WITHIN = {"free": (8.0, 19.0), "surface": (5.0, 20.0)}
-"""mm: where the errors of most poses are to lie, as published."""
-MOST = 0.5
+"""From the paper's text; its figures 4 and 5 give no numbers."""
+PUBLISHED_RANGE_MM = {"free": (8.0, 19.0), "surface": (5.0, 20.0)}
+"""Errors of most poses, as published."""
+MAJORITY_SHARE = 0.5
 """Share of the poses of all seeds that counts as most."""
-SHARE_SAFE = 0.95
-"""Share of the rigs to which a correction may do no harm: the error with it is at most that without."""
+NO_HARM_SHARE_MIN = 0.95
+"""Share of the rigs whose error is no larger with a correction."""
 
 
 @dataclass(frozen=True, slots=True)
 class PaperSizes:
-    """What is run."""
+    """Numbers of rigs and pokes."""
 
     seeds: int = 20
     share: float = 1.0
@@ -76,15 +73,12 @@ class PaperSizes:
     counts: tuple[int, ...] = (14, 28, 42, 84, 126, 168, 252, 504, 1008)
     """Pokes of the good rig."""
     courses: int = 20
-    """Rigs with the paper's errors that are followed from poke to poke."""
+    """Rigs with the paper's errors that are evaluated after each of `steps` pokes, and after all."""
     steps: tuple[int, ...] = (14, 28, 84, 168, 336, 672)
-    """Pokes after which these are looked at, and after all."""
 
 
-FULL = PaperSizes()
-QUICK = PaperSizes(
-    seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168),
-)  # fmt: skip
+FULL_SIZES = PaperSizes()
+QUICK_SIZES = PaperSizes(seeds=10, safety=8, good=4, counts=(28, 84, 252), courses=3, steps=(28, 84, 168))
 
 
 def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None = None) -> dict[str, Any]:
@@ -96,12 +90,12 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
     `good_rig_mm`, `per_pose_mm`, `averaged_mm`, `landmarks`, `safety`, `course_mm` (the good rig after so many pokes),
     `bad_course_mm` (the paper's rig after so many), `runtime_ms`, `published`, `bars`
     """
-    sizes = sizes or (QUICK if quick else FULL)
+    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
     with processes() as pool:
         trials: list[Measured] = []
         for trial in pool.map(partial(run_trial, share=sizes.share), range(1, sizes.seeds + 1)):
             trials.append(trial)
-            progress(_in_words(trial))
+            progress(_trial_text(trial))
         goods = list(pool.map(partial(run_good, counts=sizes.counts), range(1, sizes.good + 1)))
         progress(f"good rig, {len(goods)} seeds")
         safeties = list(pool.map(run_safety, range(1, sizes.safety + 1)))
@@ -120,8 +114,8 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "minutes": dict(TABLE_I),
         "mean_mm": {name: _mean(errors["mean"]) for name, errors in pooled.items()},
         "good_rig_mm": {name: _mean(good["course"][GOOD_POKES][name]["mean"]) for name in NAMES},
-        "per_pose_mm": {name: {pose: _over(errors) for pose, errors in of.items()} for name, of in rig["alone"].items()},
-        "averaged_mm": {name: [_over(errors) for errors in steps] for name, steps in rig["averaged"].items()},
+        "per_pose_mm": {name: {pose: _mean_errors(errors) for pose, errors in of.items()} for name, of in rig["alone"].items()},
+        "averaged_mm": {name: [_mean_errors(errors) for errors in steps] for name, steps in rig["averaged"].items()},
         "landmarks": [_landmarks(some) for some in rig["landmarks"]],
         "course_mm": _good_course(good["course"]),
         "bad_course_mm": _course_means(courses),
@@ -129,29 +123,29 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "safety": {"seeds": len(safeties), **{name: _mean(numbers) for name, numbers in side_by_side(safeties).items()}},
         "no_error": {"before_mm": before, "after_mm": after, "ratio": after / before},
         "trials": trials,
-        "published": PUBLISHED,
+        "published": PUBLISHED_ERRORS,
     }
     return {**result, "bars": _bars(result, rig["alone"])}
 
 
-# ---- one rig; what comes of it is JSON, errors by method ----
+# ---- one rig; results are JSON, errors by method ----
 
 
-def spread(off: FloatArray) -> dict[str, float]:
-    """Return mean, deviation and maximum, millimetres, of errors (n,), metres, and how many there are not (NaN)."""
+def error_statistics(off: FloatArray) -> dict[str, float]:
+    """Return mean, standard deviation and maximum (mm) of errors (n,), metres, and the number of missing ones (NaN)."""
     known = 1e3 * off[np.isfinite(off)]
     of = (known.mean(), known.std(), known.max()) if len(known) else (np.nan, np.nan, np.nan)
     return {**dict(zip(("mean", "sd", "largest"), map(float, of), strict=True)), "missing": len(off) - len(known)}
 
 
-@lru_cache(maxsize=1)
+@cache
 def bench() -> Bench:
-    """Return the forearm, whose rigs are this module's own."""
+    """Load the shipped forearm. This module makes its own rigs."""
     return Bench("icub-forearm")
 
 
-def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, FloatArray]:
-    """Return of each method the positions (n, 3) of the rig's taxels, metres, NaN where there is no estimate."""
+def solve_positions(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, FloatArray]:
+    """Solve for the positions (n, 3), metres, of the rig's taxels by each method; NaN without an estimate."""
     part, nowhere = bench(), np.full(3, np.nan)
     channels = rig.channels.tolist()
     found = estimate_taxels(contacts, channels, methods, part.scene.noise, part.surface, model=part.model)
@@ -162,46 +156,43 @@ def solved(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = ME
 
 
 def _off(positions: FloatArray, rig: Rig) -> dict[str, float]:
-    return spread(np.linalg.norm(positions - rig.places, axis=1))
+    return error_statistics(np.linalg.norm(positions - rig.places, axis=1))
 
 
 def _errors(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> Measured:
-    return {name: _off(found, rig) for name, found in solved(contacts, rig, methods).items()}
+    return {name: _off(found, rig) for name, found in solve_positions(contacts, rig, methods).items()}
 
 
-def _by_modules(contacts: Sequence[Contact], rig: Rig) -> float:
-    """Return the mean error of the modules method, mm."""
+def _modules_error_mm(contacts: Sequence[Contact], rig: Rig) -> float:
     return _errors(contacts, rig, [Method.MODULES])["modules"]["mean"]
 
 
-def _begin(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random.Generator]:
-    """Return a rig, and what its pokes are drawn from."""
+def _make_rig(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random.Generator]:
+    """Make a rig, and the random generator of its pokes."""
     part = bench()
     rig = Rig(part.scene, part.surface, errors, np.random.default_rng([seed, stream]))
     return rig, np.random.default_rng([seed, 2000 + stream])
 
 
 def _poke_landmarks(
-    rig: Rig, rng: np.random.Generator, each: int = LANDMARKS[0], off: FloatArray | None = None
+    rig: Rig, rng: np.random.Generator, each: int = LANDMARKS_PER_POSE[0], off: FloatArray | None = None
 ) -> list[LandmarkPoke]:
-    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK, off)
+    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK_NUMBER, off)
 
 
 def _poke_all_poses(rig: Rig, each: int, rng: np.random.Generator) -> list[Contact]:
-    """Return the contacts of as many pokes in each arm pose of `TABLE_I`."""
     return [contact for k, pose in enumerate(TABLE_I) for contact in poke_rounds(rig, pose, each, rng, 1 + k * each)]
 
 
 def corrected(
     rig: Rig, contacts: Sequence[Contact], known: Sequence[LandmarkPoke], methods: Sequence[Method] = METHODS
 ) -> Measured:
-    """Correct a rig by landmark pokes, and solve what was poked on its skin.
+    """Correct a rig by landmark pokes, and solve the pokes on its skin.
 
     Returns
     -------
-    `held_before` and `held_after`, mm: at what distance the axes of held-out landmark pokes pass the landmarks; `doubted`:
-    landmark pokes that are named as off; `errors`, those without a correction where it is not used; `seconds` of processor
-    time, of the correction alone
+    `held_before` and `held_after`, mm: misses of held-out landmark pokes; `doubted` landmark pokes; `errors`, those without a
+    correction if it is not used; `seconds` of processor time of the correction alone
     """
     begin = time.process_time()
     answer = correct_rig(RigRequest(bench().scene, bench().surface, contacts, known))
@@ -221,33 +212,30 @@ def run_trial(seed: int, share: float = 1.0) -> Measured:
 
     Returns
     -------
-    errors of each arm pose `alone`, `averaged` over the poses until then (IV-B), `pooled`; `landmarks` what `corrected` gives;
-    `seconds` of processor time, of a solve of all contacts
+    errors of each arm pose `alone`, `averaged` over the poses so far (IV-B), `pooled`; `landmarks`, see `corrected`; `seconds`
+    of processor time of a solve of all contacts
     """
-    rig, rng = _begin(seed, 11, RigErrors.paper())
+    rig, rng = _make_rig(seed, 11, RigErrors.paper())
     of_pose = poke_table(rig, share, rng)
-    places = {pose: solved(contacts, rig) for pose, contacts in of_pose.items()}
+    places = {pose: solve_positions(contacts, rig) for pose, contacts in of_pose.items()}
     every = [contact for contacts in of_pose.values() for contact in contacts]
     pooled, seconds = dict[str, dict[str, float]](), dict[str, float]()
     for method in METHODS:
         begin = time.process_time()
-        found = solved(every, rig, [method])[method.value]
+        found = solve_positions(every, rig, [method])[method.value]
         seconds[method.value] = time.process_time() - begin
         pooled[method.value] = _off(found, rig)
-    known = [_poke_landmarks(rig, rng, each) for each in LANDMARKS]
+    known = [_poke_landmarks(rig, rng, each) for each in LANDMARKS_PER_POSE]
     return {
-        "seed": seed,
-        "pokes": len(every),
+        "seed": seed, "pokes": len(every),
         "alone": {name: {pose: _off(found[name], rig) for pose, found in places.items()} for name in NAMES},
         "averaged": {name: _averaged([found[name] for found in places.values()], rig) for name in NAMES},
-        "pooled": pooled,
-        "landmarks": [corrected(rig, every, some) for some in known],
-        "seconds": seconds,
-    }
+        "pooled": pooled, "landmarks": [corrected(rig, every, some) for some in known], "seconds": seconds,
+    }  # fmt: skip
 
 
 def _averaged(places: Sequence[FloatArray], rig: Rig) -> list[dict[str, float]]:
-    """Return the errors after each arm pose, the positions of all so far averaged; a taxel's poses without one left out."""
+    """Average the positions of the arm poses so far. Return the errors after each of them."""
     sums, counts = np.zeros_like(rig.places), np.zeros((len(rig.places), 1))
     course: list[dict[str, float]] = []
     for found in places:
@@ -259,17 +247,13 @@ def _averaged(places: Sequence[FloatArray], rig: Rig) -> list[dict[str, float]]:
 
 
 def run_course(seed: int, counts: Sequence[int], share: float) -> Measured:
-    """Solve the rig of `run_trial` after each of `counts` pokes, and after all of them, in an order that mixes the arm poses.
-
-    Parameters
-    ----------
-    share : of the paper's minutes
+    """Solve the rig of `run_trial` after each of `counts` pokes and after all, in an order that mixes the arm poses.
 
     Returns
     -------
-    `pokes`; `errors` by method and `CORRECTED`: mm, the mean of the taxels that have an estimate
+    `pokes`; `errors` by method and `CORRECTED_NAME`: mm, the mean of the taxels that have an estimate
     """
-    rig, rng = _begin(seed, 11, RigErrors.paper())
+    rig, rng = _make_rig(seed, 11, RigErrors.paper())
     every = [contact for some in poke_table(rig, share, rng).values() for contact in some]
     known = _poke_landmarks(rig, rng)
     order: list[int] = np.random.default_rng([seed, 2014]).permutation(len(every)).tolist()
@@ -277,53 +261,53 @@ def run_course(seed: int, counts: Sequence[int], share: float) -> Measured:
     steps = [*(count for count in counts if count < len(mixed)), len(mixed)]
     plain = side_by_side([_errors(mixed[:count], rig) for count in steps])
     right = side_by_side([corrected(rig, mixed[:count], known, [Method.MODULES]) for count in steps])
-    errors = {name: plain[name]["mean"] for name in NAMES} | {CORRECTED: right["errors"]["modules"]["mean"]}
+    errors = {name: plain[name]["mean"] for name in NAMES} | {CORRECTED_NAME: right["errors"]["modules"]["mean"]}
     return {"pokes": steps, "errors": errors}
 
 
 def run_safety(seed: int, pokes: int = 84) -> dict[str, float]:
-    """Correct a rig with the paper's errors by 21 landmark pokes, all right and one wrong.
+    """Correct a rig with the paper's errors by 21 landmark pokes, once all right, once with a wrong one.
 
     Returns
     -------
-    the modules' mean errors, mm; whether they are no worse; how many wrong and right landmark pokes are named as off
+    the modules' mean errors, mm; whether they are no worse; the numbers of wrong and right landmark pokes that are doubted
     """
-    rig, rng = _begin(seed, 12, RigErrors.paper())
+    rig, rng = _make_rig(seed, 12, RigErrors.paper())
     contacts = _poke_all_poses(rig, pokes, rng)
-    wrong = np.zeros(len(TABLE_I) * LANDMARKS[0])
+    wrong = np.zeros(len(TABLE_I) * LANDMARKS_PER_POSE[0])
     bad = int(rng.integers(len(wrong)))
-    wrong[bad] = OFF
-    before = _by_modules(contacts, rig)
+    wrong[bad] = WRONG_LANDMARK_M
+    before = _modules_error_mm(contacts, rig)
     clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
     after, after_wrong = (answer["errors"]["modules"]["mean"] for answer in (clean, mixed))
-    others = len(clean["doubted"]) + len(set(mixed["doubted"]) - {FIRST_LANDMARK + bad})
+    others = len(clean["doubted"]) + len(set(mixed["doubted"]) - {FIRST_LANDMARK_NUMBER + bad})
     return {
         "before_mm": before, "after_mm": after, "after_wrong_mm": after_wrong,
         "no_worse_share": float(after <= before), "no_worse_wrong_share": float(after_wrong <= before),
-        "wrong_told_share": float(FIRST_LANDMARK + bad in mixed["doubted"]), "right_told_mean": others / 2,
+        "wrong_told_share": float(FIRST_LANDMARK_NUMBER + bad in mixed["doubted"]), "right_told_mean": others / 2,
     }  # fmt: skip
 
 
 def run_good(seed: int, counts: Sequence[int]) -> Measured:
-    """Poke a rig with sensor noise alone in one arm pose; then in all of them with landmarks, though nothing is wrong.
+    """Poke a rig with sensor noise alone in one arm pose; then in all of them, with landmarks.
 
     Returns
     -------
     `course`, the errors after so many pokes; the modules' mean errors, mm, over all arm poses `before` and `after` a correction
     """
-    rig, rng = _begin(seed, 13, RigErrors.noise())
+    rig, rng = _make_rig(seed, 13, RigErrors.noise())
     contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
     course = {count: _errors(contacts[:count], rig) for count in counts}
     every = _poke_all_poses(rig, GOOD_POKES // len(TABLE_I), rng)
-    before = _by_modules(every, rig)
+    before = _modules_error_mm(every, rig)
     after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES])["errors"]["modules"]["mean"]
     return {"course": course, "before": before, "after": after}
 
 
-# ---- what is said of them ----
+# ---- means over rigs, limits, text ----
 
 
-def _in_words(trial: Measured) -> str:
+def _trial_text(trial: Measured) -> str:
     pooled = ", ".join(f"{method} {errors['mean']:.1f}" for method, errors in trial["pooled"].items())
     with_them = [f"{rig['landmarks']} landmark pokes {rig['errors']['modules']['mean']:.2f}" for rig in trial["landmarks"]]
     return f"rig {trial['seed']}, {trial['pokes']} pokes: {pooled} mm; modules with {', '.join(with_them)} mm"
@@ -333,15 +317,12 @@ def _mean(numbers: Sequence[float]) -> float:
     return float(np.mean(numbers))
 
 
-def _over(errors: Measured) -> dict[str, float]:
+def _mean_errors(errors: Measured) -> dict[str, float]:
+    low, high = (float(np.percentile(errors["mean"], share)) for share in (5, 95))
     return {
-        "mean": _mean(errors["mean"]),
-        "sd": _mean(errors["sd"]),
-        "largest": max(errors["largest"]),
-        "low": float(np.percentile(errors["mean"], 5)),
-        "high": float(np.percentile(errors["mean"], 95)),
+        "mean": _mean(errors["mean"]), "sd": _mean(errors["sd"]), "largest": max(errors["largest"]), "low": low, "high": high,
         "missing": _mean(errors["missing"]),
-    }
+    }  # fmt: skip
 
 
 def _landmarks(some: Measured) -> Measured:
@@ -366,7 +347,7 @@ def _good_course(course: Mapping[int, Measured]) -> Measured:
 
 
 def _course_means(courses: Sequence[Measured]) -> Measured:
-    means = {name: np.mean([own["errors"][name] for own in courses], axis=0).tolist() for name in COURSES}
+    means = {name: np.mean([own["errors"][name] for own in courses], axis=0).tolist() for name in (*NAMES, CORRECTED_NAME)}
     finite_means = {name: [finite(value) for value in own] for name, own in means.items()}
     return {"rigs": len(courses), "pokes": courses[0]["pokes"], **finite_means}
 
@@ -376,23 +357,23 @@ def _bars(result: Measured, alone: Measured) -> Measured:
     # The share of the poses of all rigs whose mean error lies where the published ones do.
     within = {
         name: _mean([low <= mean <= high for errors in alone[name].values() for mean in errors["mean"]])
-        for name, (low, high) in WITHIN.items()
+        for name, (low, high) in PUBLISHED_RANGE_MM.items()
     }
     return check_limits({
-        "free_within_published_share": (within["free"], ">=", MOST),
-        "surface_within_published_share": (within["surface"], ">=", MOST),
+        "free_within_published_share": (within["free"], ">=", MAJORITY_SHARE),
+        "surface_within_published_share": (within["surface"], ">=", MAJORITY_SHARE),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
         "good_modules_over_surface": (good["modules"] / good["surface"], "<=", 0.5),
         "modules_21_mm": (mean["modules_21"], "<=", 3.3),
         "modules_70_mm": (mean["modules_70"], "<=", 1.6),
-        "no_worse_share": (safety["no_worse_share"], ">=", SHARE_SAFE),
-        "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", SHARE_SAFE),
+        "no_worse_share": (safety["no_worse_share"], ">=", NO_HARM_SHARE_MIN),
+        "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", NO_HARM_SHARE_MIN),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
     })  # fmt: skip
 
 
 def summary(result: Measured) -> list[str]:
-    """Return lines for a person."""
+    """Describe the errors and the limits."""
 
     def mm(values: Mapping[str, float]) -> str:
         return ", ".join(f"{name} {value:.2f} mm" for name, value in values.items())
@@ -415,7 +396,7 @@ def summary(result: Measured) -> list[str]:
 
 # ---- figure ----
 
-CORRECTED_WORDS = "modules, rig corrected by 21 landmark pokes"
+CORRECTED_LABEL = "modules, rig corrected by 21 landmark pokes"
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
@@ -429,13 +410,12 @@ def draw(result: dict[str, Any], figure: Figure) -> None:
     _draw_landmarks(landmarks, result)
     _draw_good(good, result)
     course = result["bad_course_mm"]
-    shown = {name: numbers for name, numbers in course.items() if name not in ("rigs", "pokes")}
-    _draw_lines(pokes, course["pokes"], {name: (course["pokes"], numbers) for name, numbers in shown.items()})
+    _draw_lines(pokes, course["pokes"], {name: course[name] for name in (*NAMES, CORRECTED_NAME)})
     pokes.set(xlabel="pokes, of all seven arm poses from the first on", title="As wrong as the paper's: error against pokes")
 
 
 def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[Measured]], label: str) -> None:
-    """Draw bars of each method beside each other; without deviations their height is written above them."""
+    """Draw grouped bars of the methods. Bars without deviations have their height above them."""
     for offset, (method, colour) in enumerate(METHOD_HUES.items()):
         places = [place + (offset - 1) * 0.26 for place in range(len(names))]
         sds = [row["sd"] for row in rows[method] if "sd" in row]
@@ -448,13 +428,13 @@ def _method_bars(axes: Axes, names: Sequence[str], rows: Mapping[str, Sequence[M
     axes.set_ylabel(label)
 
 
-OF_TAXELS = "error of 84 taxels (mm): mean and sd"
+ERROR_LABEL = "error of 84 taxels (mm): mean and sd"
 
 
 def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
     minutes: dict[str, float] = result["minutes"]
     rows = {method: [poses[pose] for pose in minutes] for method, poses in result["per_pose_mm"].items()}
-    _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, OF_TAXELS)
+    _method_bars(axes, [f"{pose}\n{length:g} min" for pose, length in minutes.items()], rows, ERROR_LABEL)
     for place, (method, (low, high)) in zip((6.75, 6.95), result["published"]["per_pose_mean_mm"].items(), strict=True):
         axes.plot([place, place], [low, high], color=METHOD_HUES[method], linewidth=5.0, solid_capstyle="butt")
     axes.text(6.85, -0.02, "paper's\nrange", transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8.5)
@@ -465,7 +445,7 @@ def _draw_alone(axes: Axes, result: dict[str, Any]) -> None:
 
 def _draw_averaged(axes: Axes, result: dict[str, Any]) -> None:
     names = [f"1 to {last}" if last > 1 else "1" for last in range(1, 8)]
-    _method_bars(axes, names, result["averaged_mm"], OF_TAXELS)
+    _method_bars(axes, names, result["averaged_mm"], ERROR_LABEL)
     for method, value in result["published"]["averaged_mean_mm"].items():
         axes.axhline(value, color=METHOD_HUES[method], linestyle="--", linewidth=1.2, label=f"paper, {method} {value}")
     axes.set(xlabel="arm poses averaged one after another", title="Averaged (figure 5)")
@@ -482,29 +462,24 @@ def _draw_landmarks(axes: Axes, result: dict[str, Any]) -> None:
 
 def _draw_good(axes: Axes, result: dict[str, Any]) -> None:
     course = result["course_mm"]
-    _draw_lines(axes, course["pokes"], {method: (course["pokes"], course[method]) for method in METHOD_HUES}, least=0.2)
+    _draw_lines(axes, course["pokes"], {method: course[method] for method in METHOD_HUES}, least=0.2)
     times = ", ".join(f"{method} {milliseconds:.0f} ms" for method, milliseconds in result["runtime_ms"].items())
     title = f"A rig that is only noisy\nsolving {result['pokes']:,} pokes: {times}"
     axes.set(xlabel="pokes in one arm pose, unguided", title=title)
 
 
-def _draw_lines(
-    axes: Axes,
-    ticks: Sequence[float],
-    courses: Mapping[str, tuple[Sequence[float | None], Sequence[float | None]]],
-    least: float = 0.5,
-) -> None:
-    """Draw errors, mm, against another number where both are known; `least` is the lowest tick, mm, of the errors."""
+def _draw_lines(axes: Axes, pokes: Sequence[float], courses: Mapping[str, Sequence[float | None]], least: float = 0.5) -> None:
+    """Draw known errors, mm, against pokes; `least` is the lowest tick, mm."""
     for name, course in courses.items():
-        points = [(at, error) for at, error in zip(*course, strict=True) if at is not None and error is not None]
+        points = [(at, error) for at, error in zip(pokes, course, strict=True) if error is not None]
         own = (
             {"color": METHOD_HUES[name], "label": name}
             if name in METHOD_HUES
-            else {"color": BLACK, "label": CORRECTED_WORDS, "linestyle": "--"}
+            else {"color": BLACK, "label": CORRECTED_LABEL, "linestyle": "--"}
         )
         axes.plot([at for at, _ in points], [error for _, error in points], marker="o", **own)
     set_log_scales(
-        axes, tick_labels(ticks), tick_labels([error for error in (0.2, 0.5, 1, 2, 5, 10, 20) if least <= error <= 40 * least])
+        axes, tick_labels(pokes), tick_labels([error for error in (0.2, 0.5, 1, 2, 5, 10, 20) if least <= error <= 40 * least])
     )
     axes.set_ylabel("mean error (mm) of those with an estimate")
     axes.legend()

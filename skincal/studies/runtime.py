@@ -1,13 +1,11 @@
-"""Error against run time: the shipped methods and other solvers for the same equations, in one run on one machine.
+"""Error against run time of the shipped methods and of other solvers for the same equations, in one run on one machine.
 
-The table has a row for each method on each size of the problem: a forearm of 84 taxels and a whole body of 4,200, on meshes of
-300 to 100,000 triangles, with 1 to 100 pokes a taxel. Ratios are between times of the same run. `docs/benchmarks.md` states the
-limits. A method that is too slow for all taxels or modules solves a random sample of them. Its time is the median of one of
-them times their number, and its row says how many were solved.
+A row for each method and problem size: a forearm of 84 taxels and a whole body of 4,200, meshes of 300 to 100,000 triangles,
+1 to 100 pokes a taxel. Ratios are between times of the same run; `docs/benchmarks.md` states the limits. A slow method solves
+random taxels or modules: its time is the median of one times their number, and its row says how many were solved.
 
-The modules method is compared with scipy's Levenberg-Marquardt (`least_squares`, MINPACK) with a differenced Jacobian, each
-module on its own, from the same start. It gets the method's own rows, whitened again at each pose. It computes neither trust
-nor uncertainty, which favours it.
+The modules method is compared with scipy's Levenberg-Marquardt (MINPACK) with a differenced Jacobian, each module alone, from
+the same start, with the method's own rows. It computes neither trust nor uncertainty, which favours it.
 """
 
 from __future__ import annotations
@@ -36,24 +34,28 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.studies import baselines
 from skincal.studies.baselines import ModuleProblem, TaxelProblem
-from skincal.studies.benchmarking import CLOCK, check_limits, limit_lines, quartiles, time_session_pokes, time_words, timed
+from skincal.studies.benchmarking import CLOCK_NAME, check_limits, limit_lines, quartiles, time_session_pokes, time_words, timed
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 
 WARMUP_TAXELS = 50
-"""Contacts, and taxels, that are solved before the clock runs."""
+"""Contacts and taxels that are solved before the clock runs."""
 LM_TOLERANCES = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 """Unknowns are metres: the last step is at most a hundredth of a micrometre of a pose some centimetres away."""
 TAXELS_PER_POKE = 7
-"""What a tip of 4 mm between pads 5 mm apart reaches at most."""
+"""Largest reach of a tip of 4 mm between pads 5 mm apart."""
 REFERENCE_MATRICES = 20_000
-"""3 x 3 matrices whose eigenvectors numpy finds in about 17 ms: the machine's pace at that minute."""
+"""numpy finds the eigenvectors of so many 3 x 3 matrices in about 17 ms: the pace of the machine at that minute."""
 ONE_SEED_FROM_POKES = 30
-"""Pokes a taxel from which on one seed suffices: the simulation takes longer than all that is measured on it."""
+"""Pokes a taxel from which on one seed suffices: the simulation takes longer than the measurement."""
 AS_SHIPPED = (
     "As shipped: with uncertainty, trust and other places that fit, which the other methods do not give. Trust finds pokes "
     "that touched two places, and adds 1 to 2 % to the error where there are none."
 )
+RESOLVE_WHOLE_MAX_MS = 125.0
+"""ms of both threads: 105 to 111 were measured. The limit for one thread was 70 ms, its time 59 to 64."""
+NUMPY_MS = 16.7
+"""Time of numpy's part of the comparison on the machine where these limits were set."""
 Say: TypeAlias = Callable[[str], None]
 Positions: TypeAlias = Mapping[int, FloatArray]
 Row: TypeAlias = dict[str, Any]
@@ -67,7 +69,7 @@ class MethodLook(NamedTuple):
     label: str
 
 
-LOOKS: Mapping[str, MethodLook] = {
+METHOD_LOOKS: Mapping[str, MethodLook] = {
     "surface": MethodLook("*", METHODS["surface"], "surface, as shipped"),
     "free": MethodLook("*", METHODS["free"], "free, as shipped"),
     "brute": MethodLook("s", ORANGE, "surface: every triangle, closed form"),
@@ -83,53 +85,52 @@ LOOKS: Mapping[str, MethodLook] = {
     "normal": MethodLook("P", SKY, "free: normal equations"),
 }
 """By the method's name in JSON."""
-SEARCHES: Mapping[str, Callable[[Surface, TaxelProblem], FloatArray]] = {
+SURFACE_SEARCHES: Mapping[str, Callable[[Surface, TaxelProblem], FloatArray]] = {
     "brute": baselines.by_every_triangle,
     "compiled": baselines.by_compiled_triangles,
     "slsqp": partial(baselines.by_quadratic_programmes, baselines.by_slsqp),
     "quadprog": partial(baselines.by_quadratic_programmes, baselines.by_quadprog),
 }
 """Other ways to search the surface for one taxel."""
-QUADRATIC = ("slsqp", "quadprog")
-"""Those that are measured on the parts' own meshes and on few others: they are slow."""
+SLOW_SEARCHES = ("slsqp", "quadprog")
+"""Slow ones, measured on the parts' own meshes and few others."""
 
 
 @dataclass(frozen=True, slots=True)
 class PartPlan:
-    """Sizes to measure on one part. Its own mesh with all its taxels always is one of them."""
+    """Sizes to measure on one part, in addition to its own mesh with all its taxels."""
 
     scene: str
     seeds: int
     repeats: int
     meshes: tuple[int, ...]
-    """Triangles of further meshes."""
+    """Triangles."""
     pokes: tuple[int, ...]
-    """Further numbers of pokes a taxel, next to `RuntimeSizes.per_taxel`."""
+    """Pokes a taxel."""
     taxels: tuple[int, ...] = ()
-    """Further numbers of taxels."""
     budget_s: float = 5.0
-    """s that each slow method may take on the part's own mesh; a fifth of it elsewhere."""
+    """For each slow method on the part's own mesh; a fifth of it elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class RuntimeSizes:
-    """What is measured."""
+    """Sizes of the study."""
 
     small: PartPlan = PartPlan("icub-forearm", 5, 5, (300, 1_000, 3_000, 30_000, 100_000), (1, 3, 30, 100))
     large: PartPlan = PartPlan("whole-body", 3, 3, (300, 1_000, 10_000, 30_000), (1, 3, 36), (84, 420, 1_260))
     """The ratios are of this one."""
     per_taxel: int = 12
-    """Pokes a taxel wherever only meshes or taxels differ."""
+    """Pokes a taxel where meshes or taxels differ."""
     everywhere: bool = True
     """Whether all methods run on all sizes."""
     growth_until_s: float = float("inf")
-    """s after which no further size is begun."""
+    """No further size begins after this time."""
     live_pokes: int = 200
     live_per_taxel: tuple[int, ...] = (12, 100)
 
 
-FULL = RuntimeSizes()
-QUICK = RuntimeSizes(
+FULL_SIZES = RuntimeSizes()
+QUICK_SIZES = RuntimeSizes(
     small=PartPlan("icub-forearm", 2, 2, (1_000, 100_000), (1, 30), budget_s=0.3),
     large=PartPlan("whole-body", 1, 2, (1_000,), (), (84, 420), budget_s=0.8),
     everywhere=False, growth_until_s=20.0, live_pokes=60, live_per_taxel=(12,),
@@ -139,7 +140,7 @@ QUICK = RuntimeSizes(
 def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[str, Any]:
     """Measure everything. `docs/benchmarks.md` describes the JSON."""
     began = time.perf_counter()
-    sizes = sizes or (QUICK if quick else FULL)
+    sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
     small, large = Bench(sizes.small.scene), Bench(sizes.large.scene)
     left_out: list[str] = []
 
@@ -164,18 +165,10 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
             agreement[row["method"]] = max(agreement.get(row["method"], 0.0), row["off_ours_m"])
     ratios = time_ratios(rows, latency, large.name, sizes.per_taxel)
     return {
-        "study": "runtime",
-        "quick": quick,
-        "machine": _machine(),
-        "table": rows,
-        "growth": growth_of(rows, sizes.per_taxel),
-        "agreement_m": agreement,
-        **latency,
-        "ratios": ratios,
-        "bars": runtime_limits(ratios, agreement, latency),
-        "left_out": left_out,
-        "seconds": time.perf_counter() - began,
-    }
+        "study": "runtime", "quick": quick, "machine": _machine(), "table": rows, "growth": growth_of(rows, sizes.per_taxel),
+        "agreement_m": agreement, **latency, "ratios": ratios, "bars": runtime_limits(ratios, agreement, latency),
+        "left_out": left_out, "seconds": time.perf_counter() - began,
+    }  # fmt: skip
 
 
 def _machine() -> dict[str, Any]:
@@ -186,7 +179,7 @@ def _machine() -> dict[str, Any]:
         **{name: version(name) for name in packages},
         "cpus": os.cpu_count(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "clock": CLOCK,
+        "clock": CLOCK_NAME,
     }
 
 
@@ -195,7 +188,7 @@ def _machine() -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class ProblemSize:
-    """One size of the problem: a part, its mesh and contacts."""
+    """A part with its mesh and contacts."""
 
     bench: Bench
     surface: Surface
@@ -206,11 +199,11 @@ class ProblemSize:
     repeats: int
     """Runs of a fast method on each seed's contacts."""
     budget_s: float
-    """s that each slow method may take."""
+    """For each slow method."""
 
 
 def _table(benches: Sequence[tuple[Bench, PartPlan]], sizes: RuntimeSizes, progress: Say, leave_out: Say) -> Iterator[Row]:
-    """Measure what the ratios need, then how cost grows, until the time is used up."""
+    """Measure the sizes of the ratios, then the growth of cost, until the time is used."""
     began = time.perf_counter()
     growths: list[Iterator[Iterator[Row]]] = []
     for bench, part in benches:
@@ -250,17 +243,11 @@ def _growth_rows(main: ProblemSize, part: PartPlan, sizes: RuntimeSizes) -> Iter
 
 
 def _row(size: ProblemSize, method: str, seconds: Sequence[float], found: Sequence[Positions], **more: Any) -> Row:
-    """Make a row of the table.
-
-    Parameters
-    ----------
-    seconds : of whole solves, from contacts to positions
-    found : positions by channel, one mapping a seed
-    """
+    """Make a row from times of whole solves and the positions of each seed."""
     means = [1e3 * float(np.mean(errors)) for errors in map(size.bench.errors, map(dict, found)) if len(errors)]
     return {
         "part": size.bench.name, "taxels": len(size.channels), "triangles": len(size.surface.triangles),
-        "pokes_per_taxel": size.per_taxel, "contacts": len(size.runs[0]), "method": method, "label": LOOKS[method].label,
+        "pokes_per_taxel": size.per_taxel, "contacts": len(size.runs[0]), "method": method, "label": METHOD_LOOKS[method].label,
         "time_ms": quartiles_ms(seconds), "error_mm": quartiles(means) if means else None,
         "error_of_taxels": len(found[0]) if found else 0, "from_session_ms": None, "off_ours_m": None,
         "error_beside_ours_mm": None, "extrapolated_from": None, **more,
@@ -285,49 +272,37 @@ Piece: TypeAlias = tuple[int, Callable[[], Positions]]
 
 
 def _sampled_row(
-    size: ProblemSize,
-    method: str,
-    pieces: Sequence[Piece],
-    unit: str,
-    setup_s: float,
-    ours: Row,
-    near: Sequence[Positions],
-    shipped: Sequence[Positions],
-) -> Row:
-    """Measure a slow method on pieces in their order until the budget is used, at least on one.
+    size: ProblemSize, method: str, pieces: Sequence[Piece], unit: str, setup_s: float, ours: Row,
+    near: Sequence[Positions], shipped: Sequence[Positions],
+) -> Row:  # fmt: skip
+    """Measure a slow method on pieces until the budget is used, at least on one.
 
     Parameters
     ----------
-    pieces : all of them, of all seeds
-    unit : what a piece is, for the row
-    setup_s : s from contacts to what the pieces begin with
+    pieces : all `unit` of all seeds, in random order
+    setup_s : s before the first piece
     ours : row of the shipped method
-    near, shipped : its positions of each seed, to compare places and errors with
+    near, shipped : its positions of each seed, to compare positions and errors with
     """
     seconds, solved = timed([piece for _, piece in pieces], size.budget_s)
     found: list[dict[int, FloatArray]] = [{} for _ in size.runs]
     for (seed, _), positions in zip(pieces, solved, strict=False):
         found[seed].update(positions)
     whole = [second * len(pieces) / len(shipped) + setup_s for second in seconds]
-    sample = {unit: len(seconds), f"of_{unit}": len(pieces), "seconds": float(np.sum(seconds))}
-    apart = [
-        float(np.linalg.norm(theirs[channel] - point))
-        for theirs, points in zip(found, near, strict=True)
-        for channel, point in points.items()
-        if channel in theirs
-    ]
-    row = _row(
-        size, method, whole, found, off_ours_m=max(apart, default=None),
-        extrapolated_from=None if len(seconds) == len(pieces) else sample,
-    )  # fmt: skip
-    # A sample is too small for an error of its own: the row's error is ours plus the difference on the same taxels.
+    row = _row(size, method, whole, found)
+    if len(seconds) < len(pieces):
+        row["extrapolated_from"] = {unit: len(seconds), f"of_{unit}": len(pieces), "seconds": float(np.sum(seconds))}
+    apart: list[float] = []
     differences: list[float] = []
-    for theirs, points in zip(found, shipped, strict=True):
-        common = theirs.keys() & points.keys()
+    for theirs, close, ours_of_seed in zip(found, near, shipped, strict=True):
+        apart += [float(np.linalg.norm(theirs[channel] - close[channel])) for channel in close if channel in theirs]
         both = [
-            np.mean(size.bench.errors({channel: each[channel] for channel in common})) for each in (theirs, points) if common
+            size.bench.errors({channel: each[channel] for channel in theirs.keys() & ours_of_seed.keys()})
+            for each in (theirs, ours_of_seed)
         ]
-        differences += [1e3 * float(both[0] - both[1])] if common else []
+        differences += [1e3 * float(both[0].mean() - both[1].mean())] if len(both[0]) else []
+    row["off_ours_m"] = max(apart, default=None)
+    # A sample is too small for an error of its own: the row's error is ours plus the difference on the same taxels.
     if differences and ours["error_mm"] is not None:
         row["error_beside_ours_mm"] = more = float(np.mean(differences))
         row["error_mm"] = ours["error_mm"] | {key: ours["error_mm"][key] + more for key in ("median", "q1", "q3")}
@@ -375,7 +350,6 @@ def _per_pose_rows(size: ProblemSize, methods: Iterable[Method]) -> Iterator[Row
 
 
 def _free_rows(size: ProblemSize) -> Iterator[Row]:
-    """Measure the free method, its baselines, and both methods of the paper with each pose alone."""
     yield from _shipped_rows(size, [Method.FREE])
     for name, solver in {"lstsq": baselines.by_lstsq, "normal": baselines.by_normal_equations}.items():
 
@@ -390,7 +364,7 @@ def _free_rows(size: ProblemSize) -> Iterator[Row]:
 
 
 def _surface_rows(size: ProblemSize, quadratic: bool) -> Iterator[Row]:
-    """Measure the surface method and its baselines; `quadratic`: those that solve a programme for each triangle, too."""
+    """Measure the surface method and its baselines, with `quadratic` also the slow ones."""
     ours = shipped_row(size, Method.SURFACE, 2 * size.repeats)
     yield ours
     contacts, noise = size.runs[0], size.bench.scene.noise
@@ -398,8 +372,8 @@ def _surface_rows(size: ProblemSize, quadratic: bool) -> Iterator[Row]:
     estimates = estimate_taxels(contacts, size.channels, [Method.SURFACE], noise, size.surface)[Method.SURFACE]
     known = known_positions(estimates)
     drawn: list[int] = np.random.default_rng(1).permutation(list(problems)).tolist()
-    for name, search in SEARCHES.items():
-        if (name in QUADRATIC and not quadratic) or (name == "quadprog" and not baselines.has_quadprog()):
+    for name, search in SURFACE_SEARCHES.items():
+        if (name in SLOW_SEARCHES and not quadratic) or (name == "quadprog" and not baselines.has_quadprog()):
             continue
 
         def solve(channel: int, search: Callable[[Surface, TaxelProblem], FloatArray] = search) -> Positions:
@@ -407,14 +381,14 @@ def _surface_rows(size: ProblemSize, quadratic: bool) -> Iterator[Row]:
             return {channel: point} if np.isfinite(point).all() else {}
 
         pieces = [(0, partial(solve, channel)) for channel in drawn]
-        if name not in QUADRATIC:
+        if name not in SLOW_SEARCHES:
             solve(drawn[0])
         one = replace(size, runs=size.runs[:1])
         yield _sampled_row(one, name, pieces, "taxels", float(np.median(seconds)), ours, [known], [known])
 
 
 def _module_rows(size: ProblemSize) -> Iterator[Row]:
-    """Measure the modules method from contacts, with the surface method that it begins with, and a general solver."""
+    """Measure the modules method, with the surface method that it starts from, and a general solver."""
     ours = shipped_row(size, Method.MODULES, size.repeats)
     yield ours
     yield from _per_pose_rows(size, [Method.MODULES])
@@ -426,7 +400,7 @@ def _module_rows(size: ProblemSize) -> Iterator[Row]:
         places = problem.by_least_squares(lambda pads: whitened_rows(problem.touches, pads, noise).misses, **LM_TOLERANCES)
         return dict(zip(model.channels_of([module]), places, strict=True))
 
-    def solved(doubting: bool) -> list[Positions]:
+    def solve_by_modules(doubting: bool) -> list[Positions]:
         every = (
             estimate_taxels(contacts, size.channels, [Method.MODULES], noise, size.surface, {}, doubting, model)
             for contacts in size.runs
@@ -437,12 +411,11 @@ def _module_rows(size: ProblemSize) -> Iterator[Row]:
     drawn = np.random.default_rng(3).permutation(model.modules_of(size.channels)).tolist()
     pieces = [(seed, partial(solve, seed, module)) for module in drawn for seed, own in enumerate(starts) if module in own]
     # Places are compared with every poke counting fully, as for the general solver; errors with the method as shipped.
-    near, shipped = solved(doubting=False), solved(doubting=True)
+    near, shipped = solve_by_modules(doubting=False), solve_by_modules(doubting=True)
     yield _sampled_row(size, "modules-general", pieces, "modules", float(np.mean(setups)), ours, near, shipped)
 
 
 def _module_problems(size: ProblemSize, contacts: Sequence[Contact], model: ModuleModel) -> dict[int, ModuleProblem]:
-    """Solve by the surface method, and set up each module that can be solved."""
     table, noise = ContactTable(contacts), size.bench.scene.noise
     others = [estimate_from(table, size.channels, [Method.SURFACE], noise, size.surface)[Method.SURFACE]]
     starts = {module: find_start(model, module, others) for module in model.modules_of(size.channels)}
@@ -463,16 +436,11 @@ def solved_session(bench: Bench, contacts: Sequence[Contact], methods: Collectio
 
 
 def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
-    """Time a poke of seven taxels in a session in which every taxel has been poked: added, solved, in a snapshot.
-
-    Parameters
-    ----------
-    per_taxel : pokes that each taxel has had
-    pokes : how many are timed; as many before them are not
+    """Time a poke of seven taxels: added, solved, in a snapshot. Before it, each taxel has `per_taxel` pokes.
 
     Returns
     -------
-    JSON: `time_ms` by the two methods of the paper, `with_modules_ms` by all that the scene has. `p95` is the 95 % quantile
+    JSON: `time_ms` by the two methods of the paper, `with_modules_ms` by all methods of the scene; `p95` is the 95 % quantile
     """
     methods: dict[str, Collection[Method] | None] = {"time_ms": PER_TAXEL, "with_modules_ms": None}
     times: dict[str, Any] = {}
@@ -496,12 +464,12 @@ def with_neighbours(bench: Bench, contact: Contact) -> Contact:
 
 
 def whole_time(bench: Bench, per_taxel: int, repeats: int) -> dict[str, Any]:
-    """Time a warm solve of every taxel of a part: from a session's table, and by the modules method from contacts.
+    """Time a warm solve of all taxels.
 
     Returns
     -------
-    JSON: `time_ms` by the two methods of the paper; `modules_ms`; `numpy_ms`, the time numpy takes in turn with them for the
-    eigenvectors of 20,000 matrices (3, 3): the pace of the machine at that minute
+    JSON: `time_ms` by the two methods of the paper from a session's table; `modules_ms` from contacts; `numpy_ms` of
+    eigenvectors of `REFERENCE_MATRICES`
     """
     contacts, noise, surface = bench.contacts(per_taxel, seed=1), bench.scene.noise, bench.surface
     table, model = ContactTable(contacts), bench.modules_on(surface)
@@ -533,7 +501,7 @@ def time_ratios(rows: Sequence[Row], latency: Mapping[str, Any], part: str, per_
     poke, all_taxels = latency["poke"][0], latency["whole"]
     pace = all_taxels["numpy_ms"]["median"]
     return {
-        **{f"{name}_over_surface": ms[name] / again for name in SEARCHES if name in ms},
+        **{f"{name}_over_surface": ms[name] / again for name in SURFACE_SEARCHES if name in ms},
         **{f"{name}_over_free": ms[name] / ms["free"] for name in ("lstsq", "normal")},
         "contacts_over_session": ms["surface"] / again,
         "modules_over_surface": ms["modules"] / ms["surface"],
@@ -550,7 +518,7 @@ def runtime_limits(
     """Check each limit of `docs/benchmarks.md`."""
     poke, whole = latency["poke"][0], latency["whole"]
     return check_limits({
-        # A whole re-solve on the large part: how many times faster than brute force, and than the paper's way.
+        # A whole re-solve on the large part, over brute force and the paper's solvers.
         "brute_over_surface": (ratios["brute_over_surface"], ">=", 300.0),
         "slsqp_over_surface": (ratios["slsqp_over_surface"], ">=", 10_000.0),
         # m. Every triangle tried gives the same point.
@@ -570,12 +538,6 @@ def runtime_limits(
         "modules_whole_s": (whole["modules_ms"]["median"] / 1e3, "<=", 1.0),
         "modules_whole_over_numpy": (ratios["modules_whole_over_numpy"], "<=", 50.0),
     })  # fmt: skip
-
-
-RESOLVE_WHOLE_MAX_MS = 125.0
-"""ms of both threads: 105 to 111 were measured. The limit for one thread was 70 ms, its time 59 to 64."""
-NUMPY_MS = 16.7
-"""ms that numpy's part of the comparison takes where these limits were set."""
 
 
 def growth_of(rows: Sequence[Row], per_taxel: int) -> dict[str, list[dict[str, Any]]]:
@@ -631,15 +593,17 @@ def _size(row: Row) -> tuple[Any, ...]:
     return row["taxels"], row["triangles"], row["pokes_per_taxel"]
 
 
-PARTS = {"icub-forearm": "forearm", "whole-body": "whole body"}
+PART_LABELS = {"icub-forearm": "forearm", "whole-body": "whole body"}
 GROWTH_AXES = {"triangles": "triangles of the mesh", "taxels": "taxels", "pokes_per_taxel": "pokes per taxel"}
-KEY = "Stars: as shipped. Hollow: extrapolated from a sample. Bars: quartiles. Lower row: forearm dashed, whole body solid."
+FIGURE_KEY = (
+    "Stars: as shipped. Hollow: extrapolated from a sample. Bars: quartiles. Lower row: forearm dashed, whole body solid."
+)
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
     """Draw error against run time on both parts, and the cost of a taxel as the problem grows."""
     figure.set_size_inches(13.0, 12.0)
-    figure.suptitle(f"Error against run time: lower is more exact, further left is faster\n{KEY}")
+    figure.suptitle(f"Error against run time: lower is more exact, further left is faster\n{FIGURE_KEY}")
     above, below = figure.subfigures(2, 1, height_ratios=[1.3, 1.0])
     rows = main_rows(result)
     parts = list(dict.fromkeys(row["part"] for row in rows))[:2]
@@ -652,7 +616,7 @@ def draw(result: dict[str, Any], figure: Figure) -> None:
 
 def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
     for row in rows:
-        mark, colour, label = LOOKS[row["method"]]
+        mark, colour, label = METHOD_LOOKS[row["method"]]
         (x, across), (y, along) = _error_bars([row["time_ms"]], 1e-3), _error_bars([row["error_mm"]])
         axes.errorbar(
             x, y, along, across, color=colour, fmt=mark, label=label, linewidth=1.6, capsize=2.5,
@@ -661,14 +625,14 @@ def _draw_errors(axes: Axes, rows: Sequence[Row]) -> None:
     set_log_scales(axes)
     axes.xaxis.set_major_formatter(_seconds_tick)
     label_twos_and_fives(axes.yaxis)
-    part = PARTS.get(rows[0]["part"], rows[0]["part"])
+    part = PART_LABELS.get(rows[0]["part"], rows[0]["part"])
     size = "{taxels:,} taxels, {triangles:,} triangles, {pokes_per_taxel} pokes a taxel".format_map(rows[0])
     axes.set(xlabel="processor time to solve all taxels from their contacts", ylabel="mean error against the truth (mm)")
     axes.set_title(f"{part}: {size}")
 
 
 def _error_bars(spreads: Sequence[Mapping[str, float]], unit: float = 1.0) -> tuple[list[float], list[list[float]]]:
-    """List medians, and their distances to both quartiles, as `errorbar` takes them."""
+    """Return medians and their distances to both quartiles, for `errorbar`."""
     medians = [unit * spread["median"] for spread in spreads]
     low, high = ([unit * abs(spread[key] - spread["median"]) for spread in spreads] for key in ("q1", "q3"))
     return medians, [low, high]
@@ -683,7 +647,7 @@ def _draw_growth(axes: Axes, points: Sequence[Mapping[str, Any]], name: str, lab
     for point in points:
         series.setdefault((point["part"], point["method"]), []).append(point)
     for (part, method), own in series.items():
-        mark, colour, _ = LOOKS[method]
+        mark, colour, _ = METHOD_LOOKS[method]
         if len(own) > 1:
             costs, bars = _error_bars([point["us_per_taxel"] for point in own], 1e-6)
             axes.errorbar(

@@ -1,6 +1,6 @@
 """Every small case of the stability study, in the processes that it uses: `python3 -m pytest tests/long`.
 
-Some of them, and what is said of them, are in `tests/skincal/studies/test_stability.py` and beside it.
+Some of them are in `tests/skincal/studies/test_stability.py` and next to it.
 """
 
 import json
@@ -8,8 +8,8 @@ import json
 import pytest
 
 from skincal.studies import stability
-from skincal.studies.stability_cases import all_cases, all_module_cases
-from skincal.studies.stability_terms import term_cases
+from skincal.studies.stability_cases import module_cases, taxel_cases
+from skincal.studies.stability_corrections import added_cases
 from tests.skincal.studies.test_stability import TINY
 
 
@@ -17,7 +17,7 @@ from tests.skincal.studies.test_stability import TINY
 def result():
     said = []
     result = stability.run(quick=True, progress=said.append, sizes=TINY)
-    assert len(said) == 1 + sum(len(list(cases(TINY))) for cases in (all_cases, all_module_cases, term_cases))
+    assert len(said) == 1 + sum(len(list(cases(TINY))) for cases in (taxel_cases, module_cases, added_cases))
     return result
 
 

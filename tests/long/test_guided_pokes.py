@@ -6,13 +6,13 @@ import pytest
 
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import Conditions, run_course
-from skincal.studies.guidance_study import QUICK, TO_5_MAX
+from skincal.studies.guidance_study import POKES_TO_5_MM_MAX, QUICK_SIZES
 from skincal.taxels.result import Method
 
 
 @pytest.mark.timeout(300)
 def test_the_guide_needs_at_most_87_pokes_to_5_mm():
-    seeds = range(1, QUICK.seeds + 1)
+    seeds = range(1, QUICK_SIZES.seeds + 1)
     courses = [run_course(Bench(), "guided", Method.FREE, Conditions(), seed, 110) for seed in seeds]
-    assert TO_5_MAX == 87.0
-    assert median(course.pokes_to(0.005) for course in courses) <= TO_5_MAX
+    assert POKES_TO_5_MM_MAX == 87.0
+    assert median(course.pokes_to(0.005) for course in courses) <= POKES_TO_5_MM_MAX

@@ -7,7 +7,6 @@ import numpy as np
 from skincal.mesh.search import NearestPoints, nearest_in_metric, surface_in_solver
 from skincal.mesh.surface import Surface, make_surface
 from skincal.solver.machine import INTEGER
-from skincal.studies.baselines import closest_in_triangles
 
 
 def grid(points) -> Surface:
@@ -157,3 +156,47 @@ def _searched(call, surface, name, asked, beside, triangles, *, every=False) -> 
     call.run(name, [place, count, int(every), roots, offsets, pushes, *beside, points, values, found, tried])
     numbers = [call.get(each).astype(np.int64) for each in (found, tried)]
     return NearestPoints(call.get(points), numbers[0], call.get(values), numbers[1])
+
+
+TINY = 1e-300
+"""Least squared length that divides."""
+
+
+def closest_in_triangles(corners):
+    """Find for each triangle of `corners` (n, 3, 3) its point nearest to the origin.
+
+    The interior point comes from an orthogonalised pair of edges, the longest first, so that needles keep their digits. The
+    best of it and of the three edges' clamped projections is taken by its true distance.
+
+    Returns
+    -------
+    shares : (n, 3) float, barycentric: the point is `shares @ corners`
+    squared : (n,) float, its squared distance
+    """
+    count, row = len(corners), np.arange(len(corners))
+    edges = np.roll(corners, -1, axis=1) - corners
+    lengths = np.sum(edges * edges, axis=2)
+    along = np.clip(-np.sum(corners * edges, axis=2) / lengths.clip(TINY), 0.0, 1.0)
+    squared = np.sum((corners + along[:, :, None] * edges) ** 2, axis=2)
+    side = np.argmin(squared, axis=1)
+    first = np.argmax(lengths, axis=1)
+    corner, long, across = corners[row, first], edges[row, first], -edges[row, (first + 2) % 3]
+    length, tilt = lengths[row, first].clip(TINY)[:, None], np.zeros((count, 1))
+    # Twice: the first pass leaves rounding of the long edge's size.
+    for _ in range(2):
+        part = (across * long).sum(axis=1, keepdims=True) / length
+        across, tilt = across - part * long, tilt + part
+    height = (across * across).sum(axis=1, keepdims=True)
+    start = -(corner * long).sum(axis=1, keepdims=True) / length
+    offset = corner + start * long
+    v = -(offset * across).sum(axis=1, keepdims=True) / height.clip(TINY)
+    u = start - v * tilt
+    within = np.sum((offset + v * across) ** 2, axis=1)
+    inside = ((u >= 0) & (v >= 0) & (u + v <= 1) & (height > 0))[:, 0] & (within <= squared[row, side])
+    begin = np.where(inside, first, side)
+    one = np.where(inside, u[:, 0], along[row, side])
+    other = np.where(inside, v[:, 0], 0.0)
+    shares = np.empty((count, 3))
+    shares[row, begin], shares[row, (begin + 1) % 3], shares[row, (begin + 2) % 3] = 1.0 - one - other, one, other
+    nearest = np.where(inside, within, squared[row, side])
+    return shares, nearest

@@ -22,7 +22,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.studies.unmodelled import inside
+from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.words.layout_words import distance_sentences
@@ -71,7 +71,7 @@ def test_the_error_falls_and_the_prediction_with_it(surface, sd, less):
             both = [(each.position - rig.places[rig.row_of(each.channel)], each.covariance) for each in found]
             squares[told].append(np.mean([off @ off for off, _ in both]))
             predicted[told].append(np.mean([np.trace(covariance) for _, covariance in both]))
-            held[told].append(np.mean([inside(*one) for one in both]))
+            held[told].append(np.mean([inside_95_ellipsoid(*one) for one in both]))
     assert np.mean(squares[True]) < less * np.mean(squares[False])
     assert np.mean(predicted[True]) < less * np.mean(predicted[False])
     assert 0.93 <= np.mean(held[True]) <= 0.97

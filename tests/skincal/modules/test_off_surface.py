@@ -10,7 +10,7 @@ from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.studies.physics import Body
+from skincal.studies.independent_simulator import SmoothSurface
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
@@ -26,7 +26,7 @@ def along_normals(seed, inflated=0.0, skin=0.0015):
     """(84,) the predicted sd along the normal of the taxels, m, on a mesh that is larger than the part."""
     rig, contacts = poked(seed)
     surface = rig.surface
-    normals = Body(surface.vertices, surface.triangles).normals
+    normals = SmoothSurface(surface.vertices, surface.triangles).normals
     wrong = make_surface(surface.vertices + inflated * normals, surface.triangles)
     model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, wrong)
     noise = replace(rig.scene.noise, skin=skin)

@@ -16,7 +16,7 @@ from skincal.rig.correction import HAND_LOAD_N, CorrectionErrors, RigPrior, RigR
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.faults import RigErrors
-from skincal.studies.physics import CASES, poke
+from skincal.studies.independent_simulator import CASES, simulate_session
 from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error
@@ -309,10 +309,9 @@ def test_where_landmarks_do_not_tell_whether_a_sensor_is_linear_both_count_as_li
 def second_request(case, seed, planned):
     """What the second simulator's pokes ask, and the places of its taxels."""
     scene, true = part()
-    poked = poke(scene, true.vertices, true.triangles, CASES[case], seed)
+    poked = simulate_session(scene, true.vertices, true.triangles, CASES[case], seed)
     surface = make_surface(poked.vertices, true.triangles)
-    known = [LandmarkPoke(mark.poke, mark.name, mark.place, mark.force, mark.moment, mark.link_from_sensor, mark.pose)
-             for mark in poked.known if mark.planned or not planned]  # fmt: skip
+    known = [LandmarkPoke(*mark[:7]) for mark in poked.known if mark.planned or not planned]
     return poked, RigRequest(scene, surface, poked.contacts, known)
 
 

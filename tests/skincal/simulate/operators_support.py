@@ -11,7 +11,7 @@ from skincal.session.session import Session
 from skincal.simulate.benches import Bench
 from skincal.simulate.courses import Conditions, MeantPokes, errors_of, poked, rig_beside
 from skincal.simulate.operator import OPERATORS
-from skincal.studies.unmodelled import SQUARES, along
+from skincal.studies.unmodelled import CHI2_95, in_known_directions
 from skincal.taxels.result import Method
 
 FAR = 0.003
@@ -58,6 +58,8 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     beyond = 0
     for estimate in estimates:
         if estimate.position is not None:
-            off, variances = along(estimate.position - rig.places[rig.row_of(estimate.channel)], estimate.covariance)
-            beyond += int(np.sum(off**2 / variances) > 4.0 * SQUARES[len(off)])
+            off, variances = in_known_directions(
+                estimate.position - rig.places[rig.row_of(estimate.channel)], estimate.covariance
+            )
+            beyond += int(np.sum(off**2 / variances) > 4.0 * CHI2_95[len(off)])
     return Ended(pokes, guidance.phase is GuidePhase.ENOUGH, int(done.sum()), far, falsely, beyond)

@@ -24,7 +24,7 @@ from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Guided, Habits
 from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import Rig
-from skincal.studies.unmodelled import inside
+from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.result import Method
 from tests.skincal.simulate.orchestra_support import SKINS, WRENCHES, Brought, Orchestra, reading
 
@@ -113,7 +113,7 @@ def come_to_the_end(part, wrench, skin):
     assert all(isinstance(outcome, Contact) for outcome in outcomes), outcomes
     for estimate in snapshot.estimates[Method.MODULES]:
         off = estimate.position - rig.places[rig.row_of(estimate.channel)]
-        assert inside(off, estimate.covariance), (estimate, off)
+        assert inside_95_ellipsoid(off, estimate.covariance), (estimate, off)
         assert np.linalg.norm(off) < 0.003
     for link in pipeline.live(0).links:
         assert link.state is LinkState.OPEN

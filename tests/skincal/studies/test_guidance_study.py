@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from skincal.plotting import render
-from skincal.simulate.courses import WAYS, Conditions
+from skincal.simulate.courses import Conditions
 from skincal.studies import guidance_study
-from skincal.studies.guidance_study import QUICK
+from skincal.studies.guidance_study import QUICK_SIZES
 
 TINY = replace(
-    QUICK, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
+    QUICK_SIZES, seeds=2, other_seeds=1, case_seeds=1, guided_limit=30, free_limit=24, surface_limit=90, modules_limit=30,
     modules_seeds=1, long=40,
 )  # fmt: skip
 
@@ -26,14 +26,18 @@ def result():
 
 def test_it_says_what_each_way_takes():
     found, said = result()
-    assert set(found["pokes_to_5mm"]) == {"guided", *WAYS, "diversity", "optimal"} == set(found["pokes_to_3mm"])
+    assert set(found["pokes_to_5mm"]) == {"guided", *guidance_study.STRATEGIES} == set(found["pokes_to_3mm"])
     assert len(said) == len(found["table"]) == len(guidance_study.summary(found)) - len(found["bars"])
     json.dumps(found, allow_nan=False)
     for row in found["table"]:
         assert len(row["pokes"]) == len(row["mean_mm"]) == len(row["p95_mm"])
         assert row["pokes"][-1] == row["limit"]
         assert row["mean_mm"][-1] <= row["mean_mm"][0]
-    assert {row["method"] for row in found["table"] if row["case"] == guidance_study.STANDARD} == {"free", "surface", "modules"}
+    assert {row["method"] for row in found["table"] if row["case"] == guidance_study.STANDARD_CASE} == {
+        "free",
+        "surface",
+        "modules",
+    }
     # Nobody gets to 5 mm within 40 pokes: null, and no number that was not measured.
     assert found["pokes_to_5mm"]["random"] is None
     assert not found["bars"]["guided_pokes_to_5mm"]["holds"]

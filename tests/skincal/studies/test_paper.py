@@ -10,10 +10,10 @@ import pytest
 from skincal.plotting import render
 from skincal.simulate.courses import TABLE_I
 from skincal.studies import paper
-from skincal.studies.paper import QUICK, run_good, run_trial, spread
+from skincal.studies.paper import QUICK_SIZES, error_statistics, run_good, run_trial
 
 TINY = replace(
-    QUICK, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84)
+    QUICK_SIZES, seeds=2, share=0.15, safety=2, good=1, counts=(28, 252), courses=2, steps=(28, 84)
 )  # fmt: skip
 
 
@@ -73,7 +73,9 @@ def test_more_pokes_of_a_good_rig_tell_more():
 
 
 def test_errors_are_summed_up_in_millimetres():
-    assert spread(np.array([0.001, 0.003, np.nan])) == pytest.approx({"mean": 2.0, "sd": 1.0, "largest": 3.0, "missing": 1})
+    assert error_statistics(np.array([0.001, 0.003, np.nan])) == pytest.approx(
+        {"mean": 2.0, "sd": 1.0, "largest": 3.0, "missing": 1}
+    )
 
 
 def test_the_figure_is_drawn():

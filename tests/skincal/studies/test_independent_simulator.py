@@ -13,27 +13,27 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.model.scene import load_scene, resource
 from skincal.modules.pose import ModuleModel
-from skincal.studies.physics import (
+from skincal.studies.independent_simulator import (
     CASES,
-    FORCE,
-    GOOD,
-    LEVER,
-    PAD,
-    PLAN,
-    SCALE,
-    SLOW,
-    TOP,
-    Body,
-    Hand,
+    GUIDED_LANDMARK_POKES,
+    NOISY_RIG,
+    PAD_RADIUS,
+    RESPONSE_MAX,
+    RESPONSE_SCALE_N,
+    SLOW_NOISE_POKES,
+    TYPICAL_FORCE,
+    TYPICAL_LEVER,
+    Operator,
     Presses,
+    RigModel,
     Sensor,
-    World,
-    answers,
-    chain,
-    felt,
+    SmoothSurface,
+    forward_kinematics,
     motions,
-    poke,
+    sensor_wrenches,
+    simulate_session,
     slow_noise,
+    taxel_responses,
     taxels,
     turns,
 )
@@ -41,7 +41,7 @@ from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
 
 MM = 1e-3
-PERFECT = replace(GOOD, force_noise=0.0, scatter=0.0, beside=0.0, gains=0.0, aim=0.0)
+PERFECT = replace(NOISY_RIG, force_noise=0.0, scatter=0.0, beside=0.0, gains=0.0, aim=0.0)
 
 
 def rng(seed=1):
@@ -51,7 +51,7 @@ def rng(seed=1):
 @cache
 def poked(world=PERFECT, seed=1):
     scene, surface = part()
-    return poke(scene, surface.vertices, surface.triangles, world, seed)
+    return simulate_session(scene, surface.vertices, surface.triangles, world, seed)
 
 
 def readings(session):
@@ -78,7 +78,7 @@ def sheet(side=0.1, cells=20):
     corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
     along, beside = corner + cells + 1, corner + 1
     lower, upper = np.stack([corner, along, beside], 1), np.stack([beside, along, along + 1], 1)
-    return Body(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1), np.concatenate([lower, upper]))
+    return SmoothSurface(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1), np.concatenate([lower, upper]))
 
 
 # ---- geometry
@@ -86,7 +86,7 @@ def sheet(side=0.1, cells=20):
 
 def test_the_chain_is_the_arm_of_the_scene():
     scene, _ = part()
-    for name, pose in chain(scene).items():
+    for name, pose in forward_kinematics(scene).items():
         np.testing.assert_allclose(pose, scene.arm.arm.link_from_sensor(scene.arm.poses[name]), atol=1e-15)
 
 
@@ -107,7 +107,7 @@ def test_a_straight_way_around_a_tube_is_a_helix():
     corners = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.repeat(heights, ticks)], axis=1)
     row, column = (i.ravel() for i in np.meshgrid(np.arange(len(heights) - 1), np.arange(ticks), indexing="ij"))
     a, b = row * ticks + column, row * ticks + (column + 1) % ticks
-    tube = Body(corners, np.concatenate([np.stack([a, b, b + ticks], 1), np.stack([a, b + ticks, a + ticks], 1)]))
+    tube = SmoothSurface(corners, np.concatenate([np.stack([a, b, b + ticks], 1), np.stack([a, b + ticks, a + ticks], 1)]))
     (end,), (way,), (normal,) = tube.march(np.array([[radius, 0, 0]]), np.array([[0, 0.03, 0.02]]))
     turned = 0.03 / radius
     np.testing.assert_allclose(end, [radius * np.cos(turned), radius * np.sin(turned), 0.02], atol=0.005 * MM)
@@ -117,22 +117,22 @@ def test_a_straight_way_around_a_tube_is_a_helix():
 
 def test_the_plan_lies_where_the_program_lays_it_too():
     scene, surface = part()
-    own = replace(GOOD, mount_shift=0.0, mount_turn=0.0)
-    channels, places = taxels(scene, Body(surface.vertices, surface.triangles), own, rng())
+    own = replace(NOISY_RIG, mount_shift=0.0, mount_turn=0.0)
+    channels, places = taxels(scene, SmoothSurface(surface.vertices, surface.triangles), own, rng())
     laid = place_layout(scene.skin.layout, scene.skin.anchor, surface)
     assert np.linalg.norm(laid.places[channels] - places, axis=1).max() < 0.15 * MM
 
 
 def test_a_skin_is_stuck_on_beside_its_plan_and_pads_off_it_by_what_is_told():
     scene, surface = part()
-    on = Body(surface.vertices, surface.triangles)
+    on = SmoothSurface(surface.vertices, surface.triangles)
     plan, beside, off = (
-        np.array([taxels(scene, on, replace(GOOD, **sizes), rng(seed))[1] for seed in range(12)])
+        np.array([taxels(scene, on, replace(NOISY_RIG, **sizes), rng(seed))[1] for seed in range(12)])
         for sizes in ({"mount_shift": 0.0, "mount_turn": 0.0}, {"mount_turn": 0.0}, {"pads": 0.3 * MM})
     )
     mean = np.linalg.norm((beside - plan).mean(axis=1), axis=1)
     assert np.sqrt(np.mean(mean**2)) == pytest.approx(3 * MM * np.sqrt(2), rel=0.4)
-    again = np.array([taxels(scene, on, GOOD, rng(seed))[1] for seed in range(12)])
+    again = np.array([taxels(scene, on, NOISY_RIG, rng(seed))[1] for seed in range(12)])
     assert np.sqrt(np.mean(np.sum((off - again) ** 2, axis=2))) == pytest.approx(0.3 * MM * np.sqrt(2), rel=0.05)
 
 
@@ -159,11 +159,11 @@ def test_the_program_finds_the_skin_of_a_perfect_rig():
 
 def test_a_push_leans_within_its_cone_and_never_slides():
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
-    leaning = World(cone=0.9, friction=0.7)
-    push = Hand(leaning, normals[0], rng()).pushes(normals, leaning.cone, rng(2))
+    leaning = RigModel(cone=0.9, friction=0.7)
+    push = Operator(leaning, normals[0], rng()).pushes(normals, leaning.cone, rng(2))
     aside = np.linalg.norm(push[:, :2], axis=1) / -push[:, 2]
     assert aside.max() == pytest.approx(0.7)
-    narrow = Hand(World(), normals[0], rng()).pushes(normals, 0.3, rng(2))
+    narrow = Operator(RigModel(), normals[0], rng()).pushes(normals, 0.3, rng(2))
     # Even in solid angle: the cosine's mean is the middle of its range.
     assert -narrow[:, 2].mean() == pytest.approx((1 + np.cos(0.3)) / 2, abs=0.001)
     assert np.abs(narrow[:, :2].mean(axis=0)).max() < 0.01
@@ -171,8 +171,8 @@ def test_a_push_leans_within_its_cone_and_never_slides():
 
 def test_a_lean_and_an_arc_push_to_one_side():
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
-    for world, least in ((World(lean=0.3), 0.0), (World(arc=np.pi / 2), np.cos(np.pi / 4))):
-        who = Hand(world, normals[0], rng())
+    for world, least in ((RigModel(lean=0.3), 0.0), (RigModel(arc=np.pi / 2), np.cos(np.pi / 4))):
+        who = Operator(world, normals[0], rng())
         push = who.pushes(normals, 0.2, rng(2))
         mean = push.mean(axis=0)[:2]
         assert mean @ who.side[:2] > 0.99 * np.linalg.norm(mean) > 0
@@ -183,9 +183,9 @@ def test_a_lean_and_an_arc_push_to_one_side():
 
 
 def test_a_leaning_axis_crosses_the_taxels_beside_the_tip_by_thickness_and_shear():
-    world = World(thickness=2.5 * MM, shear=0.1 * MM, scatter=0.0, beside=0.0, cone=0.4)
+    world = RigModel(thickness=2.5 * MM, shear=0.1 * MM, scatter=0.0, beside=0.0, cone=0.4)
     places = np.zeros((200, 3))
-    presses = Hand(world, np.array([0.0, 0.0, 1.0]), rng()).press(sheet(), places, rng(3))
+    presses = Operator(world, np.array([0.0, 0.0, 1.0]), rng()).press(sheet(), places, rng(3))
     point, force = presses.points[0], presses.forces[0]
     crossing = point - point[:, 2:] / force[:, 2:] * force
     # The way from the outer face down to the layer, and the spring that shear is.
@@ -201,14 +201,14 @@ def test_the_pads_of_a_whole_plane_bear_the_whole_load():
     load = np.array([[4.0, 11.0], [0.0, 0.0]])
     presses = Presses(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), load)
     for spread in (1.0, 2.0):
-        found = answers(World(spread=spread), places, np.ones(len(places)), presses, rng())
-        on_pads = -SCALE * np.log1p(-found / TOP)
-        # Each pad covers pi PAD^2 of the plane, and there is one on every square millimetre.
-        np.testing.assert_allclose(on_pads.sum(axis=1) * MM**2 / (np.pi * PAD**2), load[0], rtol=0.02)
+        found = taxel_responses(RigModel(spread=spread), places, np.ones(len(places)), presses, rng())
+        on_pads = -RESPONSE_SCALE_N * np.log1p(-found / RESPONSE_MAX)
+        # Each pad covers pi PAD_RADIUS^2 of the plane, and there is one on every square millimetre.
+        np.testing.assert_allclose(on_pads.sum(axis=1) * MM**2 / (np.pi * PAD_RADIUS**2), load[0], rtol=0.02)
 
 
 def test_a_wide_foam_lets_more_taxels_answer_and_gains_change_no_wrench():
-    few, many = (np.mean([len(each.channels) for each in poked(world).contacts]) for world in (GOOD, CASES["wide_foam"]))
+    few, many = (np.mean([len(each.channels) for each in poked(world).contacts]) for world in (NOISY_RIG, CASES["wide_foam"]))
     assert 2 < few < 3.5 < many
     plain, uneven = poked(PERFECT), poked(replace(PERFECT, gains=0.4))
     np.testing.assert_array_equal(readings(plain), readings(uneven))
@@ -230,7 +230,7 @@ def test_a_finger_touches_two_places_and_its_axis_is_that_of_the_sum():
 def test_a_wrench_does_the_work_of_its_force():
     poses = motions(rng(1).normal(size=(50, 3)), rng(2).normal(size=(50, 3)))
     points, forces = rng(3).normal(size=(2, 50, 3)), rng(4).normal(size=(2, 50, 3))
-    wrenches = felt(poses, points, forces, 0.0)
+    wrenches = sensor_wrenches(poses, points, forces, 0.0)
     # A small motion of the part, in the sensor's frame: the forces' work in the link's frame is the wrench's in the sensor's.
     turn, shift, step = rng(5).normal(size=(50, 3)), rng(6).normal(size=(50, 3)), 1e-6
     moved = poses @ motions(step * turn, step * shift) @ np.linalg.inv(poses)
@@ -241,7 +241,7 @@ def test_a_wrench_does_the_work_of_its_force():
 
 def test_an_arm_that_bends_turns_the_part_about_the_sensor_by_its_moment():
     pose, point, force = np.eye(4)[None], np.array([[[0.1, 0.0, 0.2]]]), np.array([[[0.0, 8.0, -6.0]]])
-    stiff, soft = felt(pose, point, force, 0.0), felt(pose, point, force, 1e-3)
+    stiff, soft = sensor_wrenches(pose, point, force, 0.0), sensor_wrenches(pose, point, force, 1e-3)
     turn = 1e-3 * stiff[0, 3:]
     np.testing.assert_allclose((soft - stiff)[0, :3], np.cross(turn, stiff[0, :3]), atol=1e-4)
     np.testing.assert_allclose((soft - stiff)[0, 3:], np.cross(turn, stiff[0, 3:]), atol=1e-5)
@@ -249,21 +249,23 @@ def test_an_arm_that_bends_turns_the_part_about_the_sensor_by_its_moment():
 
 
 def drawn_loads(count=400):
-    """Wrenches of `FORCE` and its moment, in all directions."""
+    """Wrenches of `TYPICAL_FORCE` and its moment, in all directions."""
     unit = rng(7).normal(size=(count, 2, 3))
-    return (unit / np.linalg.norm(unit, axis=2, keepdims=True) * np.array([FORCE, FORCE * LEVER])[:, None]).reshape(-1, 6)
+    return (
+        unit / np.linalg.norm(unit, axis=2, keepdims=True) * np.array([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER])[:, None]
+    ).reshape(-1, 6)
 
 
 def test_each_error_of_the_sensor_has_its_law_and_its_size():
-    loads, quiet = drawn_loads(), World(matrix=0.0, force_noise=0.0)
-    scale = np.repeat([FORCE, FORCE * LEVER], 3)
+    loads, quiet = drawn_loads(), RigModel(matrix=0.0, force_noise=0.0)
+    scale = np.repeat([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER], 3)
 
     def read(wrenches, seed=1, **sizes):
         return Sensor(replace(quiet, **sizes), rng(seed)).read(wrenches, rng(99))
 
     np.testing.assert_array_equal(read(loads), loads)
     np.testing.assert_allclose(read(2 * loads, matrix=0.02), 2 * read(loads, matrix=0.02))
-    off = [np.diag(Sensor(World(), rng(seed)).matrix) - 1 for seed in range(50)]
+    off = [np.diag(Sensor(RigModel(), rng(seed)).matrix) - 1 for seed in range(50)]
     assert np.std(off) == pytest.approx(0.02, rel=0.15)
     bent = read(loads, quadratic=0.02) - loads
     np.testing.assert_allclose(read(-loads, quadratic=0.02) + loads, bent, atol=1e-12)
@@ -279,7 +281,7 @@ def test_each_error_of_the_sensor_has_its_law_and_its_size():
 def test_slow_noise_is_as_large_as_told_and_forgets():
     noise = slow_noise(60_000, 1, rng())[:, 0]
     assert noise.std() == pytest.approx(1.0, abs=0.05)
-    assert np.mean(noise[: -int(SLOW)] * noise[int(SLOW) :]) == pytest.approx(np.exp(-1), abs=0.07)
+    assert np.mean(noise[: -int(SLOW_NOISE_POKES)] * noise[int(SLOW_NOISE_POKES) :]) == pytest.approx(np.exp(-1), abs=0.07)
     slow = readings(poked(replace(PERFECT, slow_force=0.2))) - readings(poked())
     assert slow[:, :3].std() == pytest.approx(0.2, rel=0.25)
     assert slow[:, 3:].std() == pytest.approx(0.02, rel=0.25)
@@ -334,16 +336,16 @@ def test_the_guide_asks_for_21_of_70_landmark_pokes_well_spread():
     assert (len(known), len(asked)) == (70, 21)
     poses = list(dict.fromkeys(each.pose for each in known))
     names = [[each.name for each in asked if each.pose == pose] for pose in poses]
-    assert tuple(len(own) for own in names) == PLAN
+    assert tuple(len(own) for own in names) == GUIDED_LANDMARK_POKES
     assert all(len(set(own)) == len(own) for own in names)
     assert {len([name for own in names for name in own if name == mark]) for mark in names[0]} == {3, 4}
 
 
 def test_a_wrong_mesh_is_given_and_the_taxels_stay_on_the_true_one():
     surface = part()[1]
-    on = Body(surface.vertices, surface.triangles)
+    on = SmoothSurface(surface.vertices, surface.triangles)
     shifted, inflated, bumpy = (
-        on.wrong(replace(GOOD, **{size: 1.5 * MM}), rng(4)) - surface.vertices
+        on.wrong(replace(NOISY_RIG, **{size: 1.5 * MM}), rng(4)) - surface.vertices
         for size in ("mesh_shift", "mesh_inflate", "mesh_bumps")
     )
     np.testing.assert_allclose(shifted, np.tile(shifted[0], (len(shifted), 1)), atol=1e-15)
@@ -363,7 +365,7 @@ def test_a_wrong_mesh_is_given_and_the_taxels_stay_on_the_true_one():
 def test_another_scene_with_mesh_and_layout_is_poked_too():
     scene = load_scene(resource("scenes/whole-body/scene.toml"))
     surface = load_surface(scene.surface)[0]
-    session = poke(scene, surface.vertices, surface.triangles, PERFECT, 1, per_pose=40)
+    session = simulate_session(scene, surface.vertices, surface.triangles, PERFECT, 1, per_pose=40)
     place = dict(zip(session.channels.tolist(), session.places, strict=True))
     assert (len(session.contacts), len(session.known), len(place)) == (40, 0, 4200)
     assert max(miss(each, place[int(each.channels[each.responses.argmax()])]) for each in session.contacts) < 1e-12
@@ -371,6 +373,6 @@ def test_another_scene_with_mesh_and_layout_is_poked_too():
 
 def test_a_seed_says_everything():
     scene, surface = part()
-    again, other = (poke(scene, surface.vertices, surface.triangles, CASES["bad"], seed) for seed in (1, 2))
+    again, other = (simulate_session(scene, surface.vertices, surface.triangles, CASES["bad"], seed) for seed in (1, 2))
     np.testing.assert_array_equal(readings(poked(CASES["bad"])), readings(again))
     assert np.abs(again.places - other.places).max() > 0.5 * MM

@@ -1,4 +1,4 @@
-"""The stability study of what the program adds: that it holds, that it can fail, and that cases are what they are called."""
+"""The stability study of corrections, covariances, heights and distances: it holds, and it can fail."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,57 +8,55 @@ import pytest
 
 from skincal.modules import distances, off_surface
 from skincal.rig import correction, correction_fit
-from skincal.studies import stability_terms
-from skincal.studies.stability import judge_term
+from skincal.studies.stability import evaluate_added
 from skincal.studies.stability_cases import CaseSizes
-from skincal.studies.stability_terms import Joined, Landmarked, corrected, term_cases
+from skincal.studies.stability_corrections import CorrectionInputs, added_cases, correct_by_landmarks, shipped_distances
 from skincal.taxels.shared_errors import NormalEquations
 
-TINY = CaseSizes(contacts=8, grid=6, many=300, draws=4)
+TINY = CaseSizes(contacts=8, grid=6, many=300)
 
 
 @cache
 def cases():
-    return {case.name: case for case in term_cases(TINY)}
+    return {case.name: case for case in added_cases(TINY)}
 
 
 def judged(name):
-    return {record["name"].rpartition(": ")[2]: record for record in judge_term(cases()[name], draws=2)}
+    return {record["name"].rpartition(": ")[2]: record for record in evaluate_added(cases()[name], 2, np.random.default_rng(1))}
 
 
 FEW = "correction, four landmarks, two pokes each"
 MODULE, SHEET = "module, shared errors", "module on a sheet, arm poses that are not known"
-HEIGHT, DISTANCES = "module 4 mm over its sheet", "distances between three modules told to 1e-6 m"
+HEIGHT, DISTANCES = "module 4 mm over its sheet", "distances between three modules known to 1e-6 m"
 
 
 @pytest.mark.parametrize("name", [FEW, SHEET, HEIGHT, DISTANCES])
-def test_what_the_program_adds_holds(name):
+def test_the_programs_additions_hold(name):
     for record in judged(name).values():
         assert record["holds"], record
-        assert record["bound"] < 1e-6 * record["size"], "a bar that proves something"
+        assert record["bound"] < 1e-6 * record["size"], "a tolerance that proves something"
 
 
 def test_corrections_are_of_a_linear_sensor_of_another_and_of_both():
-    own = {name: case.inputs for name, case in cases().items() if isinstance(case.inputs, Landmarked)}
-    unknowns = {name: len(corrected(pokes).unknowns) for name, pokes in own.items()}
+    own = {name: case.inputs for name, case in cases().items() if isinstance(case.inputs, CorrectionInputs)}
+    unknowns = {name: len(correct_by_landmarks(pokes).unknowns) for name, pokes in own.items()}
     assert unknowns["correction, rig as modelled"] == 36 + 12
     assert unknowns["correction, sensor not linear"] == 162 + 12
     assert len(own) >= 8
-    assert all(min(corrected(pokes).trust.values()) == 1.0 for pokes in own.values())
+    assert all(min(correct_by_landmarks(pokes).trust.values()) == 1.0 for pokes in own.values())
 
 
 def test_heights_are_seen_and_distances_count():
     assert "height" in judged(HEIGHT)
     joined = cases()[DISTANCES].inputs
-    assert isinstance(joined, Joined)
     with pytest.raises(ValueError, match="do not all count"):
-        stability_terms.shipped_joined(replace(joined, told=(replace(joined.told[0], length=1.0), *joined.told[1:])))
+        shipped_distances(replace(joined, distances=(replace(joined.distances[0], length=1.0), *joined.distances[1:])))
 
 
 def test_a_step_too_few_is_caught(monkeypatch):
-    monkeypatch.setattr(correction_fit, "STEPS", 3)
+    monkeypatch.setattr(correction_fit, "GAUSS_NEWTON_STEPS", 3)
     assert not judged(FEW)["unknowns"]["holds"]
-    monkeypatch.setattr(distances, "STEPS", 2)
+    monkeypatch.setattr(distances, "GAUSS_NEWTON_STEPS", 2)
     assert not judged(DISTANCES)["places"]["holds"]
 
 
@@ -72,7 +70,7 @@ def test_a_covariance_of_half_the_digits_is_caught(monkeypatch, name, what):
 
 
 def test_a_formula_that_is_another_is_caught(monkeypatch):
-    monkeypatch.setattr(off_surface, "SEEN", 50.0)
+    monkeypatch.setattr(off_surface, "MIN_HEIGHT_SDS", 50.0)
     assert not judged(HEIGHT)["height"]["holds"]
     monkeypatch.setattr(correction, "_right_jacobians", lambda turns: np.tile(np.eye(3), (len(turns), 1, 1)))
     assert not judged(FEW)["unknowns"]["holds"]

@@ -1,16 +1,16 @@
-"""A second simulator of contact and sensor, from first principles, which shares no code with what it tries.
+"""An independent simulator of contact and sensor, from first principles. It shares no code with the program.
 
-A tip presses the outer face of a foam on a curved part; the taxels lie under the foam, where the mesh is meant to be. What the
-force/torque (F/T) sensor reads is worked out in its own frame, through an arm that is not where its joints put it:
+A tip presses the outer face of a foam on a curved part. The taxels lie under the foam, on the mesh. The force/torque (F/T)
+sensor reads, in its own frame, through an arm that is not where its joints put it:
 
-    w = (f, c x f),   read = (I + E) w + Q(w, w) + what earlier pokes left + slow noise + white noise.
+    w = (f, c x f),   read = (I + E) w + Q(w, w) + hysteresis + slow noise + white noise.
 
-Contact: a round tip of radius R on a foam of columns that know nothing of each other (Winkler; K. L. Johnson, Contact
-Mechanics, 4.3): p = K (d - r^2/2R), so F = pi R K d^2 and the patch has the radius a = sqrt(2 R d). Down at the taxels the foam
-and the taxel's own pad have spread this to about a Gaussian. A taxel reads how far the foam above it is pressed together:
-under the tip; while the force acts on the outer face, along the push. So the axis of a leaning push crosses the taxels' layer
-beside the place that answers, by thickness x tan(lean), and farther where shear has moved the tip. (Where a flat tip is held
-parallel to the skin, its own pressure carries half of that moment and half of this is left: the whole is the worse case.)
+Contact: a round tip of radius R on a foam of independent columns (Winkler; K. L. Johnson, Contact Mechanics, 4.3):
+p = K (d - r^2/2R), so F = pi R K d^2 and the patch has the radius a = sqrt(2 R d). At the taxels, the foam and the taxel's own
+pad have spread this to about a Gaussian. A taxel reads the compression of the foam above it, under the tip, while the force
+acts on the outer face, along the push. So the axis of a leaning push crosses the taxels' layer off the answering point, by
+thickness x tan(lean), and farther after shear of the foam. (A flat tip parallel to the skin would carry half of that moment by
+its own pressure: this is the worse case.)
 
 Everything is drawn from a seed. Lengths are metres, forces newtons, angles radians.
 """
@@ -21,7 +21,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -33,67 +33,67 @@ if TYPE_CHECKING:
 
 MM, DEGREE = 1e-3, float(np.radians(1.0))
 
-MARCH = 50
-"""Steps of a straight way on the part: 0.8 mm at most, by which a way of 40 mm on a radius of 25 mm errs by some 0.01 mm."""
-NEAR = 12
+MARCH_STEPS = 50
+"""Steps of a straight way on the part. A way of 40 mm on a radius of 25 mm errs by 0.01 mm."""
+NEAREST_TRIANGLES = 12
 """Triangles looked at for the nearest point: those that meet at a corner, and their neighbours."""
-FORCE = 10.0
+TYPICAL_FORCE = 10.0
 """N: an operator presses with 6 to 12 N; errors of the sensor that grow with the load are given at this."""
-LEVER = 0.2
-"""m, from the forearm's sensor to its skin (0.1 to 0.25 m): the typical moment is `FORCE` times this."""
-FORCES = (6.0, 12.0)
+TYPICAL_LEVER = 0.2
+"""m, from the forearm's sensor to its skin (0.1 to 0.25 m): the typical moment is `TYPICAL_FORCE` times this."""
+SKIN_FORCES = (6.0, 12.0)
 """N: between the gates of 4 and 15 N, as operators are asked to press."""
 LANDMARK_FORCES = (8.0, 13.0)
 """N: a tip on a screw head is pressed harder than one on foam."""
 LANDMARK_CONE = 28 * DEGREE
 """Pushes at a landmark lean at most this far from its normal."""
-STIFFNESS = 3e8
+FOAM_STIFFNESS = 3e8
 """Pa/m: of the foam's columns, K. Foam of 0.75 MPa, 2.5 mm thick: 8 N on a tip of 3 mm press it in by 1.7 mm."""
-PAD = 0.002
+PAD_RADIUS = 0.002
 """m: radius of a taxel's electrode (Maiolino et al. 2013: about 4 mm across)."""
 FOAM_SPREAD = 0.0013
 """m: the foam spreads pressure by about half its thickness, as an elastic layer on hard ground does."""
-SCALE = 2.5
-"""N on a taxel's pad at which it has answered 63 % of `TOP`: foam stiffens. With it three taxels answer a poke on average."""
-TOP = 180.0
+RESPONSE_SCALE_N = 2.5
+"""Load on a pad for 63 % of `RESPONSE_MAX`: foam stiffens. On average three taxels answer a poke."""
+RESPONSE_MAX = 180.0
 """Counts of 255 that a taxel falls at most: from about 240 at rest to some 60 (iCub)."""
-FRAMES = 1 / 15 + 1 / 10
+FRAME_VARIANCE_SHARE = 1 / 15 + 1 / 10
 """A still window of 0.3 s has 15 frames, a quiet one 10, at 50 Hz: the variance of their difference is this share."""
-COUNT = 1.0 + 1 / 12
+COUNT_VARIANCE = 1.0 + 1 / 12
 """Counts^2, variance of one frame: one count of noise and the rounding to whole counts, which that noise blurs."""
 MOMENT_OF_FORCE = 0.1
 """m: noise of a moment over noise of a force, 0.010 N m and 0.10 N as in the scene's `[noise]`."""
 MATRIX_ARM = 0.35
 """m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
-SLOW = 30.0
+SLOW_NOISE_POKES = 30.0
 """Pokes over which slow noise remembers: about a minute, as a sensor that warms up in a moving room."""
-BUMP = 0.020
+BUMP_LENGTH = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
-FINGER = 0.008
+FINGER_WIDTH = 0.008
 """m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
-PLAN = (6, 3, 3, 3, 2, 2, 2)
+GUIDED_LANDMARK_POKES = (6, 3, 3, 3, 2, 2, 2)
 """Landmark pokes in each arm pose that the guide asks for: 21 in seven poses."""
 
 
 @dataclass(frozen=True, slots=True)
-class World:
-    """What is wrong with a rig, its skin, its landmarks and its operator; the defaults are what the program models.
+class RigModel:
+    """Errors of a rig, its skin, its landmarks and its operator. The defaults are those that the program models.
 
-    `World()` has the paper's rig errors by the sizes of `RigPrior`: 2 %, 1 degree, 2 mm, 0.7 mm.
+    `RigModel()` has the paper's rig errors by the sizes of `RigPrior`: 2 %, 1 degree, 2 mm, 0.7 mm.
     """
 
     # ---- force/torque sensor
     matrix: float = 0.02
     """sd of each entry of E, cross-talk included."""
     quadratic: float = 0.0
-    """Rms of Q(w, w) over w, both as vectors in units of `FORCE` and its moment, where |w| is these."""
+    """Rms of Q(w, w) over w, both as vectors in units of `TYPICAL_FORCE` and its moment, where |w| is these."""
     hysteresis: float = 0.0
     """Share of its load that the sensor keeps after a poke: the tares before and after each see a part of it."""
     force_noise: float = 0.10
     """N, white, of a poke's tared mean; moments `MOMENT_OF_FORCE` times as much. FT45: 0.25 N a reading, and slow noise."""
     slow_force: float = 0.0
-    """N rms, noise that pokes after each other share (`SLOW`); moments as above. A tare around every poke leaves it: creep of
-    the strain gauges under load."""
+    """N rms, noise that successive pokes share (`SLOW_NOISE_POKES`); moments as above. It is creep of the strain gauges under
+    load, which a tare around every poke does not remove."""
     # ---- arm
     pose_turn: float = DEGREE
     """sd about each axis through the sensor, of each arm pose."""
@@ -117,7 +117,7 @@ class World:
     mesh_inflate: float = 0.0
     """m, outward."""
     mesh_bumps: float = 0.0
-    """m rms along the normal, smooth over `BUMP`."""
+    """m rms along the normal, smooth over `BUMP_LENGTH`."""
     # ---- skin
     mount_shift: float = 3 * MM
     """sd in each direction by which the skin is stuck on beside its plan: what a calibration is to find, not an error."""
@@ -149,43 +149,42 @@ class World:
     friction: float = 0.75
     """Tangential over normal force at which the tip slides: rubber or plastic on fabric, 0.6 to 0.9. Pushes stay below it."""
     two: float = 0.0
-    """Share of the pokes that touch two places at once (`FINGER`)."""
+    """Share of the pokes that touch two places at once (`FINGER_WIDTH`)."""
 
 
-GOOD = World(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
+NOISY_RIG = RigModel(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
 """A rig that is only noisy."""
-NOTHING = World()
-CASES: Mapping[str, World] = {
-    "nothing": NOTHING,
-    "quadratic_2": replace(NOTHING, quadratic=0.02),
-    "quadratic_5": replace(NOTHING, quadratic=0.05),
-    "correlated_0.2N": replace(NOTHING, slow_force=0.2),
-    "wander": replace(NOTHING, wander_turn=DEGREE, wander_shift=2 * MM),
-    "landmarks_1.5mm": replace(NOTHING, landmarks=1.5 * MM),
-    "landmarks_3mm": replace(NOTHING, landmarks=3 * MM),
-    "mesh_shifted": replace(NOTHING, mesh_shift=1.5 * MM),
-    "mesh_inflated": replace(NOTHING, mesh_inflate=1.5 * MM),
-    "mesh_bumpy": replace(NOTHING, mesh_bumps=1.5 * MM),
-    "moderate": World(
+PAPER_RIG = RigModel()
+CASES: Mapping[str, RigModel] = {
+    "nothing": PAPER_RIG,
+    "quadratic_2": replace(PAPER_RIG, quadratic=0.02),
+    "quadratic_5": replace(PAPER_RIG, quadratic=0.05),
+    "correlated_0.2N": replace(PAPER_RIG, slow_force=0.2),
+    "wander": replace(PAPER_RIG, wander_turn=DEGREE, wander_shift=2 * MM),
+    "landmarks_1.5mm": replace(PAPER_RIG, landmarks=1.5 * MM),
+    "landmarks_3mm": replace(PAPER_RIG, landmarks=3 * MM),
+    "mesh_shifted": replace(PAPER_RIG, mesh_shift=1.5 * MM),
+    "mesh_inflated": replace(PAPER_RIG, mesh_inflate=1.5 * MM),
+    "mesh_bumpy": replace(PAPER_RIG, mesh_bumps=1.5 * MM),
+    "moderate": RigModel(
         quadratic=0.01, hysteresis=0.005, slow_force=0.1, wander_turn=0.3 * DEGREE, wander_shift=0.5 * MM,
         flex=0.1 * DEGREE, landmarks=0.7 * MM, mesh_bumps=0.7 * MM, gains=0.2, thickness=1 * MM, shear=0.05 * MM, pads=0.1 * MM,
     ),
-    "bad": World(
+    "bad": RigModel(
         quadratic=0.05, hysteresis=0.01, slow_force=0.2, wander_turn=DEGREE, wander_shift=2 * MM, flex=0.3 * DEGREE,
         landmarks=1.5 * MM, mesh_bumps=1.5 * MM, gains=0.4, thickness=2.5 * MM, shear=0.1 * MM, pads=0.3 * MM,
     ),
-    "gaussian": GOOD,
-    "drift_0.1N": replace(GOOD, slow_force=0.1),
-    "lean": replace(GOOD, lean=15 * DEGREE, thickness=2.5 * MM),
-    "wide_foam": replace(GOOD, spread=2.0),
-    "gains": replace(GOOD, gains=0.4),
+    "gaussian": NOISY_RIG,
+    "drift_0.1N": replace(NOISY_RIG, slow_force=0.1),
+    "lean": replace(NOISY_RIG, lean=15 * DEGREE, thickness=2.5 * MM),
+    "wide_foam": replace(NOISY_RIG, spread=2.0),
+    "gains": replace(NOISY_RIG, gains=0.4),
 }  # fmt: skip
-"""The paper's rig and what comes on top of it; from `gaussian` on a rig without an error of its own."""
+"""`nothing` is the paper's rig without further errors. From `gaussian` on, a rig without an error of its own."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KnownPoke:
-    """A poke at a landmark, as it is recorded."""
+class KnownPoke(NamedTuple):
+    """A poke at a landmark as recorded, with the fields of `skincal.rig`'s `LandmarkPoke` first."""
 
     poke: int
     name: str
@@ -199,28 +198,28 @@ class KnownPoke:
     """(4, 4) float, metres, as reported."""
     pose: str
     planned: bool
-    """Among the few that the guide asks for (`PLAN`)."""
+    """Whether it is among the few that the guide asks for (`GUIDED_LANDMARK_POKES`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poked:
-    """A session on a rig, and what is true."""
+class SimulatedSession:
+    """A session on a rig, and the truth."""
 
     contacts: list[Contact]
     known: list[KnownPoke]
     channels: IntArray
     """(n,) the taxels, ascending."""
     places: FloatArray
-    """(n, 3) float, metres: where they really are."""
+    """(n, 3) float, metres: their true positions."""
     vertices: FloatArray
-    """(nv, 3) float, metres: the mesh that the program is given."""
+    """(nv, 3) float, metres: the mesh that the program gets."""
 
 
 # ---- geometry
 
 
 def turns(vectors: FloatArray) -> FloatArray:
-    """Return (n, 3, 3) rotations about `vectors` (n, 3) by their lengths, radians: cos I + sin S + (1 - cos) u u'."""
+    """Make rotations (n, 3, 3) about `vectors` (n, 3) by their lengths, radians: cos I + sin S + (1 - cos) u u'."""
     angle = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.where(angle > 0, angle, 1.0)[:, None]).T
     cross = np.moveaxis(np.array([[0 * x, -z, y], [z, 0 * x, -x], [-y, x, 0 * x]]), 2, 0)
@@ -230,14 +229,14 @@ def turns(vectors: FloatArray) -> FloatArray:
 
 
 def motions(turn: FloatArray, shift: FloatArray) -> FloatArray:
-    """Return (n, 4, 4) poses that turn by `turn` (n, 3), then shift by `shift` (n, 3)."""
+    """Make poses (n, 4, 4) that turn by `turn` (n, 3), then shift by `shift` (n, 3)."""
     poses = np.tile(np.eye(4), (len(turn), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = turns(turn), shift
     return poses
 
 
-def chain(scene: Scene) -> dict[str, FloatArray]:
-    """Return link_from_sensor (4, 4) of each arm pose of a scene, as its joints report it.
+def forward_kinematics(scene: Scene) -> dict[str, FloatArray]:
+    """Compute link_from_sensor (4, 4) of each arm pose of a scene, as its joints report it.
 
     Each joint turns about z, shifts by d along it, shifts by a along x and turns by alpha about it: four motions after another.
     """
@@ -256,22 +255,22 @@ def chain(scene: Scene) -> dict[str, FloatArray]:
 
 
 def unit(vectors: FloatArray) -> FloatArray:
-    """Return vectors (..., 3) of length one."""
+    """Scale vectors (..., 3) to length one."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def dot(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return (n, 1) the products of vectors (n, 3)."""
+    """Return the scalar products (n, 1) of vectors (n, 3)."""
     return np.sum(first * second, axis=1, keepdims=True)
 
 
 def sideways(normals: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 3) vectors in the plane of the skin, drawn with a variance of one in each direction."""
+    """Draw vectors (n, 3) in the plane of the skin, with a variance of one in each direction."""
     drawn = rng.standard_normal(normals.shape)
     return drawn - dot(drawn, normals) * normals
 
 
-class Body:
+class SmoothSurface:
     """A part's smooth skin, from the triangles of its mesh.
 
     Parameters
@@ -294,8 +293,8 @@ class Body:
         return unit(areas)
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the feet (n, 3) of points (n, 3) near the part, and the unit normals there, smooth across triangles."""
-        rows: IntArray = self._tree.query(points, k=NEAR)[1]
+        """Return the nearest points (n, 3) of points (n, 3), and the unit normals there, smooth across triangles."""
+        rows: IntArray = self._tree.query(points, k=NEAREST_TRIANGLES)[1]
         corners = self.triangles[rows]
         a, b, c = np.moveaxis(self.vertices[corners], 2, 0)
         u, v, w = b - a, c - a, points[:, None] - a
@@ -322,24 +321,24 @@ class Body:
         (n, 3) the ends, (n, 3) the ways as they arrive there, as long as before, and (n, 3) the normals there
         """
         points, normals = self.nearest(starts)
-        for _ in range(MARCH):
+        for _ in range(MARCH_STEPS):
             before = normals
-            points, normals = self.nearest(points + ways / MARCH)
+            points, normals = self.nearest(points + ways / MARCH_STEPS)
             # The shortest turn that takes the one normal to the other.
             ways = ways - dot(ways, normals) / (1.0 + dot(before, normals)) * (before + normals)
         return points, ways, normals
 
-    def wrong(self, world: World, rng: np.random.Generator) -> FloatArray:
-        """Return the (nv, 3) corners as the program is given them."""
+    def wrong(self, world: RigModel, rng: np.random.Generator) -> FloatArray:
+        """Draw the vertices (nv, 3) of the mesh that the program gets."""
         shift = world.mesh_shift * unit(rng.standard_normal(3))
-        waves, phases = rng.standard_normal((200, 3)) / BUMP, rng.uniform(0, 2 * np.pi, 200)
-        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 BUMP^2).
+        waves, phases = rng.standard_normal((200, 3)) / BUMP_LENGTH, rng.uniform(0, 2 * np.pi, 200)
+        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 BUMP_LENGTH^2).
         bumps = np.cos(self.vertices @ waves.T + phases).sum(axis=1) * np.sqrt(2 / len(waves))
         return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
 
 
-def taxels(scene: Scene, part: Body, world: World, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
-    """Return channels (n,) and places (n, 3) of the taxels: the plan stuck on the part, each module bent but not stretched.
+def taxels(scene: Scene, part: SmoothSurface, world: RigModel, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
+    """Return channels (n,) and positions (n, 3) of the taxels: the plan on the part, each module bent but not stretched.
 
     A module's middle lies straight from its anchor, its pads straight from there.
     """
@@ -384,12 +383,11 @@ class Presses:
     normal_loads: FloatArray
     """(2, n) float, N."""
 
-    def take(self, rows: IntArray) -> Presses:
-        """Return some of the pokes."""
+    def select(self, rows: IntArray) -> Presses:
         return Presses(self.feet[:, rows], self.points[:, rows], self.forces[:, rows], self.normal_loads[:, rows])
 
 
-class Hand:
+class Operator:
     """How somebody pushes; drawn once for a session.
 
     Parameters
@@ -399,12 +397,12 @@ class Hand:
     rng : draws the side to which the operator leans, one along the skin
     """
 
-    def __init__(self, world: World, up: FloatArray, rng: np.random.Generator) -> None:
+    def __init__(self, world: RigModel, up: FloatArray, rng: np.random.Generator) -> None:
         self.world = world
         self.side = unit(sideways(up[None], rng)[0])
 
     def pushes(self, normals: FloatArray, cone: float, rng: np.random.Generator) -> FloatArray:
-        """Return (n, 3) unit pushes on skin with outward `normals` (n, 3), inside the cone of friction."""
+        """Draw unit pushes (n, 3) on skin with outward `normals` (n, 3), inside the cone of friction."""
         count = len(normals)
         ahead = self.side - (normals @ self.side)[:, None] * normals
         ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
@@ -416,16 +414,16 @@ class Hand:
         steep = np.linalg.norm(aside, axis=1, keepdims=True)
         return unit(aside * np.minimum(1.0, self.world.friction / np.maximum(steep, 1e-9)) - normals)
 
-    def press(self, part: Body, places: FloatArray, rng: np.random.Generator) -> Presses:
+    def press(self, part: SmoothSurface, places: FloatArray, rng: np.random.Generator) -> Presses:
         """Poke at places (n, 3) of the skin."""
         world, count = self.world, len(places)
         _, normals = part.nearest(places)
         meant, normals = part.nearest(places + world.beside * sideways(normals, rng))
         push = self.pushes(normals, world.cone, rng)
-        load = rng.uniform(*FORCES, count)
+        load = rng.uniform(*SKIN_FORCES, count)
         both = rng.uniform(size=count) < world.two
         share = np.where(both, rng.uniform(0.3, 0.7, count), 1.0)
-        apart = np.where(both, FINGER / 2, 0.0)[:, None] * unit(sideways(normals, rng))
+        apart = np.where(both, FINGER_WIDTH / 2, 0.0)[:, None] * unit(sideways(normals, rng))
         touches = [
             self._touch(part, meant + way * apart, push, load * bears, rng) for way, bears in ((1, share), (-1, 1.0 - share))
         ]
@@ -433,9 +431,9 @@ class Hand:
         return Presses(feet, points, forces, loads)
 
     def _touch(
-        self, part: Body, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
+        self, part: SmoothSurface, places: FloatArray, push: FloatArray, load: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return foot, point and force of one place that the tip presses, and the load along the normal."""
+        """Return foot, point and force of one touch, and the load along the normal."""
         world = self.world
         feet, normals = part.nearest(places)
         forces = load[:, None] * push
@@ -444,32 +442,36 @@ class Hand:
         points = feet + world.thickness * normals + moved + world.scatter * sideways(normals, rng)
         return feet, points, forces, -along[:, 0]
 
-    def press_landmarks(self, part: Body, places: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return points and forces (n, 3) of pokes at known places (n, 3): hard ground, no foam."""
+    def press_landmarks(
+        self, part: SmoothSurface, places: FloatArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Poke at known points (n, 3) on hard ground. Return points and forces (n, 3)."""
         _, normals = part.nearest(places)
         points = places + self.world.aim * sideways(normals, rng)
         return points, rng.uniform(*LANDMARK_FORCES, len(places))[:, None] * self.pushes(normals, LANDMARK_CONE, rng)
 
 
-def answers(world: World, places: FloatArray, gains: FloatArray, presses: Presses, rng: np.random.Generator) -> FloatArray:
-    """Return (n, taxels) what the taxels at `places` answer, in counts of 255 above their baseline."""
+def taxel_responses(
+    world: RigModel, places: FloatArray, gains: FloatArray, presses: Presses, rng: np.random.Generator
+) -> FloatArray:
+    """Compute the responses (n, taxels) of the taxels at `places`, in counts of 255 above their baseline."""
     total = np.zeros((presses.feet.shape[1], len(places)))
     for feet, load in zip(presses.feet, presses.normal_loads, strict=True):
-        depth = np.sqrt(load / (np.pi * world.tip * STIFFNESS))
+        depth = np.sqrt(load / (np.pi * world.tip * FOAM_STIFFNESS))
         # The variance in each direction of a paraboloid over a disc of radius a is a^2/6, of a flat one over the pad a^2/4.
-        spread = 2 * world.tip * depth / 6 + PAD**2 / 4 + (world.spread * FOAM_SPREAD) ** 2
+        spread = 2 * world.tip * depth / 6 + PAD_RADIUS**2 / 4 + (world.spread * FOAM_SPREAD) ** 2
         away = np.sum((places[None] - feet[:, None]) ** 2, axis=2)
-        total += (load * PAD**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
-    clean = TOP * (1.0 - np.exp(-gains * total / SCALE))
-    return clean + np.sqrt(COUNT * FRAMES) * rng.standard_normal(clean.shape)
+        total += (load * PAD_RADIUS**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
+    clean = RESPONSE_MAX * (1.0 - np.exp(-gains * total / RESPONSE_SCALE_N))
+    return clean + np.sqrt(COUNT_VARIANCE * FRAME_VARIANCE_SHARE) * rng.standard_normal(clean.shape)
 
 
 # ---- sensor and arm
 
 
 def slow_noise(count: int, width: int, rng: np.random.Generator) -> FloatArray:
-    """Return (count, width) noise of variance one whose correlation falls to 1/e over `SLOW` pokes."""
-    kept = np.exp(-1.0 / SLOW)
+    """Draw noise (count, width) of variance one whose correlation falls to 1/e over `SLOW_NOISE_POKES` pokes."""
+    kept = np.exp(-1.0 / SLOW_NOISE_POKES)
     fresh = rng.standard_normal((count, width))
     fresh[1:] *= np.sqrt(1.0 - kept**2)
     for i in range(1, count):
@@ -486,17 +488,17 @@ class Sensor:
     rng : draws what stays
     """
 
-    def __init__(self, world: World, rng: np.random.Generator) -> None:
+    def __init__(self, world: RigModel, rng: np.random.Generator) -> None:
         self.world = world
         arm = np.repeat([1.0, MATRIX_ARM], 3)
         self.matrix = np.eye(6) + world.matrix * rng.standard_normal((6, 6)) * arm[:, None] / arm
-        self.scale = np.repeat([FORCE, FORCE * LEVER], 3)
+        self.scale = np.repeat([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER], 3)
         # Of unit numbers Q has a variance of |u|^4 in each of six components; force and moment together make |u|^2 = 2.
         self.quadratic = world.quadratic * np.sqrt(2 / 6) / 2 * rng.standard_normal((6, 6, 6))
         self.keeps = world.hysteresis * rng.uniform(0.5, 1.5, 6)
 
     def read(self, wrenches: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return (n, 6) what is read of pokes after each other, tared by the mean of before and after, N and N m.
+        """Read successive pokes (n, 6), tared by the mean of before and after, N and N m.
 
         Parameters
         ----------
@@ -512,8 +514,8 @@ class Sensor:
         return wrenches @ self.matrix.T + bent - left + of_force * noise
 
 
-def felt(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float) -> FloatArray:
-    """Return (n, 6) the wrenches in the frame and about the origin of a sensor that bears the part.
+def sensor_wrenches(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float) -> FloatArray:
+    """Compute wrenches (n, 6) in the frame and about the origin of a sensor that carries the part.
 
     Parameters
     ----------
@@ -531,133 +533,97 @@ def felt(poses: FloatArray, points: FloatArray, forces: FloatArray, flex: float)
 
 # ---- a session
 
-CYCLE = 2.5
-"""s from one poke to the next."""
-TRIES = 4
-"""How often somebody pokes at a place again that no taxel answers, or too many, before going on."""
+CYCLE_S = 2.5
+"""From one poke to the next."""
+ATTEMPTS_MAX = 4
+"""Attempts at a target that no taxel taxel_responses, or too many."""
 
 
 def _skin_pokes(
-    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, targets: IntArray, rng: np.random.Generator
+    scene: Scene,
+    part: SmoothSurface,
+    who: Operator,
+    places: FloatArray,
+    gains: FloatArray,
+    targets: IntArray,
+    rng: np.random.Generator,
 ) -> tuple[Presses, FloatArray]:
-    """Return the pokes at `targets` (n,) that count, each of them tried a few times, and (n, taxels) what answers."""
-    presses = who.press(part, places[np.tile(targets, TRIES)], rng)
-    responses = answers(who.world, places, gains, presses, rng)
+    """Poke at `targets` (n,), each up to `ATTEMPTS_MAX` times. Return the pokes that count and their responses (n, taxels)."""
+    presses = who.press(part, places[np.tile(targets, ATTEMPTS_MAX)], rng)
+    responses = taxel_responses(who.world, places, gains, presses, rng)
     count = (responses > scene.contacts.response_min).sum(axis=1)
-    good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(TRIES, -1)
+    good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(ATTEMPTS_MAX, -1)
     rows = (good.argmax(axis=0) * len(targets) + np.arange(len(targets)))[good.any(axis=0)]
-    return presses.take(rows), responses[rows]
+    return presses.select(rows), responses[rows]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Session:
-    """n pokes after each other, as they really are."""
-
-    poses: IntArray
-    """(n,) index of the arm pose."""
-    marks: IntArray
-    """(n,) index of the landmark; -1 on the skin."""
-    points: FloatArray
-    """(2, n, 3) float, metres, link frame."""
-    forces: FloatArray
-    """(2, n, 3) float, N."""
-    responses: FloatArray
-    """(n, taxels) float, counts."""
-
-
-def poke(
-    scene: Scene, vertices: FloatArray, triangles: IntArray, world: World, seed: int, per_pose: int = 72, known: int = 10
-) -> Poked:
-    """Poke a rig in all its arm poses, in each first its landmarks in turn and then its skin.
+def simulate_session(
+    scene: Scene, vertices: FloatArray, triangles: IntArray, world: RigModel, seed: int, per_pose: int = 72, known: int = 10
+) -> SimulatedSession:
+    """Poke a rig in all its arm poses: in each first its landmarks in turn, then its skin.
 
     Parameters
     ----------
     scene : with a layout, an anchor and a mesh
-    vertices, triangles : (nv, 3) float, metres, and (nt, 3) int, outward: the part as it is
+    vertices, triangles : (nv, 3) float, metres, and (nt, 3) int, outward: the true part
     per_pose : pokes at the skin in each arm pose
-    known : pokes at landmarks in each; none where the scene has no landmarks
+    known : pokes at landmarks in each; none if the scene has no landmarks
     """
     mesh, mount, skin, arm, sensor, hand, wrong, noise = np.random.default_rng([seed, 12]).spawn(8)
-    part = Body(vertices, triangles)
+    part = SmoothSurface(vertices, triangles)
     channels, places = taxels(scene, part, world, mount)
     gains = np.exp(world.gains * skin.standard_normal(len(channels)))
-    reported = chain(scene)
-    who = Hand(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
-    session = _operated(scene, part, who, places, gains, (len(reported), per_pose, known), hand)
-    true = _beside(np.array(list(reported.values())), world, session.poses, arm)
-    read = Sensor(world, sensor).read(felt(true, session.points, session.forces, world.flex), noise)
-    given = [landmark.place + world.landmarks * wrong.standard_normal(3) for landmark in scene.landmarks]
-    contacts, pokes = _recorded(scene, session, reported, read, channels, given)
-    return Poked(contacts, pokes, channels, places, part.wrong(world, mesh))
-
-
-def _operated(
-    scene: Scene, part: Body, who: Hand, places: FloatArray, gains: FloatArray, sizes: tuple[int, int, int],
-    rng: np.random.Generator,
-) -> _Session:  # fmt: skip
-    """Return what is poked in (poses, pokes at the skin in each, pokes at landmarks in each)."""
-    poses, per_pose, known = sizes
-    targets = np.concatenate([rng.permutation(len(places)) for _ in range(-(-per_pose * poses // len(places)))])
+    reported = forward_kinematics(scene)
+    operator = Operator(world, unit(part.nearest(places)[1].mean(axis=0)), hand)
+    targets = np.concatenate([hand.permutation(len(places)) for _ in range(-(-per_pose * len(reported) // len(places)))])
     landmarks = np.array([landmark.place for landmark in scene.landmarks]).reshape(-1, 3)
     known = known if len(landmarks) else 0
-    parts: list[_Session] = []
-    for pose in range(poses):
-        # Each arm pose goes on with the landmark after the last one that the guide asked for.
-        marks = (sum(PLAN[:pose]) + np.arange(known)) % max(len(landmarks), 1)
-        at, push = who.press_landmarks(part, landmarks[marks], rng)
-        own = targets[pose * per_pose : (pose + 1) * per_pose]
-        presses, answered = _skin_pokes(scene, part, who, places, gains, own, rng)
-        count = len(answered)
-        parts.append(
-            _Session(
-                np.full(known + count, pose), np.concatenate([marks, np.full(count, -1)]),
-                np.concatenate([np.stack([at, at]), presses.points], axis=1),
-                np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1),
-                np.concatenate([np.zeros((known, len(places))), answered]),
-            )
-        )  # fmt: skip
-    return _Session(
-        np.concatenate([own.poses for own in parts]), np.concatenate([own.marks for own in parts]),
-        np.concatenate([own.points for own in parts], axis=1), np.concatenate([own.forces for own in parts], axis=1),
-        np.concatenate([own.responses for own in parts]),
-    )  # fmt: skip
-
-
-def _beside(reported: FloatArray, world: World, poses: IntArray, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 4, 4) link_from_sensor as it is at each poke, of `reported` (poses, 4, 4)."""
-    off, slow = rng.standard_normal((len(reported), 6)), np.zeros((len(poses), 6))
+    parts: list[tuple[Any, ...]] = []
     for pose in range(len(reported)):
-        own = np.flatnonzero(poses == pose)[1:]
-        # The variance of a walk's step k is k: over n steps after the first place it is (n + 1)/2 on average.
-        slow[own] = np.cumsum(rng.standard_normal((len(own), 6)), axis=0) / np.sqrt((len(own) + 1) / 2)
-    true = reported @ motions(world.pose_turn * off[:, :3], world.pose_shift * off[:, 3:])
-    return true[poses] @ motions(world.wander_turn * slow[:, :3], world.wander_shift * slow[:, 3:])
-
-
-def _recorded(
-    scene: Scene, session: _Session, reported: Mapping[str, FloatArray], read: FloatArray, channels: IntArray,
-    given: list[FloatArray],
-) -> tuple[list[Contact], list[KnownPoke]]:  # fmt: skip
-    """Return what a recording keeps of the pokes, read as `read` (n, 6); the landmarks are reported at `given`."""
-    contacts: list[Contact] = []
-    known: list[KnownPoke] = []
+        # Each arm pose goes on with the landmark after the last one that the guide asked for.
+        marks = (sum(GUIDED_LANDMARK_POKES[:pose]) + np.arange(known)) % max(len(landmarks), 1)
+        at, push = operator.press_landmarks(part, landmarks[marks], hand)
+        own = targets[pose * per_pose : (pose + 1) * per_pose]
+        presses, answered = _skin_pokes(scene, part, operator, places, gains, own, hand)
+        parts.append((
+            np.concatenate([np.stack([at, at]), presses.points], axis=1),
+            np.concatenate([np.stack([push, 0 * push]), presses.forces], axis=1),
+            np.concatenate([np.zeros((known, len(places))), answered]),
+            np.concatenate([marks, np.full(len(answered), -1)]), np.full(known + len(answered), pose),
+        ))  # fmt: skip
+    points, forces = (np.concatenate([own[i] for own in parts], axis=1) for i in range(2))
+    responses, marks, poses = (np.concatenate([own[i] for own in parts]) for i in range(2, 5))
+    true = _true_poses(np.array(list(reported.values())), world, poses, arm)
+    read = Sensor(world, sensor).read(sensor_wrenches(true, points, forces, world.flex), noise)
+    given = [landmark.place + world.landmarks * wrong.standard_normal(3) for landmark in scene.landmarks]
+    session = SimulatedSession([], [], channels, places, part.wrong(world, mesh))
     names, asked = list(reported), [0] * len(reported)
-    poses: list[int] = session.poses.tolist()
-    marks: list[int] = session.marks.tolist()
-    for i, (pose, mark) in enumerate(zip(poses, marks, strict=True)):
+    rows: list[tuple[int, int]] = list(zip(poses.tolist(), marks.tolist(), strict=True))
+    for i, (pose, mark) in enumerate(rows):
         name, force, moment = names[pose], read[i, :3], read[i, 3:]
         if mark >= 0:
             asked[pose] += 1
-            planned = pose < len(PLAN) and asked[pose] <= PLAN[pose]
+            planned = pose < len(GUIDED_LANDMARK_POKES) and asked[pose] <= GUIDED_LANDMARK_POKES[pose]
             title = scene.landmarks[mark].name
-            known.append(KnownPoke(i + 1, title, given[mark], force, moment, reported[name], name, planned))
+            session.known.append(KnownPoke(i + 1, title, given[mark], force, moment, reported[name], name, planned))
             continue
-        own = np.flatnonzero(session.responses[i] > scene.contacts.response_min)
-        contacts.append(
+        own = np.flatnonzero(responses[i] > scene.contacts.response_min)
+        session.contacts.append(
             Contact(
-                poke=i + 1, start_s=CYCLE * i, end_s=CYCLE * i + scene.contacts.still_s, force=force, moment=moment,
-                channels=channels[own], responses=session.responses[i, own], link_from_sensor=reported[name], pose=name,
+                poke=i + 1, start_s=CYCLE_S * i, end_s=CYCLE_S * i + scene.contacts.still_s, force=force, moment=moment,
+                channels=channels[own], responses=responses[i, own], link_from_sensor=reported[name], pose=name,
                 tare_change=0.0, final=True,
             )
         )  # fmt: skip
-    return contacts, known
+    return session
+
+
+def _true_poses(reported: FloatArray, world: RigModel, poses: IntArray, rng: np.random.Generator) -> FloatArray:
+    """Draw the true link_from_sensor (n, 4, 4) of each poke, from `reported` (poses, 4, 4)."""
+    off, slow = rng.standard_normal((len(reported), 6)), np.zeros((len(poses), 6))
+    for pose in range(len(reported)):
+        own = np.flatnonzero(poses == pose)[1:]
+        # The variance of a walk's step k is k: over n steps after the first point it is (n + 1)/2 on average.
+        slow[own] = np.cumsum(rng.standard_normal((len(own), 6)), axis=0) / np.sqrt((len(own) + 1) / 2)
+    true = reported @ motions(world.pose_turn * off[:, :3], world.pose_shift * off[:, 3:])
+    return true[poses] @ motions(world.wander_turn * slow[:, :3], world.wander_shift * slow[:, 3:])

@@ -1,0 +1,780 @@
+"""Stability cases of the program's additions: rig corrections, covariances, heights, distances, and the same in 80 digits.
+
+Choices are made in double precision by the program's rule, here too: trust of pokes, the likeliest noise of landmark pokes.
+Everything else is computed in another way.
+
+**A rig's correction.** The program solves for n unknowns x by QR of the prior's rows and the pokes', whitened. Here, with J the
+slopes of a step's rows, r their misses, R their covariance and P that of the prior,
+
+    x = P J' S^-1 (J x0 - r),   S = J P J' + R,   covariance P - P J' S^-1 J P,
+
+as many equations as rows. P is diagonal, and for the matrix C it is U x V over its rows and columns, so J P J' is a product of
+small matrices. Slopes with the arm's poses are differences in 80 digits. The uncertainty of a correction is compared by its
+effect on a poke on the skin, metres.
+
+**Covariances.** A poke whose wrench and pose are off by x shifts its axis across the push by u x (dm - c x df)/|f|, and a
+module by N^-1 sum A'D^-1 times that. **A height** z is one more unknown of the module, with n for its slope. **Known
+distances** are rows next to the inverse of P.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import orthonormal_pair as pairs_across
+from skincal.mesh.surface import make_surface
+from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resource
+from skincal.modules.distances import GAUSS_NEWTON_STEPS as DISTANCE_STEPS
+from skincal.modules.distances import apply_distances
+from skincal.modules.estimate import FittedModule, estimate_modules
+from skincal.modules.off_surface import MAX_HEIGHT_SD_M, MAX_THICKNESS_SDS, MIN_HEIGHT_SDS
+from skincal.modules.pose import LEVER_M, ModulePoses, ModulesOnSurface
+from skincal.modules.pose_fit import trust_from_squares
+from skincal.rig.correction import HAND_LOAD_N, Correction, CorrectionErrors, RigPrior, products
+from skincal.rig.correction_fit import (
+    GAUSS_NEWTON_STEPS,
+    HELD_OUT_PARTS,
+    LANDMARK_OFFSETS_M,
+    MIN_TRUSTED_SHARE,
+    MODEL_LOG_ODDS,
+    NOISE_FACTORS,
+    NONLINEAR_STEPS,
+    QUADRATIC_SHARE,
+    TRUST_ROUNDS,
+    LandmarkPoke,
+    RigAnswer,
+    RigRequest,
+    correct_rig,
+)
+from skincal.studies.reference_80_digits import (
+    DIFFERENCE_STEP,
+    MP,
+    Exact,
+    ExactPads,
+    ExactPokes,
+    InPlane,
+    cross,
+    dot,
+    find_pose,
+    inverse,
+    pokes_of,
+    residuals_and_jacobian,
+    solve_positive,
+    to_float,
+    to_mp,
+    true_pose,
+    two_across,
+)
+from skincal.studies.reference_80_digits import unit as unit_of
+from skincal.studies.stability_cases import (
+    PADS_PER_MODULE,
+    CaseSizes,
+    ModuleCase,
+    arm_poses,
+    cone,
+    contacts_of,
+    in_space,
+    model_of,
+    module_case,
+    on_sheet,
+    unit,
+)
+from skincal.taxels.contact_table import ContactTable
+from skincal.taxels.result import Estimate, Method, State
+
+Outputs: TypeAlias = dict[str, Any]
+"""Numbers by name: arrays of floats from the program, of exact numbers from here."""
+_np: Any = np
+LINEAR_COLUMNS, ALL_COLUMNS = 6, 27
+"""Columns of the matrix C: of a wrench's components, and with their products."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddedCase:
+    """Inputs (a dataclass of arrays), and two ways to compute the outputs."""
+
+    name: str
+    inputs: Any
+    shipped: Callable[[Any], Outputs]
+    exact: Callable[[Any], Outputs]
+    pokes: int
+
+
+def _sinc(angle: Any) -> Any:
+    return MP.sin(angle) / angle if angle else MP.one
+
+
+_sincs: Any = _np.frompyfunc(_sinc, 1, 1)
+
+
+def rotate(v: Exact, by: Exact) -> Exact:
+    """Rotate `v` (..., 3) about `by` (..., 3) by its length, rad: v + sinc b x v + (1 - cos)/b^2 b x (b x v)."""
+    angle = np.sqrt((by * by).sum(axis=-1, keepdims=True))
+    once = cross(by, v)
+    return v + _sincs(angle) * once + _sincs(angle / 2) ** 2 / 2 * cross(by, once)
+
+
+# ---- a rig's correction ----
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionInputs:
+    """Pokes at landmarks, and one on the skin in each arm pose."""
+
+    wrenches: FloatArray
+    """(m, 6) float, N and N m, sensor frame; those on the skin last."""
+    places: FloatArray
+    """(l, 3) float, metres, link frame: landmarks, then the points on the skin."""
+    at: IntArray
+    """(m,) index into `places`."""
+    poses: FloatArray
+    """(g, 4, 4) float: link_from_sensor as reported."""
+    pose_of: IntArray
+    """(m,) index into `poses`."""
+    noise: NoiseSettings
+    prior: RigPrior
+
+    @property
+    def landmark_count(self) -> int:
+        """Number of pokes at landmarks."""
+        return len(self.at) - len(self.poses)
+
+
+class _Equations(NamedTuple):
+    """Equations of a step, in exact numbers or in floats, and for rows of m pokes.
+
+    `prior` (2m, 2m) is J P J', `wanted` (2m,) is J x0 - r, `noise` (m, 2, 2) is D, `alike` (2m, 2m) the part of R by a metre of
+    landmark error.
+    """
+
+    prior: Exact
+    wanted: Exact
+    noise: Exact
+    alike: Exact
+
+    def covariance(self, trust: FloatArray, choice: tuple[float, float]) -> Exact:
+        """Return R (2m, 2m) for the pokes' trust, and for a choice of noise factor and landmark error (m)."""
+        at, (noisier, off) = np.arange(len(trust)), choice
+        every = self.alike * off**2
+        own = every.reshape(len(at), 2, len(at), 2)
+        own[at, :, at] = own[at, :, at] + self.noise * (noisier**2 - 1.0 + 1.0 / np.where(trust > 0, trust, 1.0))[:, None, None]
+        return every
+
+    def solve(self, trust: FloatArray, choice: tuple[float, float]) -> _Posterior:
+        counts = np.flatnonzero(np.repeat(trust > 0, 2))
+        total = (self.prior + self.covariance(trust, choice))[np.ix_(counts, counts)]
+        pulls, log = solve_positive(total, self.wanted[counts])
+        return _Posterior(counts, total, pulls, -(dot(self.wanted[counts], pulls) + log) / 2)
+
+    def predict_misses(self, found: _Posterior) -> tuple[Exact, Exact]:
+        """Return the misses (m, 2) after a step, and J C J' (m, 2, 2) of each poke."""
+        seen, count = self.prior[:, found.counts], len(self.noise)
+        known = self.prior - seen @ solve_positive(found.covariance, seen.T)[0]
+        return (seen @ found.pulls - self.wanted).reshape(count, 2), _blocks(known)
+
+    def own(self, choice: tuple[float, float]) -> Exact:
+        return _blocks(self.covariance(np.ones(len(self.noise)), choice))
+
+    def rounded(self) -> _Equations:
+        return _Equations(*map(to_float, self))
+
+
+class _Posterior(NamedTuple):
+    """Result of a step: x = P J' pulls, the rows `counts` it used, their covariance S, and log density but for a constant."""
+
+    counts: IntArray
+    covariance: Exact
+    pulls: Exact
+    log: Any
+
+
+def _blocks(covariance: Exact) -> Exact:
+    at = np.arange(len(covariance) // 2)
+    return covariance.reshape(len(at), 2, len(at), 2)[at, :, at]
+
+
+class _Fit:
+    """The program's steps from landmark pokes in 80 digits, from the fit `begin` or from zero."""
+
+    def __init__(self, pokes: CorrectionInputs, quadratic: float, begin: _Fit | None, steps: int) -> None:
+        units, prior = HAND_LOAD_N * np.repeat([1.0, pokes.prior.arm], 3), pokes.prior
+        columns = [to_mp(prior.matrix) / to_mp(units)]
+        if quadratic:
+            columns.append(to_mp(quadratic) / to_mp(products(units[None])[0]))
+        self.pokes, self._own = pokes, np.arange(pokes.landmark_count)
+        self._units, self.columns = to_mp(units) ** 2, np.concatenate(columns) ** 2
+        self._turns = to_mp(np.repeat([prior.pose_turn, prior.pose_shift], 3)) ** 2
+        wrenches = to_mp(pokes.wrenches)
+        first, second = np.triu_indices(6)
+        every = np.concatenate([wrenches, wrenches[:, first] * wrenches[:, second]], axis=1)
+        self._features = every[:, : len(self.columns)]
+        self.trust, self._chosen = np.ones(pokes.landmark_count), (1.0, 0.0)
+        self.matrix, self.poses = to_mp(np.zeros((6, len(self.columns)))), to_mp(np.zeros((len(pokes.poses), 6)))
+        if begin is not None:
+            self.trust, self.poses = begin.trust, begin.poses
+            self.matrix[:, : len(begin.columns)] = begin.matrix
+        for _ in range(steps):
+            self._iterate()
+
+    def _rows(self) -> list[Exact]:
+        """Compute rows r = E (m' - c x f')/|f| of the landmark pokes, E any two directions across the measured push.
+
+        Returns
+        -------
+        r (m, 2), its change with the added wrench (m, 2, 6), with turn and shift of the pose (m, 2, 6) and with the place
+        (m, 2, 3), and the noise D (m, 2, 2)
+        """
+        pokes = self.pokes
+        wrenches, poses = to_mp(pokes.wrenches), to_mp(pokes.poses)[pokes.pose_of]
+        size = np.sqrt(dot(wrenches[:, :3], wrenches[:, :3]))[:, None, None]
+        pairs = two_across(unit_of(wrenches[:, :3])) / size
+        corrected = wrenches + self._features @ self.matrix.T
+        reached = to_mp(pokes.places)[pokes.at] - poses[:, :3, 3]
+        there = (reached[:, None] @ poses[:, :3, :3])[:, 0]
+        force, moment = corrected[:, None, :3], corrected[:, None, 3:]
+
+        def lever(change: Exact) -> Exact:
+            own = self.poses[pokes.pose_of] + change
+            return rotate(there - own[:, 3:], -own[:, :3])[:, None]
+
+        def missed(change: Exact) -> Exact:
+            return dot(pairs, moment - cross(lever(change), force))
+
+        here, still = lever(self._turns * 0), missed(self._turns * 0)
+        slopes = [(missed(one * DIFFERENCE_STEP) - still) / DIFFERENCE_STEP for one in to_mp(np.eye(6))]
+        # e.(f x dc) = (e x f).dc, and e.(df x c) = (c x e).df.
+        of_lever, of_force = cross(pairs, force), cross(here, pairs)
+        noise = pokes.noise
+        variances = to_mp([noise.moment, noise.force, pokes.prior.landmark]) ** 2
+        terms = zip(variances, (pairs, of_force, of_lever), strict=True)
+        added: Exact = sum(variance * (each @ each.swapaxes(1, 2)) for variance, each in terms)
+        turn = rotate(to_mp(np.eye(3))[None], -self.poses[pokes.pose_of][:, None, :3])
+        of_place = of_lever @ turn.swapaxes(1, 2) @ poses[:, :3, :3].swapaxes(1, 2)
+        every = still, np.concatenate([of_force, pairs], axis=2), np.stack(slopes, axis=2), of_place, added
+        return [each[self._own] for each in every]
+
+    def _together(self, one: tuple[Exact, Exact, IntArray], other: tuple[Exact, Exact, IntArray]) -> Exact:
+        """Return J P J' of rows with rows: of the wrench (m, r, 6) and of the pose (m, r, 6), and whose pokes they are."""
+        (wrench, pose, of), (others, poses, at) = one, other
+        features = (self._features[of] * self.columns) @ self._features[at].T
+        both = (wrench * self._units).reshape(-1, 6) @ others.reshape(-1, 6).T
+        turns = (pose * self._turns).reshape(-1, 6) @ poses.reshape(-1, 6).T
+        same = (self.pokes.pose_of[of][:, None] == self.pokes.pose_of[at]).astype(int)
+
+        def spread(of_pokes: Exact) -> Exact:
+            return of_pokes.repeat(wrench.shape[1], axis=0).repeat(others.shape[1], axis=1)
+
+        return both * spread(features) + turns * spread(same)
+
+    def _iterate(self) -> None:
+        misses, of_wrench, of_pose, of_place, noise = self._rows()
+        self._parts = of_wrench, of_pose, self._own
+        wanted = (self._shifts(*self._parts) - misses).ravel()
+        places, of = of_place.reshape(-1, 3), self.pokes.at[self._own].repeat(2)
+        alike = places @ places.T * (of[:, None] == of).astype(int)
+        self._last = _Equations(self._together(self._parts, self._parts), wanted, noise, alike)
+        rounded = self._last.rounded()
+        for _ in range(TRUST_ROUNDS):
+            self.trust = self._trusted(rounded)
+        self._chosen = self._likeliest(rounded, self.trust)
+        # P J' S^-1 (J x0 - r).
+        found = self._last.solve(self.trust, self._chosen)
+        wrench, pose = (part.reshape(-1, 6)[found.counts] * found.pulls[:, None] for part in self._parts[:2])
+        of = np.repeat(self._own, 2)[found.counts]
+        self.matrix = self._units[:, None] * (wrench.T @ self._features[of]) * self.columns
+        pose_of = self.pokes.pose_of[of]
+        self.poses = np.array([self._turns * pose[pose_of == g].sum(axis=0) for g in range(len(self.pokes.poses))])
+
+    def _shifts(self, of_wrench: Exact, of_pose: Exact, of: IntArray) -> Exact:
+        """Return J x of rows of the pokes `of`."""
+        wrench = (self._features[of] @ self.matrix.T)[:, None]
+        return dot(of_wrench, wrench) + dot(of_pose, self.poses[self.pokes.pose_of[of], None])
+
+    def _likeliest(self, rounded: _Equations, trust: FloatArray) -> tuple[float, float]:
+        """Choose noise factor and landmark error (m) by likelihood."""
+        choices = [(noisier, off) for noisier in NOISE_FACTORS for off in LANDMARK_OFFSETS_M]
+        return max(choices, key=lambda choice: rounded.solve(trust, choice).log)
+
+    def _trusted(self, rounded: _Equations) -> FloatArray:
+        left, leverage = rounded.predict_misses(rounded.solve(self.trust, self._chosen))
+        counts = np.where(self.trust > 0.5, -self.trust, 1.0)[:, None, None]
+        found = trust_from_squares(np.maximum(_squares(left, rounded.own(self._chosen) + counts * leverage), 0.0))
+        return found if found.sum() >= MIN_TRUSTED_SHARE * len(found) else np.ones(len(found))
+
+    def log_likelihood(self, trust: FloatArray) -> Any:
+        """Return the log density of the whitened rows, but for a constant; it leaves out their noise."""
+        noise = self._last.noise[trust > 0]
+        within = sum(MP.log(each[0, 0] * each[1, 1] - each[0, 1] * each[1, 0]) for each in noise)
+        return self._last.solve(trust, self._likeliest(self._last.rounded(), trust)).log + within / 2
+
+    def ratio(self) -> Any:
+        """Return the ratio of measured to predicted misses of held-out landmark pokes."""
+        named = [str(at) for at in self.pokes.at[self._own].tolist()]
+        names, total = sorted(set(named)), MP.zero
+        quarter = np.array([names.index(name) % HELD_OUT_PARTS for name in named])
+        for out in range(HELD_OUT_PARTS):
+            own = quarter == out
+            left, known = self._last.predict_misses(self._last.solve(np.where(own, 0.0, self.trust), self._chosen))
+            total = total + dot(_squares(left[own], (self._last.own(self._chosen) + known)[own]), self.trust[own])
+        return MP.sqrt(total / self.trust.sum() / 2)
+
+    def unknowns(self) -> Exact:
+        """Return the unknowns in standard deviations of their prior, first those of C, row by row."""
+        roots = np.sqrt(self._units), np.sqrt(self.columns)
+        matrix = self.matrix / roots[0][:, None] / roots[1]
+        return np.concatenate([matrix.ravel(), (self.poses / np.sqrt(self._turns)).ravel()])
+
+    def on_skin(self) -> tuple[Exact, Exact, Exact]:
+        """Return the shifts (m) of the axes of pokes on the skin by wrench and pose errors, and the indices of these pokes."""
+        pokes = self.pokes
+        of = np.arange(pokes.landmark_count, len(pokes.at))
+        wrenches, poses = to_mp(pokes.wrenches)[of], to_mp(pokes.poses)[pokes.pose_of[of]]
+        return (*axes_off(wrenches, poses, to_mp(pokes.places)[pokes.at[of]]), of)
+
+    def spread(self, skin: tuple[Exact, Exact, IntArray]) -> Exact:
+        """Return (k, 3, 3) the covariance of the axes of k pokes on the skin."""
+        found = self._last.solve(self.trust, self._chosen)
+        count, at = len(skin[2]), np.arange(len(skin[2]))
+        seen = self._together(skin, self._parts)[:, found.counts]
+        every = self._together(skin, skin) - seen @ solve_positive(found.covariance, seen.T)[0]
+        return every.reshape(count, 3, count, 3)[at, :, at]
+
+    def axes(self, skin: tuple[Exact, Exact, IntArray]) -> Exact:
+        """Return the shifts (k, 3) of the axes of k pokes on the skin by the unknowns."""
+        return self._shifts(*skin)
+
+
+def axes_off(wrenches: Exact, poses: Exact, places: Exact) -> tuple[Exact, Exact]:
+    """Return the shifts (m, 3, 6) of axes across their pushes at `places` (m, 3), by wrench errors and by pose errors."""
+    force = wrenches[:, None, :3]
+    size = np.sqrt(dot(force, force))[:, :, None]
+    here = (places - poses[:, :3, 3])[:, None] @ poses[:, :3, :3]
+    eye = to_mp(np.eye(3))[None]
+    # By each component of a force -c x df, of a moment dm, of a turn f x (c x w), of a shift -f x t.
+    moments = [-cross(here, eye), eye + 0 * here, cross(force, cross(here, eye)), -cross(force, eye + 0 * here)]
+    across = [cross(force / size, each / size) for each in moments]
+    off = [(each @ poses[:, :3, :3].swapaxes(1, 2)).swapaxes(1, 2) for each in across]
+    return np.concatenate(off[:2], axis=2), np.concatenate(off[2:], axis=2)
+
+
+def _squares(misses: Exact, covariances: Exact) -> Exact:
+    """Return the squared Mahalanobis lengths (m,) of misses (m, 2)."""
+    (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
+    x, y = misses.T
+    return (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+
+
+def exact_correction(pokes: CorrectionInputs) -> Outputs:
+    """Compute the unknowns of a rig's correction, and the covariance that it leaves to the axes of the pokes on the skin."""
+    linear = _Fit(pokes, pokes.prior.quadratic, None, GAUSS_NEWTON_STEPS)
+    bent = _Fit(pokes, QUADRATIC_SHARE, linear, NONLINEAR_STEPS)
+    counts = np.minimum(linear.trust, bent.trust)
+    gap = bent.log_likelihood(counts) - linear.log_likelihood(counts)
+    likelier = bent if gap > 0 else linear
+    more, skin = max(MP.one, likelier.ratio()) ** 2, likelier.on_skin()
+    if abs(gap) > MODEL_LOG_ODDS:
+        return {"unknowns": likelier.unknowns(), "uncertainty": more * likelier.spread(skin)}
+    chance = 1 / (1 + MP.exp(-gap))
+    off = linear.axes(skin) - bent.axes(skin)
+    both = (1 - chance) * linear.spread(skin) + chance * bent.spread(skin)
+    both = both + chance * (1 - chance) * off[:, :, None] * off[:, None]
+    one, other = linear.unknowns(), bent.unknowns()
+    wide = other * 0
+    of_matrix = 6 * len(bent.columns)
+    wide[:of_matrix].reshape(6, -1)[:, :LINEAR_COLUMNS] = one[: 6 * LINEAR_COLUMNS].reshape(6, -1)
+    wide[of_matrix:] = one[6 * LINEAR_COLUMNS :]
+    return {"unknowns": (1 - chance) * wide + chance * other, "uncertainty": more * both}
+
+
+def shipped_correction(pokes: CorrectionInputs) -> Outputs:
+    """Compute the same by the program."""
+    answer = correct_by_landmarks(pokes)
+    if answer.correction is None or min(answer.trust.values()) < 1.0:
+        raise ValueError("a case whose landmark pokes do not all count")
+    of = np.arange(pokes.landmark_count, len(pokes.at))
+    contacts = {
+        at: Contact(at, 0.0, 1.0, pokes.wrenches[at, :3], pokes.wrenches[at, 3:], np.array([0]), np.ones(1),
+                    pokes.poses[pokes.pose_of[at]], f"{pokes.pose_of[at]}", 0.0, True)
+        for at in of.tolist()
+    }  # fmt: skip
+    pushes = (pokes.poses[pokes.pose_of[of], :3, :3] @ pokes.wrenches[of, :3, None])[:, :, 0]
+    pairs = pairs_across(unit(pushes))
+    alike, _ = CorrectionErrors(answer.correction, contacts.__getitem__)(of, pokes.places[pokes.at[of]], pairs)
+    off = pairs.transpose(0, 2, 1) @ alike
+    return {"unknowns": answer.unknowns, "uncertainty": off @ off.transpose(0, 2, 1)}
+
+
+def correct_by_landmarks(pokes: CorrectionInputs) -> RigAnswer:
+    """Correct a rig by the program."""
+    scene = replace(load_scene(resource("scenes/icub-forearm/scene.toml")), noise=pokes.noise)
+    known = [
+        LandmarkPoke(at, f"{pokes.at[at]}", pokes.places[pokes.at[at]], pokes.wrenches[at, :3], pokes.wrenches[at, 3:],
+                     pokes.poses[pokes.pose_of[at]], f"{pokes.pose_of[at]}")
+        for at in range(pokes.landmark_count)
+    ]  # fmt: skip
+    return correct_rig(RigRequest(scene, None, [], known, prior=pokes.prior))
+
+
+# ---- covariances, heights and distances of modules ----
+
+POKE_NUMBER_STEP = 100
+"""Pokes with numbers so far apart share no slow noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CovarianceInputs:
+    """A module's pokes, and the root of a correction's covariance."""
+
+    case: ModuleCase
+    root: FloatArray
+    """(n, n) float, as in `Correction`."""
+    columns: int
+    """Of the matrix C."""
+    known: int
+    """Number of arm poses in the correction; the others are as wrong as the prior says."""
+
+
+def shared_errors(shared: CovarianceInputs, contacts: Sequence[Contact]) -> CorrectionErrors:
+    """Make the program's errors of a correction with this root."""
+    quadratic = np.zeros((6, shared.columns - LINEAR_COLUMNS))
+    motions = {f"pose {pose}": np.eye(4) for pose in range(shared.known)}
+    correction = Correction(np.eye(6), motions=motions, root=shared.root, quadratic=quadratic)
+    return CorrectionErrors(correction, {contact.poke: contact for contact in contacts}.__getitem__)
+
+
+def renumber(contacts: Sequence[Contact]) -> list[Contact]:
+    """Renumber contacts so that they share no slow noise."""
+    return [replace(contact, poke=1 + POKE_NUMBER_STEP * at) for at, contact in enumerate(contacts)]
+
+
+def exact_covariances(shared: CovarianceInputs) -> Outputs:
+    """Compute covariances of a module's pads, their part that all pokes share, and the variance of its height."""
+    case = shared.case
+    pokes = pokes_of(case.readings, case.noise)
+    pose, _ = find_pose(pokes, true_pose(case))
+    pads = pose.pads()
+    misses, slopes, weight = residuals_and_jacobian(pokes, pads)
+    unknowns = slopes.shape[2]
+    places, _, normals = pokes.contact_centres(pads)
+    weights = slopes.swapaxes(1, 2) @ weight
+    back = inverse((weights @ slopes).sum(axis=0))
+    alike, of_pose = _axes_of(shared, pokes, places)
+    moves = back @ (weights @ alike).sum(axis=0)
+    own = [(weights @ each).sum(axis=0) for each in of_pose]
+    squares, free = dot(misses, (weight @ misses[:, :, None])[:, :, 0]).sum(), 2 * len(misses) - unknowns
+    factor = _factor(squares, free)
+    skin, out = to_mp(case.noise.skin), dot(pokes.pairs, normals[:, None])
+    along = back @ (weights @ out[:, :, None]).sum(axis=0)
+    total = factor * back + skin**2 * along @ along.T + sum(back @ each @ each.T @ back for each in own)
+    height = MP.zero
+    if unknowns == ModulesOnSurface.unknowns:
+        # One unknown more: the misses' slope with the height, less what the module's own unknowns make of it.
+        alone = ((out - (slopes @ along)[:, :, 0])[:, None] @ weight)[:, 0]
+        told = dot(alone, out).sum()
+        z = dot(alone, misses).sum() / told
+        z = min(z, max(z - MAX_THICKNESS_SDS * skin, MP.zero))
+        lifts = [(alone[:, None] @ each).sum(axis=0)[0] / told for each in (alike, *of_pose)]
+        variance = factor / told + sum(dot(each, each) for each in lifts)
+        height = z**2 - variance if factor / told < MAX_HEIGHT_SD_M**2 and z**2 > MIN_HEIGHT_SDS**2 * variance else MP.zero
+    changes = pads.changes
+    outward = height * pads.normals[:, :, None] * pads.normals[:, None]
+    by_shared = changes @ (moves @ moves.T) @ changes.swapaxes(1, 2)
+    covariances = changes @ total @ changes.swapaxes(1, 2) + by_shared + outward
+    return _with_height({"covariances": covariances, "shared": by_shared}, np.array([height]))
+
+
+def _factor(squares: Any, free: int) -> Any:
+    """Return the factor by which misses exceed the scene's noise, as `variance_factors` defines it."""
+    seen = squares / free - MP.sqrt(MP.mpf(2) / free)
+    return seen * free / max(free - 2, 1) if seen > 1 else MP.one
+
+
+def _axes_of(shared: CovarianceInputs, pokes: ExactPokes, places: Exact) -> tuple[Exact, list[Exact]]:
+    """Return the shifts E da of the axes: (m, 2, n) by shared errors, and (m, 2, 6) by those of each unknown pose."""
+    readings = shared.case.readings
+    wrenches = to_mp(np.concatenate([readings.forces, readings.moments], axis=1))
+    first, second = np.triu_indices(6)
+    features = np.concatenate([wrenches, wrenches[:, first] * wrenches[:, second]], axis=1)[:, : shared.columns]
+    of_wrench, of_pose = axes_off(wrenches, to_mp(readings.poses)[readings.pose_of], places)
+    rows = (pokes.pairs @ of_wrench)[:, :, :, None] * features[:, None, None]
+    size, root = 6 * shared.columns, to_mp(shared.root)
+    alike, own = rows.reshape(len(rows), 2, size) @ root[:size], pokes.pairs @ of_pose
+    prior = RigPrior()
+    scales, others = to_mp(np.repeat([prior.pose_turn, prior.pose_shift], 3)), list[Exact]()
+    for pose in range(len(readings.poses)):
+        here = (readings.pose_of == pose).astype(int)[:, None, None]
+        if pose < shared.known:
+            alike = alike + here * (own @ root[size + 6 * pose : size + 6 * pose + 6])
+        else:
+            others.append(here * own * scales)
+    return alike, others
+
+
+def shipped_covariances(shared: CovarianceInputs) -> Outputs:
+    """Compute the same by the program, from a start at its result: otherwise its last step, up to 1e-7 m, is in the slopes."""
+    case = shared.case
+    surface = None if case.mesh is None else make_surface(case.mesh.vertices, case.mesh.triangles)
+    contacts = renumber(contacts_of(case, np.arange(len(case.readings.forces))))
+    table, errors = ContactTable(contacts), shared_errors(shared, contacts)
+
+    def placed_from(start: ModulePoses) -> tuple[list[Estimate], FittedModule]:
+        kept, model = dict[int, FittedModule](), model_of([replace(case, start=start)], surface)
+        found = estimate_modules(table, model, [0], case.noise, [], {}, False, errors, kept)
+        return [found[channel] for channel in range(PADS_PER_MODULE)], kept[0]
+
+    pads, module = placed_from(placed_from(case.start)[1].pose)
+    moves = np.array([pad.moved for pad in pads])
+    covariances = np.array([pad.covariance for pad in pads])
+    by_shared = moves @ moves.transpose(0, 2, 1)
+    return _with_height({"covariances": covariances, "shared": by_shared}, np.array([module.height]))
+
+
+def _with_height(outputs: Outputs, height: Any) -> Outputs:
+    """Add the variance of a height unless it is zero, which would have no tolerance."""
+    return {**outputs, "height": height} if height[0] else outputs
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DistanceInputs:
+    """Modules as their own pokes place them, without a surface, and known distances between them."""
+
+    cases: tuple[ModuleCase, ...]
+    fitted: tuple[FittedModule, ...]
+    distances: tuple[KnownDistance, ...]
+    lengths: FloatArray
+    """(d,) float, m."""
+    noise: NoiseSettings
+
+
+def fit_modules_with_distances(
+    cases: Sequence[ModuleCase], distances: Sequence[KnownDistance], root: FloatArray
+) -> DistanceInputs:
+    """Fit the modules of cases by the program, with correction errors of this root."""
+    contacts = [
+        replace(contact, channels=contact.channels + number * PADS_PER_MODULE, pose=f"pose {number}")
+        for number, case in enumerate(cases)
+        for contact in contacts_of(case, np.arange(len(case.readings.forces)))
+    ]
+    contacts, kept, noise = renumber(contacts), dict[int, FittedModule](), cases[0].noise
+    errors = CorrectionErrors(Correction(np.eye(6), root=root), {contact.poke: contact for contact in contacts}.__getitem__)
+    modules = range(len(cases))
+    estimate_modules(ContactTable(contacts), model_of(cases, None), modules, noise, [], {}, False, errors, kept)
+    lengths = np.array([each.length for each in distances])
+    return DistanceInputs(tuple(cases), tuple(kept[module] for module in modules), tuple(distances), lengths, noise)
+
+
+def shipped_distances(joined: DistanceInputs) -> Outputs:
+    """Compute the pads' positions and covariances by the program."""
+    model = model_of(joined.cases, None, joined.distances)
+    before = {
+        channel: Estimate(channel, Method.MODULES, State.ESTIMATED, 1, position=np.zeros(3), covariance=np.eye(3))
+        for channel in range(len(joined.cases) * PADS_PER_MODULE)
+    }
+    found, tried = apply_distances(model, dict(enumerate(joined.fitted)), before, joined.noise)
+    if not all(each.used for each in tried):
+        raise ValueError("a case whose distances do not all count")
+    every = [found[channel] for channel in before]
+    places, covariances = ([getattr(each, name) for each in every] for name in ("position", "covariance"))
+    return {"places": np.array(places), "covariances": np.array(covariances)}
+
+
+def exact_distances(joined: DistanceInputs) -> Outputs:
+    """Compute the same by Gauss-Newton steps with the inverse of P and the distances' rows."""
+    count, own = len(joined.fitted), joined.fitted
+    size = 6 * count
+    prior = _np.full((size, size), MP.zero)
+    for at, module in enumerate(own):
+        prior[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] = to_mp(module.covariance)
+    moves = to_mp(np.concatenate([module.moves for module in own]))
+    held = inverse(prior + moves @ moves.T)
+    ends = [[_end_of(joined, told, side) for side in (0, 1)] for told in joined.distances]
+    x, covariance = to_mp(np.zeros(size)), held
+    for _ in range(DISTANCE_STEPS):
+        rows, left, weights = zip(
+            *(_distance(joined, x, *each) for each in zip(joined.distances, joined.lengths, ends, strict=True)), strict=True
+        )
+        slopes, weighing = np.array(rows), np.array(weights)[:, None]
+        covariance = inverse(held + slopes.T @ (weighing * slopes))
+        x = covariance @ (slopes.T @ (weighing[:, 0] * np.array(left)))
+    laid = [_place_points(joined, at, x, joined.cases[at].module.flat) for at in range(count)]
+    covariances = [
+        each.changes @ covariance[6 * at : 6 * at + 6, 6 * at : 6 * at + 6] @ each.changes.swapaxes(1, 2)
+        for at, each in enumerate(laid)
+    ]
+    return {"places": np.concatenate([each.points for each in laid]), "covariances": np.concatenate(covariances)}
+
+
+def _end_of(joined: DistanceInputs, told: KnownDistance, side: int) -> tuple[int, FloatArray]:
+    """Return the module at an end of a distance, and that point in its plane."""
+    end = told.ends[side]
+    return (
+        (end // PADS_PER_MODULE, joined.cases[end // PADS_PER_MODULE].module.flat[end % PADS_PER_MODULE])
+        if told.of_taxels
+        else (end, np.zeros(2))
+    )
+
+
+def _place_points(joined: DistanceInputs, at: int, x: Exact, flat: FloatArray) -> ExactPads:
+    """Lay points of a module's plane after the move x, whose turns are lengths at `LEVER_M`."""
+    pose, step = joined.fitted[at].pose, x[6 * at : 6 * at + 6]
+    by = step[3:] / to_mp(LEVER_M)
+    place = to_mp(pose.points[0]) + step[:3]
+    pads = InPlane(place, rotate(to_mp(pose.x[0]), by), rotate(to_mp(pose.normals[0]), by), to_mp(flat)).pads()
+    turns = pads.changes[:, :, 3:] / to_mp(LEVER_M)
+    return pads._replace(changes=np.concatenate([pads.changes[:, :, :3], turns], axis=2))
+
+
+def _distance(
+    joined: DistanceInputs, x: Exact, told: KnownDistance, known: float, ends: Sequence[tuple[int, FloatArray]]
+) -> tuple[Exact, Any, Any]:
+    """Return a distance's row J, the wanted J x, and 1/R."""
+    one, other = (_place_points(joined, at, x, flat[None]) for at, flat in ends)
+    way = (one.points - other.points)[0]
+    length = MP.sqrt(dot(way, way))
+    variance, row = to_mp(told.sd) ** 2, to_mp(np.zeros(len(x)))
+    for sign, pads, (at, flat) in ((1, one, ends[0]), (-1, other, ends[1])):
+        row[6 * at : 6 * at + 6] = sign * (way / length) @ pads.changes[0]
+        every, here = to_mp(joined.cases[at].module.flat), to_mp(flat)
+        middle = every.sum(axis=0) / len(every)
+        square = dot(every - middle, every - middle).sum() / len(every) - dot(here - middle, here - middle)
+        lean = dot(pads.normals[0], way / length)
+        variance = variance + (square / (2 * to_mp(joined.noise.radius)) * lean) ** 2
+    return row, to_mp(known) - length + dot(row, x), 1 / variance
+
+
+# ---- cases ----
+
+
+def simulate_landmark_pokes(
+    rng: np.random.Generator,
+    *,
+    landmarks: int = 6,
+    poses: int = 2,
+    line: float = 1.0,
+    tilt: float = 0.7,
+    wrong: float = 0.02,
+    bent: float = 0.0,
+    places_off: float = 0.0,
+    noise: NoiseSettings | None = None,
+) -> CorrectionInputs:
+    """Simulate landmark pokes of a wrong rig, each landmark poked in each pose.
+
+    Parameters
+    ----------
+    line : factor on the landmarks' distances from a line
+    tilt : rad, within which the pushes lie about one direction
+    wrong, bent : sd of each entry of the sensor's matrix, and for products of a wrench's components
+    places_off : m, error of the landmarks
+    """
+    noise, prior = noise or NoiseSettings(), RigPrior()
+    reported = arm_poses(rng, poses, 0.3)
+    count = landmarks * poses
+    along, known = unit(rng.normal(size=3)), 0.08 * rng.normal(size=(landmarks, 3))
+    across_line = known - (known @ along)[:, None] * along
+    known = 0.1 * unit(rng.normal(size=3)) + known - (1.0 - line) * across_line
+    at = np.concatenate([np.arange(count) % landmarks, landmarks + np.arange(poses)])
+    pose_of = np.concatenate([np.arange(count) // landmarks % poses, np.arange(poses)])
+    places = np.concatenate([known, 0.1 * rng.normal(size=(poses, 3))])
+    true = places + places_off * rng.normal(size=places.shape)
+    pushes = np.concatenate([cone(rng, count, tilt, unit(rng.normal(size=3))), unit(rng.normal(size=(poses, 3)))])
+    turns, shifts = reported[pose_of, :3, :3], reported[pose_of, :3, 3]
+    touched = true[at] + 0.0007 * rng.normal(size=(len(at), 3)) + 0.001 * rng.normal(size=(poses, 3))[pose_of]
+    force = (pushes[:, None] @ turns)[:, 0] * rng.uniform(6.0, 12.0, (len(at), 1))
+    moment = np.cross(((touched - shifts)[:, None] @ turns)[:, 0], force)
+    wrenches = np.concatenate([force, moment], axis=1)
+    units = HAND_LOAD_N * np.repeat([1.0, prior.arm], 3)
+    own = wrenches / units
+    off = own @ (wrong * rng.normal(size=(6, 6))) + products(own) @ (bent * rng.normal(size=(21, 6)))
+    spread = np.repeat([noise.force, noise.moment], 3) * rng.normal(size=wrenches.shape)
+    return CorrectionInputs(wrenches + off * units + spread, places, at, reported, pose_of, noise, prior)
+
+
+def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
+    """Make the root of a correction: a share of the prior's scales, all of it correlated."""
+    quadratic = QUADRATIC_SHARE if columns > LINEAR_COLUMNS else 0.0
+    scales = replace(RigPrior(), quadratic=quadratic).scales(poses)
+    return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))
+
+
+def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
+    """Yield the cases of what the program adds to the paper's methods."""
+    for number, family in enumerate((_corrections, _carried, _distances)):
+        yield from family(np.random.default_rng([20261123, number]), sizes)
+
+
+def _corrections(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
+    del sizes
+    ways: dict[str, dict[str, Any]] = {
+        "rig as modelled": {},
+        "four landmarks, two pokes each": {"landmarks": 4},
+        "landmarks within 0.1 mm of a line": {"line": 1e-3},
+        "pushes within 1e-3 rad": {"tilt": 1e-3},
+        "noise of 1e-4 of what is usual": {"noise": NoiseSettings(force=1e-5, moment=1e-6)},
+        "noise of 30 times what is usual": {"noise": NoiseSettings(force=3.0, moment=0.3), "wrong": 0.002},
+        "sensor not linear": {"bent": 0.05},
+        "landmarks 4 mm off": {"places_off": 0.004},
+    }
+    for name, how in ways.items():
+        pokes = simulate_landmark_pokes(rng, **how)
+        yield AddedCase(f"correction, {name}", pokes, shipped_correction, exact_correction, pokes.landmark_count)
+
+
+def _carried(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
+    n, poses = max(sizes.contacts, 10), arm_poses(rng, 2, 0.3)
+    grounds = {"module": in_space(rng), "module on a sheet": on_sheet(rng, sizes, 8.0)}
+
+    def case(name: str, module: ModuleCase, share: float = 0.2, columns: int = LINEAR_COLUMNS, known: int = 2) -> AddedCase:
+        inputs = CovarianceInputs(module, _root(rng, columns, known, share), columns, known)
+        return AddedCase(name, inputs, shipped_covariances, exact_covariances, len(module.readings.forces))
+
+    for (name, ground), tilt in zip(grounds.items(), (0.2, 0.001), strict=True):
+        how: dict[str, Any] = {"rng": rng, "module": ground, "pokes": n, "poses": poses}
+        yield case(f"{name}, shared errors", module_case(name, **how))
+        yield case(f"{name}, shared errors of products too", module_case(name, **how), columns=ALL_COLUMNS)
+        yield case(f"{name}, arm poses that are not known", module_case(name, **how), known=0)
+        yield case(f"{name}, shared errors, pushes within {tilt} rad", module_case(name, tilt=tilt, **how))
+        loud = NoiseSettings(force=0.2, moment=0.02)
+        yield case(f"{name}, shared errors, twice the noise", module_case(name, noise=loud, **how))
+        yield case(f"{name}, shared errors, misses of 6 mm", module_case(name, scatter=0.006, **how))
+    flat = grounds["module on a sheet"]
+    for far in (0.004, -0.003):
+        usual = module_case(
+            "", rng, flat, 2 * n, NoiseSettings(contact=0.0005, skin=0.0005), poses=poses, tilt=0.8, scatter=1e-4
+        )
+        assert flat.mesh is not None
+        mesh = replace(flat.mesh, vertices=flat.mesh.vertices - far * flat.at.normals[0])
+        lowered = replace(flat, mesh=mesh, at=replace(flat.at, points=flat.at.points - far * flat.at.normals[0]))
+        start = replace(usual.start, points=usual.start.points - far * flat.at.normals[0])
+        yield case(f"module {1e3 * far:g} mm over its sheet", replace(usual, mesh=mesh, module=lowered, start=start), 0.02)
+
+
+def _distances(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:
+    n, root = max(sizes.contacts, 10), _root(rng, LINEAR_COLUMNS, 0)
+    for name, sd, tilt in (("", 0.0005, 0.5), (" known to 1e-6 m", 1e-6, 0.5), (", pushes within 0.02 rad", 0.0005, 0.02)):
+        cases: list[ModuleCase] = []
+        for number in range(3):
+            module = in_space(rng, at=unit(rng.normal(size=3)) * 0.05 + np.array([0.05 * number, 0.0, 0.1]))
+            cases.append(module_case("", rng, module, n, tilt=tilt))
+        pads = [case.module.pad_positions() for case in cases]
+        ends_of = (
+            ((0, 1), False),
+            ((1, 2), False),
+            ((3, PADS_PER_MODULE + 7), True),
+            ((PADS_PER_MODULE + 2, 2 * PADS_PER_MODULE + 9), True),
+        )
+        told: list[KnownDistance] = []
+        for ends, taxels in ends_of:
+            one, other = (_where(cases, pads, end, taxels) for end in ends)
+            told.append(KnownDistance(ends, taxels, float(np.linalg.norm(one - other)), sd))
+        inputs = fit_modules_with_distances(cases, told, root)
+        yield AddedCase(f"distances between three modules{name}", inputs, shipped_distances, exact_distances, 3 * n)
+
+
+def _where(cases: Sequence[ModuleCase], pads: Sequence[FloatArray], end: int, of_taxels: bool) -> FloatArray:
+    return pads[end // PADS_PER_MODULE][end % PADS_PER_MODULE] if of_taxels else cases[end].module.at.points[0]
