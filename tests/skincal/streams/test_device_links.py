@@ -152,13 +152,6 @@ def test_yarp_address_that_cannot_be_reached_is_said_as_the_name_server_gave_it(
         assert approved("devices.robots_own_view") in said
 
 
-def test_yarp_name_that_is_not_known_names_some_that_are():
-    with served(TalkOutlet(lambda: NameTalk({"/icub/head/state:o": 1}), "yarp://127.0.0.1:{}/icub/y")) as (names,):
-        said = refusal(names.address)
-    assert "knows no port /icub/y" in said
-    assert "/icub/head/state:o" in said
-
-
 def test_a_device_that_talks_and_never_agrees_is_not_kept():
     """At the speed of a network it would bring a gigabyte before the time is over."""
     sent = 0
@@ -195,18 +188,16 @@ def test_an_address_has_a_limit():
         spec(f"socket://{host}h:7")
 
 
-def test_no_name_server_and_one_that_is_none():
+def test_a_name_server_that_is_none_or_knows_no_such_port():
     assert "connection refused" in refusal(f"yarp://127.0.0.1:{free_port()}/x")
-    with served(lying(b"SSH-2.0-OpenSSH_9\r\n", "yarp://127.0.0.1:{}/x")) as (names,):
-        assert "is no YARP name server" in refusal(names.address)
-
-
-def test_name_server_that_answers_for_another_port_or_without_end():
-    other = b"registration name /other ip 127.0.0.1 port 10000 type tcp\r\n*** end of message\r\n"
-    with served(lying(other, "yarp://127.0.0.1:{}/x")) as (names,):
-        assert "knows no port /x" in refusal(names.address)
-    with served(lying(b"registration " * 300_000, "yarp://127.0.0.1:{}/x")) as (names,):
-        assert "is no YARP name server" in refusal(names.address)
+    known = b"registration name /icub/head/state:o ip 127.0.0.1 port 10000 type tcp\r\n*** end of message\r\n"
+    for answer, words in (
+        (b"SSH-2.0-OpenSSH_9\r\n", "is no YARP name server"),
+        (b"registration " * 300_000, "is no YARP name server"),
+        (known, "knows no port /x; it knows 1 ports, such as /icub/head/state:o"),
+    ):
+        with served(lying(answer, "yarp://127.0.0.1:{}/x")) as (names,):
+            assert words in refusal(names.address)
 
 
 def test_yarp_server_of_this_machine_is_read_from_its_files(tmp_path, monkeypatch):
@@ -223,21 +214,13 @@ def test_yarp_server_of_this_machine_is_read_from_its_files(tmp_path, monkeypatc
     assert name_server() == ("127.0.0.1", 10000), "a file of a terabyte is none of YARP's"
 
 
-LIES = {
-    "2 GB": b"YA\x0a\0\0\0RP\x01\x01" + b"\xff" * 8 + b"\xff\xff\xff\x7f\0\0\0\0",
-    "negative": b"YA\x0a\0\0\0RP\x01\x01" + b"\xff" * 8 + b"\xff\xff\xff\xff\0\0\0\0",
-    "no message": b"HTTP/1.0 400 Bad Request\r\n\r\n",
-}
-
-
-@pytest.mark.parametrize("lie", LIES)
-def test_a_yarp_port_that_lies_costs_one_sentence(lie):
+def test_a_yarp_port_that_lies_costs_one_sentence():
     encoder, makers = YarpEncoder(), MakerOutlets(64)
     outlet = makers.open("yarp", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
         next_event(items, LinkState.OPEN)
         readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)))
-        say(outlet, LIES[lie])
+        say(outlet, YARP_LIES["2 GB"][len(YARP_HELLO) :])
         assert approved("devices.read_no_further") in next_event(items, LinkState.FAILED).text
         say(outlet, bytes(100_000))
         time.sleep(0.5)

@@ -26,13 +26,20 @@ from skincal.streams.links import (
     describe_links,
     open_link,
     parse_address,
-    split_baud,
 )
 from tests.approved import approved, approved_pattern
 
 LOST_WITHIN_S = 0.3
 PATIENCE_S = 5.0
 
+NO_SOCKETS = [
+    "socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999", "socket://a..b:1",
+    f"socket://{'a' * 70}:1", "socket://192.168.1.1@elsewhere:7000",
+]  # fmt: skip
+STRANGE = [
+    "spy://{port}?file={path}", "SPY:///dev/null?file={path}", "alt://{port}?class=PosixPollSerial", "hwgrep://.*", "loop://",
+    "rfc2217://127.0.0.1:1", "cp2110://0", "http://127.0.0.1:1", "Socket://h:1", "simulated:wrench", "nothing://x@9600",
+]  # fmt: skip
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
 
 
@@ -219,14 +226,6 @@ def test_commands_reach_the_device_and_any_baud_rate_is_taken():
                 assert os.read(device.master, 10) == b"?\n"
 
 
-@needs_pty
-def test_silence_is_not_an_event_and_a_read_returns_in_time():
-    with pty() as device, closing(open_link(spec(device.path))) as link:
-        begun = time.monotonic()
-        assert link.read(0.1) == b""
-        assert 0.05 < time.monotonic() - begun < 1.0
-
-
 # ------------------------------------------------------------------ TCP
 
 
@@ -272,32 +271,15 @@ def test_server_that_restarts_is_taken_up_again_by_itself():
             server.close()
 
 
-def test_no_server_is_said_with_the_address():
-    with closing(socket.create_server(("127.0.0.1", 0))) as free:
-        port = free.getsockname()[1]
-    with pytest.raises(LinkError, match=f"socket://127.0.0.1:{port}: connection refused") as failure:
-        open_link(spec(f"socket://127.0.0.1:{port}"))
-    assert failure.value.kind is FailureKind.REFUSED
-
-
 def test_tcp_reads_and_writes():
     server = Server()
     with closing(server), closing(open_link(spec(f"socket://127.0.0.1:{server.port}"))) as link:
         client = server.accept()
-        assert link.read(0.05) == b""
+        assert [link.read(0.05), link.read(0.0)] == [b"", b""]
         client.sendall(b"abc")
         assert link.read(1.0) == b"abc"
         link.write(b"?\n")
         assert client.recv(10) == b"?\n"
-
-
-def test_tcp_read_without_waiting_finds_nothing_and_keeps_the_link():
-    server = Server()
-    with closing(server), closing(open_link(spec(f"socket://127.0.0.1:{server.port}"))) as link:
-        client = server.accept()
-        assert link.read(0.0) == b""
-        client.sendall(b"abc")
-        assert link.read(1.0) == b"abc"
 
 
 def test_tcp_peer_that_closes_while_the_link_is_set_up_is_said(monkeypatch):
@@ -351,28 +333,25 @@ def test_file_without_a_device_clock_plays_at_its_baud_rate(tmp_path):
         assert 0.25 < time.monotonic() - begun < 2.0
 
 
-def test_missing_file_is_said(tmp_path):
-    with pytest.raises(LinkError, match=approved_pattern("links.no_file")) as failure:
-        open_link(spec(f"file:{tmp_path / 'nothing.log'}"))
-    assert failure.value.kind is FailureKind.ABSENT
-
-
 # ------------------------------------------------------------------ refusals and addresses
 
 
 @pytest.mark.parametrize(
-    "address", ["socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999"]
+    ("address", "kind", "words"),
+    [
+        *((address, FailureKind.ADDRESS, r"Example: socket://127\.0\.0\.1:7000") for address in NO_SOCKETS),
+        ("socket://127.0.0.1:{free}", FailureKind.REFUSED, "socket://127.0.0.1:[0-9]+: connection refused"),
+        ("file:/no/such.log", FailureKind.ABSENT, approved_pattern("links.no_file")),
+        (os.devnull, FailureKind.ADDRESS, approved_pattern("links.no_serial_port")),
+        ("/", FailureKind.ADDRESS, approved_pattern("links.no_serial_port")),
+    ],
 )
-def test_tcp_address_that_cannot_be_right(address):
-    with pytest.raises(LinkError, match=r"Example: socket://127\.0\.0\.1:7000") as failure:
+def test_what_cannot_be_opened_is_said(address, kind, words):
+    with closing(socket.create_server(("127.0.0.1", 0))) as free:
+        address = address.format(free=free.getsockname()[1])
+    with pytest.raises(LinkError, match=words) as failure:
         open_link(spec(address))
-    assert failure.value.kind is FailureKind.ADDRESS
-
-
-STRANGE = [
-    "spy://{port}?file={path}", "SPY:///dev/null?file={path}", "alt://{port}?class=PosixPollSerial", "hwgrep://.*", "loop://",
-    "rfc2217://127.0.0.1:1", "cp2110://0", "http://127.0.0.1:1", "Socket://h:1", "simulated:wrench", "nothing://x@9600",
-]  # fmt: skip
+    assert failure.value.kind is kind
 
 
 @pytest.mark.parametrize("address", STRANGE)
@@ -405,6 +384,9 @@ def test_only_links_that_are_known_are_opened(tmp_path, monkeypatch, address):
         ("socket://127.0.0.1:7000", "tcp", "127.0.0.1", 7000),
         ("file:C:/logs/skin.bin@9600", "file", "C:/logs/skin.bin", 9600),
         (__file__, "file", __file__, 0),
+        ("/dev/by-id/x@y", "serial", "/dev/by-id/x@y", 0),
+        ("/dev/x@y@9600", "serial", "/dev/x@y", 9600),
+        (f"./{'a' * 300}", "serial", f"./{'a' * 300}", 0),
     ],
 )
 def test_what_an_address_names(address, kind, place, number):
@@ -433,24 +415,8 @@ def test_address_that_cannot_be_right_is_said_once_and_left(address):
     reader.stop()
 
 
-def test_reader_that_was_never_started_stops():
-    items = queue.SimpleQueue()
-    Reader(spec("x"), items).stop()
-    assert items.empty()
-
-
-@pytest.mark.parametrize(
-    ("address", "port", "baud"),
-    [
-        ("/dev/ttyUSB0", "/dev/ttyUSB0", 0),
-        ("/dev/ttyUSB0@460800", "/dev/ttyUSB0", 460800),
-        ("COM3@19200", "COM3", 19200),
-        ("/dev/by-id/x@y", "/dev/by-id/x@y", 0),
-        ("/dev/x@y@9600", "/dev/x@y", 9600),
-    ],
-)
-def test_baud_rate_in_the_address(address, port, baud):
-    assert split_baud(address) == (port, baud)
+WINDOWS_DENIED = "could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"
+WINDOWS_ABSENT = "could not open port 'COM9': FileNotFoundError(2, 'The system cannot find the file', None, 2)"
 
 
 @pytest.mark.parametrize(
@@ -460,20 +426,8 @@ def test_baud_rate_in_the_address(address, port, baud):
         ("darwin", serial.SerialException(errno.EACCES, "denied"), FailureKind.DENIED, "permission denied"),
         ("linux", serial.SerialException(errno.EBUSY, "busy"), FailureKind.IN_USE, approved("links.in_use")),
         ("linux", serial.SerialException(errno.ENOENT, "none"), FailureKind.ABSENT, approved("links.no_port_begin")),
-        (
-            "win32",
-            serial.SerialException("could not open port 'COM3': PermissionError(13, 'Access is denied.', None, 5)"),
-            FailureKind.IN_USE,
-            approved("links.in_use"),
-        ),
-        (
-            "win32",
-            serial.SerialException(
-                "could not open port 'COM9': FileNotFoundError(2, 'The system cannot find the file', None, 2)"
-            ),
-            FailureKind.ABSENT,
-            approved("links.no_port_begin"),
-        ),
+        ("win32", serial.SerialException(WINDOWS_DENIED), FailureKind.IN_USE, approved("links.in_use")),
+        ("win32", serial.SerialException(WINDOWS_ABSENT), FailureKind.ABSENT, approved("links.no_port_begin")),
         ("linux", OSError(errno.EPROTO, "odd"), FailureKind.OTHER, "cannot be opened"),
     ],
 )
@@ -486,14 +440,6 @@ def test_what_the_system_says_becomes_a_sentence(monkeypatch, platform, error, k
     with pytest.raises(LinkError, match=words) as failure:
         open_link(spec("/dev/ttyX"))
     assert failure.value.kind is kind
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no such file there")
-def test_file_that_is_no_port():
-    for path in (os.devnull, "/"):
-        with pytest.raises(LinkError, match=approved_pattern("links.no_serial_port")) as failure:
-            open_link(spec(path))
-        assert failure.value.kind is FailureKind.ADDRESS
 
 
 def test_fault_in_the_thread_arrives_as_a_message(monkeypatch):
@@ -513,13 +459,3 @@ def test_serial_is_imported_only_when_a_port_is_opened():
 
     code = "import sys, skincal.streams.intake, skincal.streams.links; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
-
-
-@pytest.mark.parametrize("address", ["socket://a..b:1", f"socket://{'a' * 70}:1", "socket://192.168.1.1@elsewhere:7000"])
-def test_a_host_that_none_can_be_or_that_is_disguised_is_refused(address):
-    with pytest.raises(InputError, match="not a valid socket address"):
-        parse_address(address)
-
-
-def test_a_name_that_is_too_long_for_a_file_is_no_file():
-    assert parse_address(f"./{'a' * 300}").route.transport == "serial"
