@@ -21,10 +21,10 @@ from skincal.devices.family import Command, DeviceAddress, Family, Form, Handsha
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import TEMPERATURE, Loss, Stream
 
-DATA = struct.Struct("<H6fIf")
+DATA_STRUCT = struct.Struct("<H6fIf")
 FRAME_BYTES = 37
 PLAUSIBLE_MAX = 1e6
-"""N and N m. No sensor has such a range. Noise whose checksum fits by chance exceeds it half the time."""
+"""N and N m. No sensor has such a range; half of the noise whose checksum fits by chance exceeds it."""
 TEMPERATURE_MIN_DEGC, TEMPERATURE_MAX_DEGC = -60.0, 160.0
 SKIPPED, OVERRANGE, INVALID, RAW = 1, 2, 4, 8
 STATUS_SENTENCES = {
@@ -33,21 +33,21 @@ STATUS_SENTENCES = {
     INVALID: "its measurements are invalid",
     RAW: "it sends raw measurements: set its calibration on",
 }
-_VECTOR = bytes.fromhex("AA00000000C03F000010C00000F0410000003E000000BF0000803D40E2010000001242E3F6")
-_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_VECTOR_BYTES = bytes.fromhex("AA00000000C03F000010C00000F0410000003E000000BF0000803D40E2010000001242E3F6")
+_MIRRORED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def crc_x25(data: bytes) -> int:
     """Compute the CRC-16/X-25: that of CCITT, start and final xor FFFF, over mirrored bits, itself mirrored."""
-    mirrored = binascii.crc_hqx(data.translate(_REVERSED), 0xFFFF)
-    return (_REVERSED[mirrored & 0xFF] << 8 | _REVERSED[mirrored >> 8]) ^ 0xFFFF
+    mirrored = binascii.crc_hqx(data.translate(_MIRRORED_BITS), 0xFFFF)
+    return (_MIRRORED_BITS[mirrored & 0xFF] << 8 | _MIRRORED_BITS[mirrored >> 8]) ^ 0xFFFF
 
 
 def _frame_end(buffer: bytes, at: int) -> int:
     frame = buffer[at : at + FRAME_BYTES]
     if crc_x25(frame[1:-2]) != frame[-2] | frame[-1] << 8:
         return 0
-    _, *wrench, _, temperature = DATA.unpack_from(frame, 1)
+    _, *wrench, _, temperature = DATA_STRUCT.unpack_from(frame, 1)
     # Sixteen bits fit by chance once in 65,536 bytes AA of a line at the wrong baud rate.
     is_plausible = all(not math.isfinite(value) or abs(value) < PLAUSIBLE_MAX for value in wrench)
     return at + FRAME_BYTES if TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and is_plausible else 0
@@ -77,7 +77,7 @@ class BotaDecoder(FrameDecoder):
         return HeadSplitter(b"\xaa", FRAME_BYTES, _frame_end)
 
     def _decode(self, frame: bytes) -> Loss | None:
-        status, *wrench, raw_us, temperature = DATA.unpack_from(frame, 1)
+        status, *wrench, raw_us, temperature = DATA_STRUCT.unpack_from(frame, 1)
         self.valid_records += 1
         self._add_side_reading(TEMPERATURE, temperature)
         said = [words for bit, words in STATUS_SENTENCES.items() if status & bit]
@@ -141,9 +141,9 @@ FAMILY = Family(
         Vector(
             "bota",
             (Stream.WRENCH,),
-            _VECTOR,
+            _VECTOR_BYTES,
             ((1.5, -2.25, 30.0, 0.125, -0.5, 0.0625),),
-            repeat=_VECTOR,
+            repeat=_VECTOR_BYTES,
         ),
     ),
 )

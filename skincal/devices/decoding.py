@@ -60,8 +60,8 @@ PACKET_HEAD = struct.Struct("<BI")
 class DeviceTime:
     """Unwraps a 32-bit clock of microseconds, shared by all records of one device.
 
-    A record may be stamped a little earlier than the one before it, because a skin frame is stamped when its scan begins. So a
-    step is taken in the direction in which it is shorter.
+    A record may be stamped a little earlier than the one before it, because a skin frame is stamped when its scan begins. So
+    the shorter of the two possible steps is used.
     """
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ class GapCounter:
         self._usual = 0
 
     def missing_before(self, seq: int) -> int:
-        """Return how many numbers are missing before `seq`. The usual step is the last one that came twice in a row."""
+        """Count the numbers missing before `seq`. The usual step is the last one that came twice in a row."""
         step = 0 if self._last is None or seq < 0 else seq - self._last
         # A message without an envelope has the number -1; how many of them were lost is unknown.
         self._last = seq if seq >= 0 else None
@@ -142,7 +142,7 @@ class GapCounter:
         return 0
 
     def missing_among(self, numbers: IntArray) -> int:
-        """Return how many numbers are missing before and among `numbers` (n,)."""
+        """Count the numbers missing before and among `numbers` (n,)."""
         step, last = self._usual, self._last
         if step and step == self._step and last is not None and numbers[0] == last + step and (np.diff(numbers) == step).all():
             self._last = int(numbers[-1])
@@ -311,7 +311,7 @@ class FrameDecoder(ABC):
     single_stream: ClassVar[bool] = False
     """Whether a file of this format carries one stream only."""
     needs_recipe: ClassVar[bool] = False
-    """Whether frames can only be read by a decoder of the same streams that were asked for."""
+    """Whether a frame does not say which streams it holds: only a decoder of the requested streams can read it."""
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         self.counts: Counter[Loss] = Counter()
@@ -428,20 +428,13 @@ class FrameDecoder(ABC):
         """Read a board's header, `key=value,...`: compare its width with the scene's, keep the unit of its skin."""
         pairs = (field.partition("=") for field in text.split(","))
         header = {key.strip(): value.strip() for key, equals, value in pairs if equals}
+        n, channels, kind = header.get("n", ""), self._widths.get(Stream.SKIN), header.get("kind")
         # A header that agrees does not clear another problem.
-        self._problem = header_problem(header, self._width(Stream.SKIN)) or self._problem
+        if channels is not None and n.isdigit() and int(n) != channels and kind != "ft":
+            board = f"The board {header.get('board', '')}".rstrip()
+            self._problem = (
+                f"{board} says that it sends n={n} taxels where {channels} are expected; {_WIDTH_ADVICE[Stream.SKIN]}"
+            )
         unit = header.get("unit", "raw")[:UNIT_MAX_CHARS]
-        if header.get("kind") == "taxel" and unit != "raw":
+        if kind == "taxel" and unit != "raw":
             self.units[Stream.SKIN] = f"values in {unit}"
-
-
-def header_problem(header: dict[str, str], channels: int | None) -> str:
-    """Return a sentence if a board's width differs from the scene's; empty if they agree or one of them is unknown."""
-    n = header.get("n", "")
-    if channels is None or not n.isdigit() or int(n) == channels or header.get("kind") == "ft":
-        return ""
-    board = header.get("board", "")
-    return (
-        f"The board{' ' + board if board else ''} says that it sends n={n} taxels where {channels} are expected; "
-        "set [skin] channels of the scene, or the board's n, to the same number"
-    )

@@ -22,8 +22,8 @@ from skincal.devices.family import DeviceAddress, Family, Form, Handshake, Quest
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import Loss, Stream
 
-REQUEST = struct.Struct("!HHI")
-RECORD = struct.Struct("!III6i")
+REQUEST_STRUCT = struct.Struct("!HHI")
+RECORD_STRUCT = struct.Struct("!III6i")
 MAGIC, STOP, STREAM_ON = 0x1234, 0, 2
 PAGE, RECORDS = 1, 2
 """Kinds of packets."""
@@ -43,7 +43,7 @@ TORQUE_UNITS = {
     "kgcm": 0.0980665,
     "kgm": 9.80665,
 }
-"""N m, likewise."""
+"""N m, by the unit's name in the same form."""
 ANY_ERROR_BIT = 1 << 31
 MONITOR_BIT = 1 << 16
 
@@ -53,19 +53,19 @@ class StatusTable:
     """Meaning of the bits of a status word."""
 
     saturated: int
-    """Bits of which each means: beyond the range."""
+    """Bits of a force or torque beyond the range."""
     harmless: int
     """Bits that are no error."""
     words: dict[int, str]
     """Sentences by the number of the bit."""
 
 
-NET_FT = StatusTable(
+NET_FT_STATUS = StatusTable(
     1 << 17,
     MONITOR_BIT | ANY_ERROR_BIT,
     {16: "a monitored condition was met", 17: "saturated: the force or torque is beyond the sensor's range"},
 )
-AXIA = StatusTable(
+AXIA_STATUS = StatusTable(
     1 << 27 | 1 << 30,
     MONITOR_BIT | ANY_ERROR_BIT | 1 << 3,
     {
@@ -83,7 +83,7 @@ AXIA = StatusTable(
     },
 )
 ALL_BITS = (1 << 32) - 1
-HEX = StatusTable(0, ALL_BITS, {})
+HEX_STATUS = StatusTable(0, ALL_BITS, {})
 """No public text of OnRobot explains its bits: they are shown, and no reading is rejected for them."""
 
 
@@ -107,7 +107,7 @@ def read_page(page: bytes) -> SensorPage:
     """
     text = page.decode("utf-8", "replace")
     product = _field(text, "prodname") or "Net F/T"
-    table = HEX if "HEX" in product else AXIA if "Axia" in product else NET_FT
+    table = HEX_STATUS if "HEX" in product else AXIA_STATUS if "Axia" in product else NET_FT_STATUS
     scales: list[float] = []
     for counts, unit, units in (("cfgcpf", "scfgfu", FORCE_UNITS), ("cfgcpt", "scfgtu", TORQUE_UNITS)):
         name = re.sub("[^a-z]", "", (_field(text, unit) or "N").lower()).replace("lbf", "lb").replace("kgf", "kg")
@@ -148,10 +148,10 @@ class RdtHandshake(Handshake):
     """Asks for the stream, and again when it ends."""
 
     silence_s = 1.0
-    closing_bytes = REQUEST.pack(MAGIC, STOP, 0)
+    closing_bytes = REQUEST_STRUCT.pack(MAGIC, STOP, 0)
 
     def opening(self) -> bytes:
-        return REQUEST.pack(MAGIC, STREAM_ON, 0)
+        return REQUEST_STRUCT.pack(MAGIC, STREAM_ON, 0)
 
     def on_silence(self) -> bytes:
         return self.opening()
@@ -182,10 +182,10 @@ class RdtDecoder(FrameDecoder):
             return None
         if kind != RECORDS:
             return Loss.UNREADABLE
-        if not payload or len(payload) % RECORD.size:
-            self._problem = f"Datagrams of {len(payload)} bytes arrive where records have {RECORD.size}"
+        if not payload or len(payload) % RECORD_STRUCT.size:
+            self._problem = f"Datagrams of {len(payload)} bytes arrive where records have {RECORD_STRUCT.size}"
             return Loss.BAD_WIDTH
-        problems = [self._record(record) for record in RECORD.iter_unpack(payload)]
+        problems = [self._record(record) for record in RECORD_STRUCT.iter_unpack(payload)]
         return next((problem for problem in problems if problem), None)
 
     def _record(self, record: tuple[int, ...]) -> Loss | None:
@@ -228,14 +228,14 @@ class RdtDecoder(FrameDecoder):
 COUNTS_ADVICE = "give the counts for each N and N m of its data sheet, such as ?cpf=1000000&cpt=1000000"
 HEX_COUNTS = 10_000.0, 100_000.0
 """Counts for each N and N m of every OnRobot HEX."""
-PRODUCTS = {"hex": "OnRobot HEX", "axia": "Axia", "netft": "Net F/T"}
+PRODUCT_OF_OPTION = {"hex": "OnRobot HEX", "axia": "Axia", "netft": "Net F/T"}
 """By the option `device`."""
 
 
 def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
     """Add the page with the counts: made of the address's options, or asked from the sensor."""
     options = address.options
-    product = PRODUCTS.get(options.get("device", "netft"))
+    product = PRODUCT_OF_OPTION.get(options.get("device", "netft"))
     if product is None:
         raise LinkError(FailureKind.ADDRESS, f"{address.text}: device is {options['device']}; expected netft, axia or hex.")
     force, torque = HEX_COUNTS if options.get("device") == "hex" else (0.0, 0.0)
@@ -261,8 +261,8 @@ def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
     return replace(address, first_bytes=pack(PAGE, page))
 
 
-_RECORD = bytes.fromhex("00000001000012670000000000BC4B20FFA97B9005D8E3200001E078FFED2BB000001388")
-_WRENCH = (12.34, -5.67, 98.1, 0.123, -1.234, 0.005)
+_RECORD_BYTES = bytes.fromhex("00000001000012670000000000BC4B20FFA97B9005D8E3200001E078FFED2BB000001388")
+_RECORD_WRENCH = (12.34, -5.67, 98.1, 0.123, -1.234, 0.005)
 
 FAMILY = Family(
     routes=(
@@ -281,13 +281,18 @@ FAMILY = Family(
     ),
     decoders={"rdt": RdtDecoder},
     vectors=(
-        Vector("rdt", (Stream.WRENCH,), pack(PAGE, given_page(1e6, 1e6, "Net F/T")) + pack(RECORDS, _RECORD), (_WRENCH,)),
+        Vector(
+            "rdt",
+            (Stream.WRENCH,),
+            pack(PAGE, given_page(1e6, 1e6, "Net F/T")) + pack(RECORDS, _RECORD_BYTES),
+            (_RECORD_WRENCH,),
+        ),
         Vector(
             "rdt",
             (Stream.WRENCH,),
             pack(PAGE, given_page(1e4, 1e5, "OnRobot HEX"))
             + pack(RECORDS, bytes.fromhex("0000000100000001000000000001E208FFFF2284000EF8080000300CFFFE1DF8000001F4")),
-            (_WRENCH,),
+            (_RECORD_WRENCH,),
         ),
     ),
 )

@@ -25,8 +25,8 @@ FRAME_MAX_BYTES = 8192
 """Bytes. If a frame is longer, its beginning was none."""
 END_MARKS_MAX = 8
 """End marks tried for one frame: four bytes of data look like one once in 4 billion."""
-HUB = struct.Struct("<IQ")
-PILLAR = struct.Struct("<H6f")
+HUB_STRUCT = struct.Struct("<IQ")
+PILLAR_STRUCT = struct.Struct("<H6f")
 HUB_KIND, PILLARS_KIND = 1, 3
 ITEMS_MAX = 64
 """Sensors of a hub, and pillars of a sensor: the maker has 2 and 9."""
@@ -68,7 +68,7 @@ class PapillArrayDecoder(FrameDecoder):
         data = frame[len(BEGIN) : -len(END)]
         try:
             blocks = _blocks(data)
-            number, time_us = HUB.unpack_from(blocks[HUB_KIND])
+            number, time_us = HUB_STRUCT.unpack_from(blocks[HUB_KIND])
             forces = _pillars(blocks[PILLARS_KIND], data[0])
         except (KeyError, ValueError, struct.error):
             return Loss.UNREADABLE
@@ -116,15 +116,15 @@ def _pillars(block: bytes, size: int) -> list[tuple[float, float, float]]:
     for _ in range(sensors):
         pillars, at = _count(block, at, size)
         for _ in range(pillars):
-            kind, x, y, z, *_ = PILLAR.unpack_from(block, at)
+            kind, x, y, z, *_ = PILLAR_STRUCT.unpack_from(block, at)
             if kind != 2:
                 raise ValueError("kind of a pillar")
-            at += PILLAR.size
+            at += PILLAR_STRUCT.size
             forces.append((x, y, z))
     return forces
 
 
-_VECTOR = bytes.fromhex(
+_VECTOR_BYTES = bytes.fromhex(
     "55667788" "02 01000d00 03001900 04005700" "2a000000 b168de3a00000000"
     "01000400 0200 0600 2000"
     "0200 0000803f 00000040 00004040 0000003f 0000803e 0000003e"
@@ -146,5 +146,5 @@ FAMILY = Family(
         ),
     ),
     decoders={"papillarray": PapillArrayDecoder},
-    vectors=(Vector("papillarray", (Stream.SKIN,), _VECTOR, ((3.0, 6.0),), repeat=_VECTOR, channels=2),),
+    vectors=(Vector("papillarray", (Stream.SKIN,), _VECTOR_BYTES, ((3.0, 6.0),), repeat=_VECTOR_BYTES, channels=2),),
 )

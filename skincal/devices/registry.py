@@ -20,7 +20,7 @@ from skincal.model.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Names by which a family's file is found before it is imported: a scene costs only what its devices need."""
+    """Names of a family, known before its file is imported: only the files of a scene's devices are imported."""
 
     schemes: tuple[str, ...]
     """Words before the colon of an address."""
@@ -94,7 +94,7 @@ def parse_device(address: str) -> DeviceAddress | None:
 
 
 def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
-    """Read what follows the scheme; `None` if it has another form. Raises ValueError likewise."""
+    """Read the rest of an address by the form of a route. `None` or ValueError: it has another form."""
     if route.form is Form.COMMAND:
         return DeviceAddress(address, route, path=rest) if split_command(rest) else None
     if not rest.startswith("//"):
@@ -108,7 +108,7 @@ def _read_form(address: str, route: Route, rest: str) -> DeviceAddress | None:
     host.encode("idna")  # raises ValueError for a name that no host can have
     port = route.port if parts.port is None else parts.port
     has_path = len(parts.path) > 1
-    # A name before an @ would be taken for the host by whoever reads the address.
+    # A reader of the address could take a name before an @ for the host.
     if parts.username is not None:
         return None
     if route.form is Form.HOST_OR_PORT:

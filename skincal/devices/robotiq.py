@@ -16,15 +16,15 @@ from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_WIDTH, FrameD
 from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
-HEAD = b"\x20\x4e"
-FRAME = struct.Struct("<2s6hH")
+FRAME_HEAD = b"\x20\x4e"
+FRAME_STRUCT = struct.Struct("<2s6hH")
 COUNTS_PER_SI_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
 """Counts for each N and N m."""
 SATURATED_COUNT = 32767
-STOP = b"\xff" * 50
-START = bytes.fromhex("0910019A0001020200CDCA")
+STOP_BYTES = b"\xff" * 50
+START_BYTES = bytes.fromhex("0910019A0001020200CDCA")
 START_ANSWER = bytes.fromhex("0910019A00012152")
-"""The answer to `START`, before the stream."""
+"""The answer to `START_BYTES`, before the stream."""
 TEXT_MAX_BYTES = 200
 """Bytes of one reading as text."""
 
@@ -51,25 +51,25 @@ def crc_modbus(data: bytes) -> int:
 
 
 def _frame_end(buffer: bytes, at: int) -> int:
-    frame = buffer[at : at + FRAME.size]
-    return at + FRAME.size if crc_modbus(frame[:-2]) == frame[-2] | frame[-1] << 8 else 0
+    frame = buffer[at : at + FRAME_STRUCT.size]
+    return at + FRAME_STRUCT.size if crc_modbus(frame[:-2]) == frame[-2] | frame[-1] << 8 else 0
 
 
 class RobotiqHandshake(Handshake):
     """Stops the stream, starts it once the line is quiet, and again whenever it ends. Leaves the sensor stopped."""
 
     silence_s = 0.15
-    closing_bytes = STOP
+    closing_bytes = STOP_BYTES
 
     def __init__(self) -> None:
         self._stopped = True
 
     def opening(self) -> bytes:
-        return STOP
+        return STOP_BYTES
 
     def on_silence(self) -> bytes:
         self._stopped = not self._stopped
-        return STOP if self._stopped else START
+        return STOP_BYTES if self._stopped else START_BYTES
 
 
 class RobotiqDecoder(FrameDecoder):
@@ -80,10 +80,10 @@ class RobotiqDecoder(FrameDecoder):
     has_checksum: ClassVar[bool] = True
 
     def _make_splitter(self) -> FrameSplitter:
-        return HeadSplitter(HEAD, FRAME.size, _frame_end, START_ANSWER)
+        return HeadSplitter(FRAME_HEAD, FRAME_STRUCT.size, _frame_end, START_ANSWER)
 
     def _decode(self, frame: bytes) -> Loss | None:
-        _, *counts, _ = FRAME.unpack(frame)
+        _, *counts, _ = FRAME_STRUCT.unpack(frame)
         self.valid_records += 1
         values = [count / size for count, size in zip(counts, COUNTS_PER_SI_UNIT, strict=True)]
         flags = SATURATED_BIT if max(abs(count) for count in counts) >= SATURATED_COUNT else 0
@@ -113,7 +113,7 @@ class RobotiqTextDecoder(FrameDecoder):
         return self._add(Stream.WRENCH, NO_SEQ, math.nan, values)
 
 
-_VECTOR = bytes.fromhex("204ED204C9FD52267B002EFB05007784")
+_VECTOR_BYTES = bytes.fromhex("204ED204C9FD52267B002EFB05007784")
 _TEXT_VECTOR = b"(1.50 , -2.25 , 30.00 , 0.1250 , -0.5000 , 0.0625)"
 
 FAMILY = Family(
@@ -130,7 +130,7 @@ FAMILY = Family(
     ),
     decoders={"robotiq": RobotiqDecoder, "robotiq-text": RobotiqTextDecoder},
     vectors=(
-        Vector("robotiq", (Stream.WRENCH,), _VECTOR, ((12.34, -5.67, 98.1, 0.123, -1.234, 0.005),), repeat=_VECTOR),
+        Vector("robotiq", (Stream.WRENCH,), _VECTOR_BYTES, ((12.34, -5.67, 98.1, 0.123, -1.234, 0.005),), repeat=_VECTOR_BYTES),
         Vector("robotiq-text", (Stream.WRENCH,), _TEXT_VECTOR, ((1.5, -2.25, 30.0, 0.125, -0.5, 0.0625),), repeat=_TEXT_VECTOR),
     ),
 )

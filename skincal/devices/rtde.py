@@ -3,7 +3,7 @@
 A packet is a uint16, big-endian, its length with this head, one byte of kind, and the payload. The host asks for version 2
 (`V`), names what it wants (`O`; the answer has the recipe's number and the kind of each), and starts (`S`); then a `U`
 comes at each cycle. The wrench is `ft_raw_wrench`, in the sensor's own frame; `actual_TCP_force` is compensated for a
-payload, zeroed at power-on, and its frame depends on the software: it is never asked for. Source: the maker's RTDE guide.
+payload, zeroed at power-on, and its frame depends on the software: it is never requested. Source: the maker's RTDE guide.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSpl
 from skincal.devices.family import Family, Form, Handshake, HandshakeError, Route, Vector
 from skincal.model.readings import Loss, Stream
 
-HEAD = struct.Struct("!HB")
+HEAD_STRUCT = struct.Struct("!HB")
 VERSION, OUTPUTS, START, DATA = b"VOSU"
 RATE_HZ = 125.0
 """Hz. Every controller can send at this rate; e-Series could at 500 Hz."""
-FIELDS = {Stream.WRENCH: "ft_raw_wrench", Stream.JOINTS: "actual_q"}
+FIELD_OF_STREAM = {Stream.WRENCH: "ft_raw_wrench", Stream.JOINTS: "actual_q"}
 FIELD_KIND = "VECTOR6D"
 SHOWN_MAX_CHARS = 60
 
 
 def packet(kind: int, payload: bytes) -> bytes:
     """Build a packet."""
-    return HEAD.pack(HEAD.size + len(payload), kind) + payload
+    return HEAD_STRUCT.pack(HEAD_STRUCT.size + len(payload), kind) + payload
 
 
 def recipe(carries: tuple[Stream, ...]) -> list[str]:
     """Name the requested fields: the time, and one field for each stream."""
-    return ["timestamp", *(FIELDS[stream] for stream in carries if stream in FIELDS)]
+    return ["timestamp", *(FIELD_OF_STREAM[stream] for stream in carries if stream in FIELD_OF_STREAM)]
 
 
 def _next_packet(data: bytes, at: int) -> tuple[bytes, int] | None:
     """Cut the packet at a place: its kind and payload. A length can never exceed 65,535."""
-    if len(data) - at < HEAD.size:
+    if len(data) - at < HEAD_STRUCT.size:
         return None
     end = at + int.from_bytes(data[at : at + 2], "big")
-    if end - at < HEAD.size:
+    if end - at < HEAD_STRUCT.size:
         raise ProtocolError(f"it announces a packet of {end - at} bytes, which is no RTDE")
     return (data[at + 2 : end], end) if len(data) >= end else None
 
@@ -105,7 +105,7 @@ class RtdeDecoder(FrameDecoder):
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._streams = [stream for stream in carries if stream in FIELDS]
+        self._streams = [stream for stream in carries if stream in FIELD_OF_STREAM]
         self.units[Stream.JOINTS] = "base, shoulder, elbow and the three of the wrist in degrees"
 
     def _make_splitter(self) -> FrameSplitter:
@@ -127,8 +127,8 @@ class RtdeDecoder(FrameDecoder):
         return None
 
 
-_ANSWERS = b"\x00\x04V\x01" + b"\x00\x1cO\x01DOUBLE,VECTOR6D,VECTOR6D" + b"\x00\x04S\x01"
-_DATA = bytes.fromhex(
+_ANSWER_BYTES = b"\x00\x04V\x01" + b"\x00\x1cO\x01DOUBLE,VECTOR6D,VECTOR6D" + b"\x00\x04S\x01"
+_DATA_BYTES = bytes.fromhex(
     "006c55014029000000000000" "3fe0000000000000bff00000000000003ff8000000000000"
     "00000000000000003fd0000000000000bfe8000000000000"
     "3ff8000000000000c002000000000000403e000000000000"
@@ -153,9 +153,9 @@ FAMILY = Family(
         Vector(
             "rtde",
             (Stream.JOINTS, Stream.WRENCH),
-            _ANSWERS + _DATA,
+            _ANSWER_BYTES + _DATA_BYTES,
             ((0.5, -1.0, 1.5, 0.0, 0.25, -0.75), (1.5, -2.25, 30.0, 0.125, -0.5, 0.0625)),
-            repeat=_DATA,
+            repeat=_DATA_BYTES,
         ),
     ),
 )

@@ -79,7 +79,7 @@ def _is_number(key: str) -> bool:
     return key.isascii() and key.isdigit() and len(key) < 6
 
 
-_VECTOR = pack(1, b'{"message": 7, "2": {"data": "0003,0004,00FF"}, "1": {"data": "7F3C,7B6C,000A,0001,0002,000B"}}')
+_VECTOR_BYTES = pack(1, b'{"message": 7, "2": {"data": "0003,0004,00FF"}, "1": {"data": "7F3C,7B6C,000A,0001,0002,000B"}}')
 
 FAMILY = Family(
     routes=(
@@ -93,5 +93,5 @@ FAMILY = Family(
         ),
     ),
     decoders={"xela": XelaDecoder},
-    vectors=(Vector("xela", (Stream.SKIN,), _VECTOR, ((10.0, 11.0, 255.0),), repeat=_VECTOR, channels=3),),
+    vectors=(Vector("xela", (Stream.SKIN,), _VECTOR_BYTES, ((10.0, 11.0, 255.0),), repeat=_VECTOR_BYTES, channels=3),),
 )

@@ -34,20 +34,20 @@ from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 from skincal.model.readings import Loss, Stream
 
-YARP_INT = struct.Struct("<2si2s")
+YARP_INT_STRUCT = struct.Struct("<2si2s")
 FAST_TCP, MESSAGE = 7780, 10
-INT32 = struct.Struct("<i")
-HEAD_BYTES = YARP_INT.size + 10
+INT32_STRUCT = struct.Struct("<i")
+HEAD_BYTES = YARP_INT_STRUCT.size + 10
 """YARP int, two counts, eight bytes FF."""
 MESSAGE_MAX_BYTES = 1 << 20
 """Bytes. A skin of 4,200 channels has 33,600; a longer message is refused before it is kept."""
 DEPTH_MAX = 8
 READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
-HELLO = YARP_INT.pack(b"YA", FAST_TCP, b"RP") + INT32.pack(len(READER_NAME)) + READER_NAME
+READER_HELLO = YARP_INT_STRUCT.pack(b"YA", FAST_TCP, b"RP") + INT32_STRUCT.pack(len(READER_NAME)) + READER_NAME
 BECOME_READER = struct.pack("<2si2s2B8si4s4s", b"YA", MESSAGE, b"RP", 1, 1, b"\xff" * 8, 8, bytes(4), bytes(4)) + b"~r\x00\x01"
 _LIST, _DICT, _STRING, _BLOB, _VOCAB = 256, 512, 4, 12, 9
-_NUMBERS = {32: "<i1", 64: "<i2", 1: "<i4", 17: "<i8", 128: "<f4", 10: "<f8"}
+_DTYPE_OF_TAG = {32: "<i1", 64: "<i2", 1: "<i4", 17: "<i8", 128: "<f4", 10: "<f8"}
 """Numbers by their tag; a list of one kind has 256 more."""
 NAME_LINE = re.compile(r"registration name (\S+) ip (\S+) port (\d+) type (\S+)")
 NAME_END = b"*** end of message"
@@ -79,7 +79,7 @@ class YarpHandshake(Handshake):
         self._asked = False
 
     def opening(self) -> bytes:
-        return HELLO
+        return READER_HELLO
 
     def on_data(self, data: bytes) -> bytes:
         self._messages.split(data)
@@ -109,14 +109,14 @@ class MessageSplitter(LengthSplitter):
 
     def _next_message(self, data: bytes, at: int) -> tuple[bytes, int] | None:
         if self._is_first:
-            if len(data) < YARP_INT.size:
+            if len(data) < YARP_INT_STRUCT.size:
                 return None
-            self.port, at = _yarp_int(data, 0), YARP_INT.size
+            self.port, at = _yarp_int(data, 0), YARP_INT_STRUCT.size
         if len(data) - at < HEAD_BYTES:
             return None
         if _yarp_int(data, at) != MESSAGE:
             raise ProtocolError("what it sends is no YARP message")
-        count_in, count_out = data[at + YARP_INT.size], data[at + YARP_INT.size + 1]
+        count_in, count_out = data[at + YARP_INT_STRUCT.size], data[at + YARP_INT_STRUCT.size + 1]
         begin = at + HEAD_BYTES + 4 * (count_in + count_out)
         if len(data) < begin:
             return None
@@ -127,12 +127,12 @@ class MessageSplitter(LengthSplitter):
         if len(data) < end:
             return None
         self._is_first = False
-        # The block of the reply's direction, always empty, stands behind the others.
+        # The block of the other direction comes last and is always empty.
         return data[begin : begin + sum(lengths[:count_in])], end
 
 
 def _yarp_int(data: bytes, at: int) -> int:
-    begin, number, end = YARP_INT.unpack_from(data, at)
+    begin, number, end = YARP_INT_STRUCT.unpack_from(data, at)
     if begin != b"YA" or end != b"RP":
         raise ProtocolError("what answers there is no YARP port")
     return number
@@ -148,7 +148,7 @@ def split_envelope(body: bytes) -> tuple[int, float, bytes]:
     """
     if len(body) < 8:
         raise ProtocolError("a message is too short")
-    (length,) = INT32.unpack_from(body)
+    (length,) = INT32_STRUCT.unpack_from(body)
     if body[4:5] != b"~" or not 0 <= length <= len(body) - 8:
         raise ProtocolError("a message has no port command")
     if length == 0:
@@ -179,12 +179,12 @@ class _Reader:
         return self._data[self._at - size : self._at]
 
     def int32(self) -> int:
-        (value,) = INT32.unpack(self.take(4))
+        (value,) = INT32_STRUCT.unpack(self.take(4))
         return value
 
     def value(self, tag: int, depth: int = 0) -> Value:
-        if tag in _NUMBERS:
-            dtype = np.dtype(_NUMBERS[tag])
+        if tag in _DTYPE_OF_TAG:
+            dtype = np.dtype(_DTYPE_OF_TAG[tag])
             return float(np.frombuffer(self.take(dtype.itemsize), dtype)[0])
         if tag == _VOCAB:
             return self.take(4).rstrip(b"\x00").decode("ascii", "replace")
@@ -198,8 +198,8 @@ class _Reader:
         count = self.int32()
         if count < 0 or count > len(self._data) - self._at:
             raise ProtocolError("a count goes beyond the message")
-        if tag in _NUMBERS:
-            dtype = np.dtype(_NUMBERS[tag])
+        if tag in _DTYPE_OF_TAG:
+            dtype = np.dtype(_DTYPE_OF_TAG[tag])
             return np.frombuffer(self.take(count * dtype.itemsize), dtype).astype(np.float64)
         return [self.value(tag or self.int32(), depth + 1) for _ in range(count)]
 
@@ -220,13 +220,13 @@ def write_bottle(values: Sequence[str | int | float]) -> bytes:
     """Write a bottle; values of one kind take the short form, as YARP writes it."""
     tags = [_STRING if isinstance(value, str) else 1 if isinstance(value, int) else 10 for value in values]
     alike = tags[0] if len(set(tags)) == 1 else 0
-    bodies = [INT32.pack(_LIST | alike), INT32.pack(len(values))]
+    bodies = [INT32_STRUCT.pack(_LIST | alike), INT32_STRUCT.pack(len(values))]
     for tag, value in zip(tags, values, strict=True):
         if not alike:
-            bodies.append(INT32.pack(tag))
+            bodies.append(INT32_STRUCT.pack(tag))
         if isinstance(value, str):
             raw = value.encode()
-            bodies += [INT32.pack(len(raw)), raw]
+            bodies += [INT32_STRUCT.pack(len(raw)), raw]
         else:
             bodies.append(struct.pack("<i" if tag == 1 else "<d", value))
     return b"".join(bodies)
@@ -282,7 +282,7 @@ class YarpPortDecoder(FrameDecoder):
             return Loss.BAD_WIDTH
         self.valid_records += 1
         if not is_measures(value):
-            # A vector does not say of which stream it is.
+            # A vector does not name its stream.
             fitting = (stream for stream, (values, _) in found.items() if self._has_width(stream, len(values)))
             stream = next(fitting, self._carries[0])
             found = {stream: found[stream]}
@@ -363,7 +363,7 @@ def find_port(address: DeviceAddress, questions: Questions) -> DeviceAddress:
 
 _PORT_NUMBER = bytes.fromhex("5941062900005250")
 _MESSAGE_HEAD = bytes.fromhex("59410a0000005250")
-_VECTOR = _MESSAGE_HEAD + bytes.fromhex(
+_VECTOR_BYTES = _MESSAGE_HEAD + bytes.fromhex(
     "0301ffffffffffffffff1f0000000800000030000000 00000000"
     "170000007e0000014420323336203137393533353334 35322e333030363100"
     "0a01000006000000"
@@ -399,9 +399,9 @@ FAMILY = Family(
         Vector(
             "yarp-port",
             (Stream.WRENCH,),
-            _PORT_NUMBER + _VECTOR,
+            _PORT_NUMBER + _VECTOR_BYTES,
             ((6.452619357174215, -0.125, 30.0, 0.1, 1e-07, -1 / 3),),
-            repeat=_VECTOR,
+            repeat=_VECTOR_BYTES,
         ),
     ),
 )

@@ -34,7 +34,7 @@ ANSWER_MAX_S = 2.0
 SAME_POSITION_M = 2.0 * 10.0**-POSITION_DECIMALS
 """m. Positions nearer than this are the same: a file has so many decimals."""
 BACKUP_MARKER = "positions that skinManager had before others were applied"
-"""Line of a backup file, whose zeros are what the robot had. In every other file zeros mean that no position is known."""
+"""Comment of a backup file. Its zeros are the robot's own values; in other files zeros mean an unknown position."""
 UNCHANGED = "Nothing was changed."
 ANSWER_VALUES_SHOWN, ANSWER_CHARS_SHOWN = 12, 120
 
@@ -119,7 +119,7 @@ class UploadResult:
 
 
 def result_text(result: UploadResult, part: str) -> str:
-    """Say what an upload changed."""
+    """Describe an upload's result in one sentence."""
     if result.backup is None:
         return f"skinManager has all {result.same} positions of {part} already; nothing was changed"
     there = f", {result.same} were there already" if result.same else ""

@@ -9,7 +9,7 @@ from skincal.devices.decoding import ProtocolError
 from skincal.devices.family import DeviceAddress
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.registry import parse_device
-from skincal.devices.yarp import HELLO, MessageSplitter, find_port, read_answer, write_question
+from skincal.devices.yarp import READER_HELLO, MessageSplitter, find_port, read_answer, write_question
 from skincal.streams.opening import NetworkQuestions
 from skincal.streams.transports.tcp import TcpLink
 
@@ -37,7 +37,7 @@ class YarpRpcClient:
         except LinkError as error:
             raise LinkError(error.kind, f"{error} {device.connect_hint}") from error
         try:
-            self._link.write(HELLO)
+            self._link.write(READER_HELLO)
             self._read_messages()
         except BaseException:
             self.close()

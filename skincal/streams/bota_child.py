@@ -1,9 +1,9 @@
-"""Newer Bota sensors (Gen A) by the maker's `bota-driver`, in a process of its own, which `device_links` starts.
+"""Reader of newer Bota sensors (Gen A) by the maker's `bota-driver`, in a process of its own.
 
-The driver is closed, writes its words to stdout and waits in calls that nothing interrupts; here it can do no harm. What it
-reads leaves by stdout as frames of the serial sensors (`decoders/bota.py`), so that a session holds one kind of Bota bytes. Its
-words go to stderr, and so does, as the last line, why it ended. Source: the docstrings of bota-driver 1.1.16, and its own
-simulated sensor.
+The driver is closed source, writes text to stdout and blocks in calls that nothing interrupts. The process writes its readings
+to stdout as frames of the serial sensors (`skincal/devices/bota.py`), so that a session holds one kind of Bota bytes. The
+driver's text goes to stderr; the last line there says why it ended. Source: docstrings of bota-driver 1.1.16, its simulated
+sensor.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ import time
 from importlib import import_module
 from typing import Any, NoReturn
 
-from skincal.devices.bota import DATA, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
+from skincal.devices.bota import DATA_STRUCT, INVALID, OVERRANGE, RAW, SKIPPED, crc_x25
 
-KINDS = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": "Bota_Dummy"}
+INTERFACE_OF_KIND = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": "Bota_Dummy"}
 """Name of the driver's interface: Ethernet, serial port, the maker's simulated sensor."""
-MODE, SUBMODE = 2, 7
+DEFAULT_MODE, DEFAULT_SUBMODE = 2, 7
 """As in the maker's example: force, torque, acceleration and angular rate."""
-FAILED = 3
-LEAVE_S = 1.0
+EXIT_FAILED = 3
+SHUTDOWN_MAX_S = 1.0
 """s for the driver to leave its sensor."""
 
 
 def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
-    """Return the driver's configuration.
+    """Build the driver's configuration.
 
     Parameters
     ----------
     bota : the module `bota_driver`
-    settings : `kind` of `KINDS`, `place` (host or serial port), and `baud`, `mode`, `submode`, `product`, `serial` where given
+    settings : `kind` of `INTERFACE_OF_KIND`, `place` (host or serial port); maybe `baud`, `mode`, `submode`, `product`, `serial`
     """
     config, sensor, driver = bota.BotaDriverConfig(), bota.GenASensorOperationConfig(), bota.DriverOperationConfig()
     kind, place = settings["kind"], settings["place"]
-    config.communication_interface_name = KINDS[kind]
-    # The driver wants both, and only remarks where the sensor has others.
+    config.communication_interface_name = INTERFACE_OF_KIND[kind]
+    # The driver needs both, and only prints a remark if the sensor has others.
     config.product_name, config.serial_number = settings.get("product", "unknown"), settings.get("serial", "unknown")
     if kind == "socket":
         link = bota.BotaSocketCommunicationInterfaceConfig()
@@ -53,7 +53,7 @@ def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
         config.binary_communication_interface_params = link
     else:
         config.dummy_communication_interface_params = bota.BotaDummyCommunicationInterfaceConfig()
-    sensor.app_mode, sensor.app_submode = settings.get("mode", MODE), settings.get("submode", SUBMODE)
+    sensor.app_mode, sensor.app_submode = settings.get("mode", DEFAULT_MODE), settings.get("submode", DEFAULT_SUBMODE)
     config.genA_sensor_operation_params = sensor
     driver.runtime_verbosity = False
     config.driver_operation_params = driver
@@ -61,16 +61,16 @@ def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
 
 
 def encode_frame(frame: Any) -> bytes:
-    """Return a frame of the driver (N, N m, microseconds, degC) as one of the serial sensors."""
+    """Write a frame of the driver (N, N m, microseconds, degC) as one of the serial sensors."""
     said = frame.status
     bits = ((said.throttled, SKIPPED), (said.overrange, OVERRANGE), (said.invalid, INVALID), (said.raw, RAW))
     status = sum(bit for word, bit in bits if word)
-    data = DATA.pack(status, *frame.force, *frame.torque, frame.timestamp % (1 << 32), frame.temperature)
+    data = DATA_STRUCT.pack(status, *frame.force, *frame.torque, frame.timestamp % (1 << 32), frame.temperature)
     return b"\xaa" + data + crc_x25(data).to_bytes(2, "little")
 
 
 def read_driver(bota: Any, settings: dict[str, Any], out: int) -> NoReturn:
-    """Write what the driver reads to a file; raises RuntimeError where it fails, OSError where nobody reads on."""
+    """Write the driver's readings to a file descriptor. Raises RuntimeError: the driver failed; OSError: nothing reads them."""
     driver = bota.BotaDriver(driver_config(bota, settings))
     try:
         if not (driver.configure() and driver.activate()):
@@ -87,18 +87,18 @@ def _leave(*_: object) -> NoReturn:
 
 
 def _leave_with_parent() -> None:
-    """Wait for the end of stdin, which the parent holds, and end the process."""
+    """End the process at the end of stdin, which the parent holds open."""
     sys.stdin.buffer.read()
     signal.raise_signal(signal.SIGTERM)
-    time.sleep(LEAVE_S)
-    # A driver that hangs hears no signal.
-    os._exit(FAILED)
+    time.sleep(SHUTDOWN_MAX_S)
+    # A driver that hangs handles no signal.
+    os._exit(EXIT_FAILED)
 
 
 def main(text: str) -> None:
-    """Run until the parent ends it, or is gone."""
+    """Run until the parent ends the process or is gone."""
     threading.Thread(target=_leave_with_parent, daemon=True).start()
-    # The sensor is left as it was found: see `finally` above.
+    # So that `finally` of `read_driver` deactivates the sensor.
     signal.signal(signal.SIGTERM, _leave)
     out = os.dup(1)
     os.dup2(2, 1)
@@ -107,8 +107,8 @@ def main(text: str) -> None:
     except (ImportError, RuntimeError, ValueError, TypeError, OSError) as error:
         sys.stderr.write(f"\n{' '.join(str(error).split())}\n")
         sys.stderr.flush()
-        # At once: as it is taken down the driver says more.
-        os._exit(FAILED)
+        # At once: an orderly exit would let the driver print more lines.
+        os._exit(EXIT_FAILED)
 
 
 if __name__ == "__main__":

@@ -155,7 +155,7 @@ def open_link(spec: LinkSpec, is_cancelled: Callable[[], bool] = lambda: False) 
 
     Parameters
     ----------
-    is_cancelled : whether nobody waits for it any more; asked while opening takes seconds, from any thread
+    is_cancelled : whether to give up; asked from any thread while opening takes seconds
     """
     try:
         address = parse_address(spec.address)
@@ -332,7 +332,7 @@ class Reader:
             data = link.read(READ_MAX_S)
             if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= STABLE_AFTER_S):
                 self._report_open()
-            # Stamped at once, by a clock that nobody can set back while a session runs.
+            # Stamped at once, by a clock that cannot be set back while a session runs.
             if data:
                 self._enqueue(Chunk(self._spec.name, time.monotonic_ns(), data))
             tried: tuple[int, ...] = getattr(link, "tried", ())
@@ -348,7 +348,7 @@ class Reader:
                 break
         if self._items.put(chunk) is False and self._needs_every_byte:
             self._stop.wait(DROP_NS * 1e-9)
-            raise LinkError(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected anew.")
+            raise LinkError(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected again.")
 
     def _report_closed(self, failure: LinkError) -> None:
         """Report why the link is not open: at once the first time, later only a new reason that lasts."""

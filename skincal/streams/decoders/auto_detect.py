@@ -21,7 +21,7 @@ from skincal.streams.decoders.skb import SkbDecoder
 from skincal.streams.decoders.skt import SktDecoder
 from skincal.streams.decoders.yarp_log import CsvDecoder, YarpDecoder, YarpRxDecoder, YarpTxRxDecoder
 
-_DECODERS: dict[str, type[FrameDecoder]] = {
+_DECODER_OF_FORMAT: dict[str, type[FrameDecoder]] = {
     "skb": SkbDecoder,
     "skt": SktDecoder,
     "text": TextDecoder,
@@ -31,7 +31,7 @@ _DECODERS: dict[str, type[FrameDecoder]] = {
     "csv": CsvDecoder,
 }
 """Formats that belong to no device, by the name in a link's description."""
-NAMES = (AUTO, *_DECODERS, *FORMATS)
+NAMES = (AUTO, *_DECODER_OF_FORMAT, *FORMATS)
 _TEXT_BYTES = bytes([*range(9, 14), *range(32, 127)])
 """Bytes that a text may have."""
 TEXT_AFTER_NS = 300_000_000
@@ -42,7 +42,7 @@ TEXT_AFTER_BYTES = 65536
 
 def decoder_class(name: str) -> type[FrameDecoder]:
     """Find the decoder of a format. Raises InputError: no format has this name."""
-    found = _DECODERS.get(name) or find_decoder(name)
+    found = _DECODER_OF_FORMAT.get(name) or find_decoder(name)
     if found is None:
         raise InputError(f"A link's format is {name!r}; expected one of {', '.join(NAMES)}.")
     return found

@@ -6,7 +6,7 @@ carries wrenches, the width of the skin where it carries skin, anything constant
 banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `t_s`, `t_ms`, `t_us`;
 seconds unless the name says otherwise) makes them the number and the device's clock.
 
-What it cannot do: a line that lost a digit, or two lines that ran into one with the right count, are taken as they are.
+Limits: a line that lost a digit, or two lines joined into one with the right count, are read as they are.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class TextDecoder(FrameDecoder):
         if not line.isascii() or not line.decode().replace("\t", " ").isprintable():
             return Loss.UNREADABLE
         fields = split_fields(line.decode())
-        # Python takes 1_0 for ten; nobody who writes numbers does.
+        # Python reads 1_0 as ten; no device writes that.
         numbers = None if b"_" in line else to_numbers(fields)
         if numbers is None:
             return self._words(fields)
@@ -79,7 +79,7 @@ class TextDecoder(FrameDecoder):
         return self._add(stream, seq, device_s, numbers[lead:])
 
     def _is_row(self, numbers: list[float]) -> bool:
-        """Return whether a line may be a row of the frame that is begun."""
+        """Check whether a line may be a row of the unfinished frame."""
         width = self._width(Stream.SKIN)
         return width is not None and sum(map(len, self._rows)) + len(numbers) <= width
 
@@ -88,7 +88,7 @@ class TextDecoder(FrameDecoder):
         return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
 
     def _stream_of(self, count: int) -> Stream | None:
-        """Say what a line of this many values is, by the widths known and then by one unknown."""
+        """Find the stream of a line with so many values: one of this width, else one of unknown width."""
         widths = {stream: self._width(stream) for stream in self._carries}
         for stream, width in widths.items():
             if width == count:
@@ -157,7 +157,7 @@ def split_fields(line: str) -> list[str]:
 
 
 def to_numbers(fields: list[str]) -> list[float] | None:
-    """Return all fields as numbers, `nan` and `inf` included; None if one is no number."""
+    """Read all fields as numbers, `nan` and `inf` included; `None` if one is no number."""
     try:
         return [float(field) for field in fields]
     except ValueError:

@@ -22,16 +22,21 @@ import numpy as np
 from skincal.devices.decoding import CRC_CCITT_START, DeviceTime, FrameDecoder, SequenceCounter
 from skincal.model.readings import Loss, Stream
 
-HEAD = struct.Struct("<BBHI")
+HEAD_STRUCT = struct.Struct("<BBHI")
 CRC_BYTES = 2
 MAX_BODY = 1024
 """Bytes. The longest body of the protocol."""
-WRENCH = struct.Struct("<6fI")
 WRENCH_TYPE = 2
-JOINTS_TYPE = 5
 HEADER_TYPE = 16
-SKIN_TYPES = {1: np.dtype("<u2"), 3: np.dtype("u1"), 4: np.dtype("<f4")}
-ANGLE = np.dtype("<f4")
+STREAM_OF_TYPE = {
+    1: (Stream.SKIN, np.dtype("<u2")),
+    WRENCH_TYPE: (Stream.WRENCH, np.dtype("<f4")),
+    3: (Stream.SKIN, np.dtype("u1")),
+    4: (Stream.SKIN, np.dtype("<f4")),
+    5: (Stream.JOINTS, np.dtype("<f4")),
+}
+"""Stream of each type, and the type of its values."""
+WRENCH_PAYLOAD_BYTES, STATUS_BYTES = 28, 4
 
 FULL_BLOCK = 255
 """Code of a block of 254 bytes without a 0 after it."""
@@ -54,7 +59,7 @@ class SkbDecoder(FrameDecoder):
         if not frame:
             return None
         record = unstuffed(frame)
-        if record is None or len(record) < HEAD.size + CRC_BYTES:
+        if record is None or len(record) < HEAD_STRUCT.size + CRC_BYTES:
             return Loss.UNREADABLE
         body = record[:-CRC_BYTES]
         if binascii.crc_hqx(body, CRC_CCITT_START) != record[-2] | record[-1] << 8:
@@ -62,43 +67,29 @@ class SkbDecoder(FrameDecoder):
         return self._record(body)
 
     def _record(self, body: bytes) -> Loss | None:
-        kind, source, raw_seq, raw_us = HEAD.unpack_from(body)
+        kind, source, raw_seq, raw_us = HEAD_STRUCT.unpack_from(body)
         if kind == HEADER_TYPE:
             return self._header(body)
-        if kind != WRENCH_TYPE and kind != JOINTS_TYPE and kind not in SKIN_TYPES:
+        if kind not in STREAM_OF_TYPE:
             return None
-        time, sequence = self._counters.get(kind << 8 | source) or self._new_counters(kind, source)
+        key = kind << 8 | source
+        if key not in self._counters:
+            self._counters[key] = self._times.setdefault(source, DeviceTime()), SequenceCounter()
+        time, sequence = self._counters[key]
         device_s = time.unwrap(raw_us)
         seq, missing = sequence.step(raw_seq, device_s)
         self._count_missing(missing)
+        (stream, dtype), payload, status = STREAM_OF_TYPE[kind], body[HEAD_STRUCT.size :], 0
+        if len(payload) % dtype.itemsize or (kind == WRENCH_TYPE and len(payload) != WRENCH_PAYLOAD_BYTES):
+            return Loss.BAD_WIDTH
         if kind == WRENCH_TYPE:
-            return self._wrench(body, seq, device_s)
-        if kind == JOINTS_TYPE:
-            return self._values(Stream.JOINTS, ANGLE, body, seq, device_s)
-        return self._values(Stream.SKIN, SKIN_TYPES[kind], body, seq, device_s)
-
-    def _new_counters(self, kind: int, source: int) -> tuple[DeviceTime, SequenceCounter]:
-        counters = self._times.setdefault(source, DeviceTime()), SequenceCounter()
-        self._counters[kind << 8 | source] = counters
-        return counters
-
-    def _wrench(self, body: bytes, seq: int, device_s: float) -> Loss | None:
-        if len(body) != HEAD.size + WRENCH.size:
-            return Loss.BAD_WIDTH
-        *wrench, status = WRENCH.unpack_from(body, HEAD.size)
+            payload, status = payload[:-STATUS_BYTES], int.from_bytes(payload[-STATUS_BYTES:], "little")
         self.valid_records += 1
-        return self._add(Stream.WRENCH, seq, device_s, wrench, status)
-
-    def _values(self, stream: Stream, dtype: np.dtype[np.generic], body: bytes, seq: int, device_s: float) -> Loss | None:
-        if (len(body) - HEAD.size) % dtype.itemsize:
-            return Loss.BAD_WIDTH
-        values = np.frombuffer(body, dtype, offset=HEAD.size)
-        self.valid_records += 1
-        return self._add(stream, seq, device_s, values)
+        return self._add(stream, seq, device_s, np.frombuffer(payload, dtype), status)
 
     def _header(self, body: bytes) -> Loss | None:
         try:
-            header = body[HEAD.size :].decode()
+            header = body[HEAD_STRUCT.size :].decode()
         except UnicodeDecodeError:
             return Loss.UNREADABLE
         self.valid_records += 1

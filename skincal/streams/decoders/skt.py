@@ -32,7 +32,7 @@ LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""
 TAIL_BYTES = 5
 """`*` and the checksum."""
-STREAMS = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS}
+STREAM_OF_LETTER = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS}
 LEADING_FIELDS = 3
 """Fields before the values: letter, seq, t_us."""
 
@@ -62,7 +62,7 @@ class SktDecoder(FrameDecoder):
 
     def _record(self, text: bytes) -> Loss | None:
         letter, _, rest = text.partition(b",")
-        stream = STREAMS.get(letter)
+        stream = STREAM_OF_LETTER.get(letter)
         if stream is not None:
             return self._reading(stream, text.split(b","))
         if letter == b"H":

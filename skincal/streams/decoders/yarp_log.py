@@ -1,11 +1,8 @@
 """Lines of a `yarpdatadumper` log to readings: `<seq> <stamp> <bottle>` or `<seq> <tx> <rx> <bottle>`.
 
-The payload is a YARP bottle in text form: numbers, strings, and lists in parentheses, which may be nested. Three shapes
-are read: a plain vector, a vector wrapped in one list, and the structure of `/FT/measures:o`, whose sixth list holds the
-six-axis sensors as `((fx fy fz mx my mz) stamp)`. Joint angles are degrees in YARP and become radians here.
-
-Sources: robotology/yarp `src/yarpdatadumper/main.cpp` and `BottleImpl.cpp`; the text form of `measures:o` is derived
-from its serialiser (12 lists, 10 in older versions), not observed.
+A bottle in text form has numbers, strings, and lists in parentheses; `skincal/devices/bottles.py` finds the readings in it.
+Joint angles are degrees in YARP and become radians here. Sources: robotology/yarp `src/yarpdatadumper/main.cpp` and
+`BottleImpl.cpp`; the text form of `measures:o` is derived from its serialiser, not observed.
 """
 
 from __future__ import annotations
@@ -32,22 +29,22 @@ LINE_MAX = 1 << 20
 HEADER_WORDS = (b"Type:", b"Source:", b"Stamp:")
 """Old dumpers wrote what is now `info.log` into the log itself."""
 
-_TOKEN = re.compile(
+_TOKEN_RE = re.compile(
     r'[ \t\r\n,]+|(?P<begin>\()|(?P<end>\))|"(?P<text>(?:\\.|[^"\\])*)"|\[(?P<square>[^]]*)]|{(?P<curly>[^}]*)}'
     r"|(?P<word>[^ \t\r\n,()\"[{][^ \t\r\n,()]*)",
     re.DOTALL,
 )
-"""Of a bottle: what parts words, the ends of a list, a string, a name in brackets, any other word."""
+"""A token of a bottle: separator, end of a list, string, name in brackets, or another word."""
 _NOT_A_TABLE = (b"\r", b"\x1c", b"\x1d", b"\x1e", b"\x1f", b"_")
-"""What no table has. The separators of ASCII part words for numpy alone; nobody who writes numbers writes 1_0 for ten."""
-_HEAD = 64
+"""Marks that no table has: the ASCII separators split words for numpy alone, and Python reads 1_0 as ten."""
+_LINE_HEAD_MAX_CHARS = 64
 """Letters: a line's number and stamps are shorter."""
-_DIGITS_EXACT = 18
+_NUMBER_MAX_DIGITS = 18
 """Digits of a line's number: fewer than those of `SEQ_MAX`."""
-_EXACT = 2.0**53
+_EXACT_INTEGER_MAX = 2.0**53
 """Every smaller whole number is a double."""
 _NOT_PLAIN = (b"(", b")", b'"', b"[", b"{", b"_")
-"""What no payload of plain numbers has."""
+"""Marks that no payload of plain numbers has."""
 
 
 class BottleError(ValueError):
@@ -62,7 +59,7 @@ def parse_bottle(text: str) -> list[Value]:
     open_lists: list[list[Value]] = [[]]
     at = 0
     while at < len(text):
-        found = _TOKEN.match(text, at)
+        found = _TOKEN_RE.match(text, at)
         if found is None:
             raise BottleError("a bracket or a string has no end")
         at, kind = found.end(), found.lastgroup
@@ -84,7 +81,7 @@ def _item(kind: str, word: str) -> Value:
     if kind == "text":
         # A backslash keeps the next character.
         return re.sub(r"\\(.)", r"\1", word, flags=re.DOTALL)
-    # Python takes 1_0 for ten; nobody who writes numbers does.
+    # Python reads 1_0 as ten; no log has that.
     if kind != "word" or "_" in word:
         return word
     try:
@@ -104,7 +101,7 @@ class LogLine:
 
 
 def split_line(line: bytes, stamps: int) -> LogLine | None:
-    """Split a log line into number, stamps and payload; None where it does not begin with them."""
+    """Split a log line into number, stamps and payload; `None` if it does not begin so."""
     words = line.split(None, 1 + stamps)
     if len(words) < 1 + stamps:
         return None
@@ -119,7 +116,7 @@ def split_line(line: bytes, stamps: int) -> LogLine | None:
 
 
 def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
-    """Return the stamps (n, stamps), seconds, of n > 0 lines; None where `split_line` refuses one of them."""
+    """Read the stamps (n, stamps), seconds, of n > 0 lines; `None` if `split_line` refuses one of them."""
     times = _even_stamps(lines, stamps)
     if times is not None:
         return times if (times <= STAMP_MAX_S).all() else None
@@ -135,10 +132,10 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
 
 
 def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
-    """Return the stamps of lines whose numbers and stamps are digits in the same places, as in nearly every log; else None."""
-    words = lines[0][:_HEAD].split(b" ")[: 1 + stamps]
+    """Read the stamps at once if the digits of all lines are at the same places, as in nearly every log; else `None`."""
+    words = lines[0][:_LINE_HEAD_MAX_CHARS].split(b" ")[: 1 + stamps]
     ends = np.cumsum([len(word) + 1 for word in words])
-    if len(words) <= stamps or not 1 < ends[0] <= _DIGITS_EXACT + 1 or ends[-1] > _HEAD:
+    if len(words) <= stamps or not 1 < ends[0] <= _NUMBER_MAX_DIGITS + 1 or ends[-1] > _LINE_HEAD_MAX_CHARS:
         return None
     heads = np.array(lines, f"S{ends[-1]}").view(np.uint8).reshape(len(lines), -1)
     # What is below "0" becomes large.
@@ -153,7 +150,7 @@ def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
         places = [ends[index] + at for at in range(len(word)) if at != point]
         found = digits[:, places]
         whole = found @ 10.0 ** np.arange(len(places) - 1, -1, -1)
-        if not places or (found > 9).any() or not whole.max() < _EXACT:
+        if not places or (found > 9).any() or not whole.max() < _EXACT_INTEGER_MAX:
             return None
         # Both are exact doubles, so their quotient is the double nearest to the decimal, which is what `float` gives.
         times[:, index] = whole / 10.0 ** (len(word) - 1 - point if point >= 0 else 0)
@@ -161,12 +158,12 @@ def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
 
 
 def _in_range(least: int, most: int, times: FloatArray) -> bool:
-    # What is not finite is not within the limit, either.
+    # NaN and infinity are not within the limit.
     return bool((np.abs(times) <= STAMP_MAX_S).all()) and most <= SEQ_MAX and least >= -SEQ_MAX
 
 
 def even_width(data: bytes) -> int:
-    """Return how many words each line has, where all have as many, one space between them, and nothing else; else 0."""
+    """Count the words of each line; 0 unless all lines have as many, with one space between two words and nothing else."""
     letters = np.frombuffer(data, np.uint8)
     at = np.flatnonzero(letters <= ord(" "))
     width = data.count(b" ", 0, data.find(b"\n")) + 1
@@ -177,12 +174,11 @@ def even_width(data: bytes) -> int:
 
 
 def read_table(lines: bytes) -> NDArray[Any] | None:
-    """Return the numbers of whole lines of one width, an integer first, as records of `number` and `values`.
+    """Read whole lines of one width, an integer first, as records of `number` and `values`; `None` if a line has another form.
 
-    None where a line is otherwise, blank, or has a word that is no plain number: numpy reads what Python does, only many at a
-    time.
+    numpy reads the same numbers as Python, many at a time.
     """
-    # Letters that part words for numpy and not here, or here and not in a file of numpy's.
+    # Some letters separate words for numpy alone, or for Python alone.
     if not lines.isascii() or any(mark in lines for mark in _NOT_A_TABLE):
         return None
     rows = lines.decode("ascii").split("\n")
@@ -200,7 +196,7 @@ def read_table(lines: bytes) -> NDArray[Any] | None:
 
 
 def is_header(line: bytes) -> bool:
-    """Return whether a line holds no record: it is blank, or says what now stands in `info.log`."""
+    """Check whether a line is blank or a header, which newer dumpers write into `info.log`."""
     return not line.strip() or line.lstrip().startswith(HEADER_WORDS)
 
 
@@ -213,9 +209,9 @@ class YarpDecoder(FrameDecoder):
     mark = b"\n"
     limit = LINE_MAX
     stamps = 1
-    """How many times stand in a line."""
+    """Number of stamps in a line."""
     made = 0
-    """Which of them says when the reading was taken: the sender's."""
+    """Index of the stamp of the reading: the sender's."""
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -236,10 +232,7 @@ class YarpDecoder(FrameDecoder):
         return [self._batch_of_table(table)]
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:
-        """Return the readings of the next chunks as one batch, and where those of each end; None, nothing taken, if unusual.
-
-        Usual are whole lines of plain numbers, of one width, with nothing lost and nothing that is not finite.
-        """
+        """Decode chunks of whole lines of plain, finite numbers of one width, with no number missing. Else take nothing."""
         table, gaps = self._table(chunks), copy(self._gaps)
         if table is None or not np.isfinite(table["values"]).all() or gaps.missing_among(table["number"]):
             return None
@@ -247,7 +240,7 @@ class YarpDecoder(FrameDecoder):
         return self._batch_of_table(table), list(accumulate(chunk.count(b"\n") for chunk in chunks))
 
     def _table(self, chunks: Sequence[bytes]) -> NDArray[Any] | None:
-        """Return the numbers of chunks that are whole lines of plain numbers, all of one width; None where one is otherwise."""
+        """Read chunks of whole lines of plain numbers, all of one width; `None` if one has another form."""
         if (
             not chunks
             or self._lines.has_partial_frame
@@ -286,7 +279,7 @@ class YarpDecoder(FrameDecoder):
 
     def _numbers(self, payload: bytes) -> list[float]:
         if not any(mark in payload for mark in _NOT_PLAIN):
-            # The usual line, ten times faster than the bottle's grammar.
+            # The usual line: ten times faster than the bottle's grammar.
             return [float(word) for word in payload.replace(b",", b" ").split()]
         bottle = parse_bottle(payload.decode("utf-8", "strict"))
         found = values_of(bottle, self._stream)

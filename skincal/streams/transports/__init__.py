@@ -36,7 +36,7 @@ class Opening:
     carries: tuple[Stream, ...] = ()
     format: str = AUTO
     is_cancelled: Callable[[], bool] = lambda: False
-    """Whether nobody waits for the link any more; may be asked from any thread."""
+    """Whether to give up; may be asked from any thread."""
 
 
 def open_transport(opening: Opening) -> Link:

@@ -1,4 +1,4 @@
-"""Search of the baud rate of a serial port: another rate is tried while bytes come and none is a reading."""
+"""Search of the baud rate of a serial port: the next rate is tried while bytes arrive without a reading."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from skincal.devices.link import Link
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 
-BAUDS = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
+BAUD_RATES = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
 """In the order of the trials: boards, Bota, Robotiq, OptoForce, and other usual settings of boards."""
 TRIAL_MAX_S = 1.0
 """s of bytes at one rate. Text is believed after 0.3 s; a slow board sends ten readings."""
 MIN_READINGS = 5
-"""Readings that show the rate, if they are more than what was lost: noise now and then holds a line with a number."""
+"""Readings that show the right rate, if they outnumber the losses: noise now and then holds a line with a number."""
 
 
 class BaudPort(Link, Protocol):
     """A serial port whose rate can be changed."""
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate. Raises LinkError."""
+        """Change the baud rate. Raises LinkError."""
         ...
 
 
@@ -32,7 +32,7 @@ class BaudSearchLink:
     def __init__(self, port: BaudPort, carries: tuple[Stream, ...]) -> None:
         self._port, self._carries = port, carries
         self.write, self.close = port.write, port.close
-        self.baud = BAUDS[0]
+        self.baud = BAUD_RATES[0]
         self.tried = (self.baud,)
         """Rates that were tried, each once."""
         self.found = False
@@ -55,7 +55,7 @@ class BaudSearchLink:
         if self._readings >= MIN_READINGS and self._readings > self._decoder.current.counts.total():
             self.found = True
         elif now_s - self._since_s > TRIAL_MAX_S:
-            self.baud = BAUDS[(BAUDS.index(self.baud) + 1) % len(BAUDS)]
+            self.baud = BAUD_RATES[(BAUD_RATES.index(self.baud) + 1) % len(BAUD_RATES)]
             self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)
             self._begin()

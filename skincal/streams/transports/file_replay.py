@@ -63,7 +63,7 @@ class FileReplayLink:
         return block
 
     def _next_block(self) -> bytes:
-        """Read the next block and set when it is due, by the device's clock."""
+        """Read the next block and compute its due time from the device's clock."""
         try:
             block = self._file.read(BLOCK_BYTES)
         except OSError as error:

@@ -93,7 +93,7 @@ class SerialLink:
             raise LinkError(FailureKind.VANISHED, f"{self._name} takes no bytes: {error}.") from error
 
     def set_baud(self, baud: int) -> None:
-        """Go on at another rate; what the system refuses is left as it is."""
+        """Change the baud rate. A rate that the system refuses changes nothing."""
         try:
             self._port.baudrate = baud
         except ValueError:
@@ -109,7 +109,7 @@ class SerialLink:
 
 
 def _serial_errors() -> tuple[type[Exception], ...]:
-    """Return what pyserial raises: its own errors, bare OSError from a lost port, termios.error where there is termios."""
+    """List the exceptions of pyserial: its own, OSError from a lost port, and termios.error on POSIX."""
     import serial
 
     try:

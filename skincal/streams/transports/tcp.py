@@ -91,7 +91,7 @@ def enable_keepalive(connection: socket.socket) -> None:
 
 
 def closed_sentence(address: str) -> str:
-    """Say that the other side closed the connection."""
+    """Sentence for a connection that the other side closed."""
     return f"{address}: the other side closed the connection; it is taken up again when the server is back."
 
 

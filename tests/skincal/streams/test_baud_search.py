@@ -6,7 +6,7 @@ import pytest
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.transports import baud_search
-from skincal.streams.transports.baud_search import BAUDS, TRIAL_MAX_S, BaudSearchLink
+from skincal.streams.transports.baud_search import BAUD_RATES, TRIAL_MAX_S, BaudSearchLink
 from tests.skincal.streams.maker_records import VECTORS
 
 BOTA, ROBOTIQ = VECTORS["bota"].data, VECTORS["robotiq"].data
@@ -17,9 +17,9 @@ class Line:
     """A port whose device speaks at one rate: at any other its bytes are noise."""
 
     def __init__(self, record, baud):
-        self._record, self._baud, self._now = record, baud, BAUDS[0]
+        self._record, self._baud, self._now = record, baud, BAUD_RATES[0]
         self._rng = np.random.default_rng(1)
-        self.trials = [BAUDS[0]]
+        self.trials = [BAUD_RATES[0]]
 
     def read(self, _timeout_s):
         data = self._record * 10
@@ -55,7 +55,7 @@ def test_the_rate_is_found_and_kept(record, baud):
     link = BaudSearchLink(line, (Stream.WRENCH,))
     data = b"".join(link.read(0.1) for _ in range(200))
     assert (link.found, link.baud) == (True, baud)
-    assert line.trials == list(BAUDS[: BAUDS.index(baud) + 1])
+    assert line.trials == list(BAUD_RATES[: BAUD_RATES.index(baud) + 1])
     decoder = LinkDecoder("auto", None, (Stream.WRENCH,))
     readings = sum(
         len(batch.seq) for at in range(0, len(data), 500) for _, batch in decoder.feed(data[at : at + 500], at * 1_000_000)
@@ -67,7 +67,7 @@ def test_the_rate_is_found_and_kept(record, baud):
 def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
     line = Line(BOTA, 1)
     link = BaudSearchLink(line, tuple(Stream))
-    for _ in range(int(2 * len(BAUDS) * TRIAL_MAX_S / 0.1)):
+    for _ in range(int(2 * len(BAUD_RATES) * TRIAL_MAX_S / 0.1)):
         link.read(0.1)
     assert not link.found
-    assert line.trials[: len(BAUDS) + 1] == [*BAUDS, BAUDS[0]]
+    assert line.trials[: len(BAUD_RATES) + 1] == [*BAUD_RATES, BAUD_RATES[0]]

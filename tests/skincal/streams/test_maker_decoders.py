@@ -9,7 +9,7 @@ import pytest
 from skincal.devices.bota import crc_x25
 from skincal.devices.decoding import pack
 from skincal.devices.netft import read_page
-from skincal.devices.robotiq import HEAD, SATURATED_COUNT, START, START_ANSWER, crc_modbus
+from skincal.devices.robotiq import FRAME_HEAD, SATURATED_COUNT, START_ANSWER, START_BYTES, crc_modbus
 from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
 from skincal.simulate.device import SkbEncoder, SktEncoder
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
@@ -55,7 +55,7 @@ AXIA_BUSY, AXIA_RANGE, AXIA_BROKEN, ANY_ERROR = 8, 1 << 30, 1 << 2, 1 << 31
 )
 def test_the_status_of_a_device_is_a_sentence_and_flags_its_readings(name, data, saturated, invalid, words):
     if name == "robotiq":
-        data = HEAD + struct.pack("<6h", SATURATED_COUNT, 0, 0, 0, 0, 0)
+        data = FRAME_HEAD + struct.pack("<6h", SATURATED_COUNT, 0, 0, 0, 0, 0)
         data += struct.pack("<H", crc_modbus(data))
     _, decoder, (batch,) = decode(name, data)
     assert (batch.saturated.tolist(), batch.invalid.tolist()) == ([saturated], [invalid])
@@ -69,7 +69,7 @@ def test_the_status_of_a_device_is_a_sentence_and_flags_its_readings(name, data,
 def test_checksums_are_those_of_their_standards():
     assert crc_x25(b"123456789") == 0x906E
     assert crc_modbus(b"123456789") == 0x4B37
-    for words in (START, START_ANSWER):
+    for words in (START_BYTES, START_ANSWER):
         assert crc_modbus(words[:-2]) == int.from_bytes(words[-2:], "little")
 
 
