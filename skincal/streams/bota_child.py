@@ -34,7 +34,7 @@ def driver_config(bota: Any, settings: dict[str, Any]) -> Any:
     Parameters
     ----------
     bota : the module `bota_driver`
-    settings : `kind` of `INTERFACE_OF_KIND`, `place` (host or serial port); maybe `baud`, `mode`, `submode`, `product`, `serial`
+    settings : `kind` of `INTERFACE_OF_KIND`, `place` (host or port); maybe `baud`, `mode`, `submode`, `product`, `serial`
     """
     config, sensor, driver = bota.BotaDriverConfig(), bota.GenASensorOperationConfig(), bota.DriverOperationConfig()
     kind, place = settings["kind"], settings["place"]

@@ -265,21 +265,19 @@ def test_a_dry_run_opens_nothing_and_prints_what_would_be_sent(capsys, sample):
     assert all("." in word for word in words[4:]), "a whole number would be taken for a taxel"
 
 
-@pytest.mark.parametrize("more", [["--part", "left_ear"], ["--method", "free", "--part", "x"]])
-def test_a_part_that_no_robot_has_is_refused(capsys, sample, more):
-    code, _, told = apply(capsys, sample, "yarp:/x", *more)
-    assert code == 2
-    assert "expected --part with one of l_hand" in told
-
-
-def test_a_file_is_not_solved_and_another_address_is_no_port(capsys, sample, tmp_path):
+def test_orders_that_cannot_be_right_are_refused(capsys, sample, tmp_path):
     file = tmp_path / "robot.txt"
     assert main(["export", str(sample), "--format", "icub", "--out", str(file)]) == 0
     capsys.readouterr()
-    assert "since only a session is solved" in apply(capsys, file, "yarp:/x", "--correct")[2]
-    for address in ("/dev/ttyUSB0", "netft://192.0.2.1"):
-        for more in ((), ("--dry-run",)):
-            assert "is not a YARP port. Example: yarp:" in apply(capsys, sample, address, *more)[2]
+    for source, address, more, words in (
+        (file, "yarp:/x", ("--correct",), "since only a session is solved"),
+        (sample, "yarp:/x", ("--method", "free", "--part", "left_ear"), "expected --part with one of l_hand"),
+        (sample, "/dev/ttyUSB0", (), "is not a YARP port. Example: yarp:"),
+        (sample, "netft://192.0.2.1", ("--dry-run",), "is not a YARP port. Example: yarp:"),
+    ):
+        code, _, told = apply(capsys, source, address, *more)
+        assert code == 2
+        assert words in told
 
 
 def test_zeros_of_an_exported_file_erase_nothing(capsys, sample, tmp_path):

@@ -34,14 +34,29 @@ def robot(server):
         yield peer
 
 
-def taken(server, count=1, but=RobotCame.CAME):
-    """What the server heard, once there is so much of it."""
-    found, end = [], time.monotonic() + PATIENCE_S
-    while len(found) < count:
-        assert time.monotonic() < end, found
-        found += [item for item in server.take() if item is not but]
+def wait_for(condition):
+    """The first true value of a condition."""
+    end = time.monotonic() + PATIENCE_S
+    while not (found := condition()):
+        assert time.monotonic() < end
         time.sleep(0.01)
     return found
+
+
+def taken(server, count=1, but=RobotCame.CAME):
+    """What the server heard, once there is so much of it."""
+    found = []
+
+    def enough():
+        found.extend(item for item in server.take() if item is not but)
+        return len(found) >= count
+
+    wait_for(enough)
+    return found
+
+
+def answers(server):
+    return wait_for(lambda: [item for item in server.take() if isinstance(item, Answer)])
 
 
 def test_a_robot_hears_what_is_asked_and_answers(server):
@@ -169,15 +184,9 @@ def test_the_client_finds_the_server_when_it_comes_and_again_after_it_went():
         for number in (1, 2):
             with closing(TargetServer("127.0.0.1", port)) as server:
                 server.send([target(number)])
-                end = time.monotonic() + PATIENCE_S
-                while not any(isinstance(line, PokeTarget) and line.number == number for line in heard):
-                    assert time.monotonic() < end
-                    time.sleep(0.01)
+                wait_for(lambda: any(isinstance(line, PokeTarget) and line.number == number for line in heard))  # noqa: B023
                 client.say(Answer(AnswerKind.REACHED, number))
-                while not (found := [item for item in server.take() if isinstance(item, Answer)]):
-                    assert time.monotonic() < end
-                    time.sleep(0.01)
-                assert found == [Answer(AnswerKind.REACHED, number)]
+                assert answers(server) == [Answer(AnswerKind.REACHED, number)]
 
 
 def test_a_target_that_the_client_cannot_take_is_a_fault(server):
@@ -187,11 +196,7 @@ def test_a_target_that_the_client_cannot_take_is_a_fault(server):
 
     with closing(TargetClient(server.host, server.port, refuse)):
         server.send([target(1)])
-        end = time.monotonic() + PATIENCE_S
-        while not (found := [item for item in server.take() if isinstance(item, Answer)]):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        assert found == [Answer(AnswerKind.FAULT, 1, "no such taxel")]
+        assert answers(server) == [Answer(AnswerKind.FAULT, 1, "no such taxel")]
 
 
 @pytest.mark.parametrize("garbage", [b"x" * 2000, b"target 1 2\n"])
@@ -206,7 +211,4 @@ def test_the_client_comes_again_after_what_is_no_line(garbage):
             first.sendall(garbage)
             with listening.accept()[0] as second:
                 second.sendall(b"wait\n")
-                end = time.monotonic() + PATIENCE_S
-                while heard != [NoTarget.WAIT]:
-                    assert time.monotonic() < end
-                    time.sleep(0.01)
+                wait_for(lambda: heard == [NoTarget.WAIT])
