@@ -281,7 +281,8 @@ CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "mi
 ERROR_KEYS = {"mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m"}
 CLOSING_KEYS = {
     "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
-    "seen": "directions_seen", "without": "chance_without_poke", "poke": "poke_left_out", "place": "place_left_out",
+    "observable_directions": "directions_seen", "chance_without_worst": "chance_without_poke",
+    "poke": "poke_left_out", "place": "place_left_out",
 }  # fmt: skip
 ESTIMATE_KEYS = {
     "state": "state", "contacts": "contacts", "position": "position_m", "normal": "normal", "covariance": "covariance_m2",

@@ -105,7 +105,7 @@ class Poked:
 
     def end_as(self, outcome) -> None:
         """Have the pipeline settle a poke, as at the end of one that the devices reported."""
-        self.pipeline._settle_item(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
+        self.pipeline._commit(LinkEvent("wrench", time.monotonic_ns(), LinkState.OPEN), [outcome])
 
     def until_offered(self) -> None:
         self.bench.until(lambda: bool(self.frame.offers), OPEN_MS)

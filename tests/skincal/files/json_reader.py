@@ -128,7 +128,7 @@ def _estimate(values: dict[str, Any], method: Method) -> Estimate:
         method=method,
         **_fields(values, ESTIMATE_KEYS),
         reason=StateReason(Cause.EXTERNAL_TEXT, text=reason) if reason else None,
-        foot=None if values["foot_m"] is None else np.array(values["foot_m"], dtype=float),
+        line_point=None if values["foot_m"] is None else np.array(values["foot_m"], dtype=float),
         rival=None if rival is None else Rival(np.array(rival["position_m"], dtype=float), rival["triangle"], rival["odds"]),
         doubted={int(poke): trust for poke, trust in values["doubted"].items()},
     )

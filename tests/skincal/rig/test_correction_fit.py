@@ -147,7 +147,7 @@ def test_without_landmarks_nothing_of_the_rig_is_touched():
         assert not answer.used
         assert not answer.unknowns.any()
         assert np.all(answer.known == 1.0)
-        assert f"{len(some)} are there" in rig_sentences(answer)[0]
+        assert f"there are {len(some)} pokes" in rig_sentences(answer)[0]
 
 
 def test_a_landmark_poked_ten_millimetres_off_is_named_and_does_little_harm():

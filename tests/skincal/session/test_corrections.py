@@ -424,7 +424,7 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     pokes = plain["rig"]["landmark_pokes"]
     assert approved("rig.unchecked_poked", off_mm=f"{plain['unchecked_rig_mm']:.1f}", pokes=pokes) in said.splitlines()
     assert f"{plain['verdict']}." in said.splitlines()
-    assert plain["verdict"].startswith("Not enough yet")
+    assert plain["verdict"].startswith("Not finished")
     mean, worst, whole, among = (f"{value:.1f}" for value in apart.values())
     (line,) = [line for line in said.splitlines() if line.startswith("modules-corrected")]
     said = approved("verdict.predicted_apart", mean_mm=mean, worst_mm=worst, whole_mm=whole, among_mm=among)

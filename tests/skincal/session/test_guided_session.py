@@ -139,6 +139,7 @@ def test_a_robot_that_skips_is_asked_for_another_poke():
     assert len(rig.pipeline.snapshot().decisions.skips) == 1, "in the session, as from the window"
 
 
+@pytest.mark.timeout(900)
 def test_a_robot_pokes_to_enough_over_the_lines(example):
     rig = make_rig(RigErrors.noise(), name="flat-patch")
     with closing(TargetServer(*parse_port("0"))) as server:
