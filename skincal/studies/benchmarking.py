@@ -61,9 +61,10 @@ def check_limits(numbers: Mapping[str, tuple[float, str, float]]) -> dict[str, d
 def limit_lines(limits: Mapping[str, Mapping[str, Any]], digits: int = 3) -> list[str]:
     """Describe each limit in a line."""
     lines: list[str] = []
-    for name, bar in limits.items():
-        value = "not reached" if bar["value"] is None else f"{bar['value']:.{digits}g}"
-        lines.append(f"{name}: {value}, bar {bar['sign']} {bar['limit']:g}: {'holds' if bar['holds'] else 'DOES NOT HOLD'}")
+    for name, one in limits.items():
+        value = "not reached" if one["value"] is None else f"{one['value']:.{digits}g}"
+        holds = "holds" if one["holds"] else "DOES NOT HOLD"
+        lines.append(f"{name}: {value}, limit {one['sign']} {one['limit']:g}: {holds}")
     return lines
 
 

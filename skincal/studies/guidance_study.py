@@ -65,7 +65,7 @@ class GuidanceSizes:
     case_seeds: int = 10
     """Of the other conditions."""
     guided_limit: int = 756
-    """Pokes of the guide in standard conditions, free method: nearly all that it asks for."""
+    """Pokes of the guide in standard conditions, free method: nearly all it needs."""
     free_limit: int = 252
     """Pokes in the other conditions, free method."""
     surface_limit: int = 1008

@@ -100,7 +100,7 @@ class RigModel:
     pose_shift: float = 2 * MM
     """sd along each axis."""
     wander_turn: float = 0.0
-    """Rms about each axis by which the arm wanders away after it took a pose, a random walk: servos creep under the hand."""
+    """Rms about each axis of the arm's random walk within a pose: servos creep under the hand."""
     wander_shift: float = 0.0
     """Rms along each axis."""
     flex: float = 0.0
@@ -120,9 +120,9 @@ class RigModel:
     """m rms along the normal, smooth over `BUMP_LENGTH`."""
     # ---- skin
     mount_shift: float = 3 * MM
-    """sd in each direction by which the skin is stuck on beside its plan: what a calibration is to find, not an error."""
+    """sd in each direction of the skin's offset from its plan: the calibration has to find it, it is no error."""
     mount_turn: float = 2 * DEGREE
-    """sd of its turn in its plane, likewise."""
+    """sd of the skin's turn in its plane."""
     pads: float = 0.0
     """m, sd in each direction of a pad beside its module's plan."""
     gains: float = 0.10
@@ -139,7 +139,7 @@ class RigModel:
     """sd in each direction of the skin between the middle of the tip and where the force acts: an uneven patch."""
     # ---- operator
     beside: float = 2 * MM
-    """sd in each direction by which a poke lands beside the taxel it is meant for."""
+    """sd in each direction of a poke about its target taxel."""
     cone: float = 30 * DEGREE
     """Pushes lean at most this far from the normal, evenly in solid angle: somebody careful."""
     arc: float = 2 * np.pi
@@ -394,7 +394,7 @@ class Operator:
     ----------
     world : sizes
     up : (3,) float, unit, outward: of the skin on average
-    rng : draws the side to which the operator leans, one along the skin
+    rng : draws the side to which the operator leans
     """
 
     def __init__(self, world: RigModel, up: FloatArray, rng: np.random.Generator) -> None:
@@ -580,7 +580,7 @@ def simulate_session(
     known = known if len(landmarks) else 0
     parts: list[tuple[Any, ...]] = []
     for pose in range(len(reported)):
-        # Each arm pose goes on with the landmark after the last one that the guide asked for.
+        # Each arm pose continues after the last landmark that the guide asked for.
         marks = (sum(GUIDED_LANDMARK_POKES[:pose]) + np.arange(known)) % max(len(landmarks), 1)
         at, push = operator.press_landmarks(part, landmarks[marks], hand)
         own = targets[pose * per_pose : (pose + 1) * per_pose]

@@ -236,7 +236,7 @@ def best(equations: NormalEquations, corners: Exact) -> Exact:
 
 
 ROUNDING_OF_ROWS = 64 * float(np.finfo(float).eps)
-"""Share of the reach by which the root of a sum of squares moves at most in a perturbation: about ten roundings a row."""
+"""Largest change of the root of a sum of squares in a perturbation, over the reach: about ten roundings a row."""
 
 
 def _candidates(readings: Readings, mesh: RawMesh) -> IntArray:
@@ -390,7 +390,7 @@ def pose_at(pose: Any, flat: FloatArray, mesh: RawMesh | None) -> ExactPose:
 
 
 def true_pose(case: ModuleCase) -> ExactPose:
-    """Return the pose in which the pokes of a case were made."""
+    """Return the pose from which the pokes of a case were simulated."""
     return pose_at(case.module.at, case.module.flat, case.module.mesh)
 
 

@@ -45,7 +45,7 @@ LM_TOLERANCES = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 TAXELS_PER_POKE = 7
 """Largest reach of a tip of 4 mm between pads 5 mm apart."""
 REFERENCE_MATRICES = 20_000
-"""numpy finds the eigenvectors of so many 3 x 3 matrices in about 17 ms: the pace of the machine at that minute."""
+"""numpy finds the eigenvectors of these 3 x 3 matrices in about 17 ms, which measures the machine's current pace."""
 ONE_SEED_FROM_POKES = 30
 """Pokes a taxel from which on one seed suffices: the simulation takes longer than the measurement."""
 AS_SHIPPED = (
@@ -567,7 +567,7 @@ def _row_text(row: Row) -> str:
 
 
 def summary(result: dict[str, Any]) -> list[str]:
-    """List the two sizes on which everything is measured, the limits, and what was left out."""
+    """List the rows of the two main sizes, the limits, and omissions."""
     lines: list[str] = []
     for size, rows in groupby(main_rows(result), key=lambda row: (row["part"], *_size(row))):
         lines.append("{}: {} taxels, {} triangles, {} pokes a taxel".format(*size))

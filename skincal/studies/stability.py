@@ -138,7 +138,7 @@ def _surface(case: Case) -> Surface | None:
 
 
 def _orders(case: Case) -> Iterator[IntArray]:
-    """Yield orders of the contacts: as they are, reversed, shuffled; of a taxel also heavy and light ones first."""
+    """Yield orders of the contacts: original, reversed, shuffled; for a taxel also by weight, both ways."""
     contacts = len(case.readings.forces)
     own = np.tile(np.arange(contacts), case.repeats)
     yield own

@@ -80,10 +80,11 @@ def perturbed(inputs: Any, rng: np.random.Generator) -> Any:
         return replace(inputs, **{own.name: perturbed(getattr(inputs, own.name), rng) for own in fields(inputs)})
     if not isinstance(inputs, np.ndarray) or values.dtype.kind != "f":
         return values
-    towards = np.where(rng.integers(0, 2, values.shape) == 0, -np.inf, np.inf)
-    moved: FloatArray = np.where(np.equal(values, 0.0), 0.0, np.nextafter(values, towards))
-    if values.shape[-2:] == (4, 4):
-        moved[..., 3, :] = values[..., 3, :]
+    array: FloatArray = values
+    towards = np.where(rng.integers(0, 2, array.shape) == 0, -np.inf, np.inf)
+    moved = np.where(array == 0, 0.0, np.nextafter(array, towards))
+    if array.shape[-2:] == (4, 4):
+        moved[..., 3, :] = array[..., 3, :]
     return moved
 
 
@@ -607,7 +608,7 @@ def module_case(
     noise: NoiseSettings | None = None,
     **how: Any,
 ) -> ModuleCase:
-    """Make the case of a module with these readings, or with so many pokes as `press_module` describes."""
+    """Make the case of a module with these readings, or with a number of pokes by `press_module`."""
     readings = press_module(rng, module, pokes, **how) if isinstance(pokes, int) else pokes
     start, noise = offset_pose(rng, module), noise or NoiseSettings()
     return ModuleCase(name, readings, module.mesh, module=module, start=start, noise=noise)

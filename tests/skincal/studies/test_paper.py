@@ -33,7 +33,7 @@ def test_it_gives_what_is_asked_of_it():
     assert all(len(course) == 7 for course in found["averaged_mm"].values())
     assert [row["landmark_pokes"] for row in found["landmarks"]] == [21, 70]
     assert len(said) == 2 + 3
-    assert sum("bar" in line for line in paper.summary(found)) == len(found["bars"])
+    assert sum("limit " in line for line in paper.summary(found)) == len(found["bars"])
 
 
 def test_what_is_averaged_first_is_the_first_pose_alone():
