@@ -21,7 +21,7 @@ from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, 
 from app.state.view_state import ViewState
 from app.theme import GAP
 from skincal.contacts.outcome import Outcome
-from skincal.contacts.thresholds import NEWEST, threshold_uses
+from skincal.contacts.thresholds import NEWEST_POKES, threshold_uses
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.words.threshold_words import (
@@ -125,7 +125,7 @@ class ThresholdsDialog(QDialog):
         if now != self._now:
             self._now = now
             self._show_fields()
-        newest = [record.outcome for record in state.snapshot.pokes[-NEWEST:]]
+        newest = [record.outcome for record in state.snapshot.pokes[-NEWEST_POKES:]]
         # Compared by what they are: arrays have no truth.
         if self._newest is None or list(map(id, newest)) != list(map(id, self._newest)):
             self._newest = newest

@@ -96,10 +96,10 @@ def rig_again(folder: Path, run: int) -> tuple[str, ...]:
     """
     from skincal.files.reference import RIG_KEY, TRUTH_NAME
     from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
-    from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
+    from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
 
     try:
-        rig = parse_json(read_regular(folder / TRUTH_NAME, DOCUMENT_MOST))[RIG_KEY]
+        rig = parse_json(read_regular(folder / TRUTH_NAME, MAX_JSON_BYTES))[RIG_KEY]
         seed, errors = rig["seed"], rig["errors"]
     except (InputError, ValueError, KeyError, TypeError):
         return ()

@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 
 from skincal.cli.calibrate import Json, SessionArgument
 from skincal.model.errors import InputError, plural
-from skincal.model.given import TEXT_MOST, read_regular
+from skincal.model.given import MAX_TEXT_BYTES, read_regular
 
 if TYPE_CHECKING:
     from skincal.contacts.outcome import Outcome
@@ -119,11 +119,11 @@ def landmarks(
 
 def _check_options(session: Path, named: Sequence[str], *, undo: bool) -> None:
     """Refuse options that exclude each other, and changes to a session that is being recorded."""
-    from skincal.journal.lock import writer_of
+    from skincal.journal.lock import describe_lock_holder
 
     if undo and named:
         raise InputError(f"--undo and {named[0]} exclude each other; call `skincal landmarks` once for each.")
-    if (undo or named) and (who := writer_of(session)):
+    if (undo or named) and (who := describe_lock_holder(session)):
         raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
 
 
@@ -156,7 +156,7 @@ def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
     from skincal.files.importers.csv_log import COLUMN_SEPARATORS
 
     try:
-        content = read_regular(path, TEXT_MOST).decode("utf-8-sig")
+        content = read_regular(path, MAX_TEXT_BYTES).decode("utf-8-sig")
         first = next(filter(str.strip, content.splitlines()), "")
         mark = next((mark for mark in COLUMN_SEPARATORS if mark in first), ",")
         rows = csv.reader(StringIO(content, newline=""), delimiter=mark)

@@ -203,10 +203,10 @@ def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> Non
     if not isinstance(item, OrderLine):
         pipeline.feed(item)
         return
-    from skincal.model.actions import from_json
+    from skincal.model.actions import action_from_json
 
     try:
-        pipeline.act(from_json(parse_json(item.text)), item.host_ns)
+        pipeline.act(action_from_json(parse_json(item.text)), item.host_ns)
     except (InputError, ValueError, AttributeError) as error:
         say(f"order {item.text[:SHOWN_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
 

@@ -17,7 +17,7 @@ import typer
 from skincal.cli.calibrate import Json
 from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
 from skincal.cli.terminal import say
-from skincal.model.errors import INTERRUPTED, InputError
+from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
 from skincal.model.readings import Stream
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as
         say(f"stopped: the session has {has}, and is kept; for all of them name another folder by --out.", err=True)
     finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
     if stop.is_set():
-        raise typer.Exit(INTERRUPTED)
+        raise typer.Exit(INTERRUPTED_EXIT_CODE)
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:

@@ -1,19 +1,23 @@
-"""What a poke ends as, a contact or a rejection with its reason, and how the poke in progress stands."""
+"""Result of a poke, a contact or a rejection with its reason, and the state of the poke in progress."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TypeAlias
 
+from skincal.contacts.press import FinishedPress
+from skincal.contacts.tare import Tare
 from skincal.geometry import FloatArray, IntArray
 
-RAW = "raw"
-"""Unit of what a taxel answers: the device's own."""
+RAW_UNIT = "raw"
+"""Unit of a taxel's response: the device's own."""
+NOT_STORED = {"stored": False}
+"""Metadata of a field that the journal leaves out, or writes in another form."""
 
 
 class Reason(Enum):
-    """Why a poke does not count; the value is the word the operator reads."""
+    """Why a poke does not count. The operator reads the value; the journal stores the name."""
 
     TOO_SOFT = "too soft"
     TOO_HARD = "too hard"
@@ -31,12 +35,27 @@ class Reason(Enum):
     ARM_MOVED = "arm moved"
 
 
+CROWDED_REASONS = (Reason.TOO_MANY_TAXELS, Reason.NOT_CONNECTED)
+"""Reasons that can disappear when a channel is found to be dead."""
+_THRESHOLD_OF_REASON = {
+    Reason.TOO_SOFT: "force_min",
+    Reason.TOO_HARD: "force_max",
+    Reason.NOT_STILL: "still_change",
+    Reason.SLID: "slide_max",
+    Reason.TWO_CONTACTS: "pitch_max",
+    Reason.TOO_MANY_TAXELS: "taxels_max",
+    Reason.NOT_CONNECTED: "gap_factor",
+    Reason.TARE_CHANGED: "tare_change_max",
+    Reason.NO_TAXEL: "response_min",
+}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """One accepted poke: the mean wrench of its still window and the taxels that answered.
 
-    A poke may be given twice: at its release, tared by the quiet time before it, and again once the quiet time after
-    it is known. The second replaces the first.
+    A poke is reported twice: at its release, tared by the quiet time before it, and again with the quiet time after it.
+    The second report replaces the first.
     """
 
     poke: int
@@ -59,17 +78,21 @@ class Contact:
     tare_change: float
     """N, difference of the tares before and after; NaN until the second is known."""
     final: bool
-    """The tare after the poke is in, or will not come."""
+    """The tare after the poke is known, or will not come."""
+    press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
+    """The press, to judge it again with other dead channels. `None` if these cannot change the result."""
+    tare_after: Tare | None = field(default=None, repr=False, metadata=NOT_STORED)
+    """Tare after the press, for the same purpose; `None` without one."""
 
     @property
     def strongest_channel(self) -> int:
-        """The channel that answered most."""
+        """Channel with the largest response."""
         return int(self.channels[self.responses.argmax()])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rejection:
-    """One poke that does not count, with the number that decided and the limit it met."""
+    """One poke that does not count, with the number that decided and its limit."""
 
     poke: int
     start_s: float
@@ -79,25 +102,34 @@ class Rejection:
     """The number that decided, in the unit of `limit`."""
     limit: float
     unit: str
-    """SI unit of `value` and `limit`, such as `"N"`; `RAW` for a taxel's answer, empty for a count."""
+    """SI unit of `value` and `limit`, such as `"N"`; `RAW_UNIT` for a taxel's response, empty for a count."""
     channels: IntArray
     """Taxels that answered, ascending; may be empty."""
     final: bool
     force: FloatArray | None = None
-    """(3,) float, N, tared, sensor frame, force on the part; None without a still window or a known pose."""
+    """(3,) float, N, tared, sensor frame, force on the part; `None` without a still window or a known pose."""
     moment: FloatArray | None = None
-    """(3,) float, N m, tared, about the sensor's origin; None as `force`."""
+    """(3,) float, N m, tared, about the sensor's origin; `None` as `force`."""
     link_from_sensor: FloatArray | None = None
-    """(4, 4) float, metres: pose of the arm during the poke; None as `force`."""
+    """(4, 4) float, metres: pose of the arm during the poke; `None` as `force`."""
     pose: str = ""
     """Name of the arm pose, as `Contact.pose`; empty without a still window."""
+    press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
+    """As in `Contact`."""
+    tare_after: Tare | None = field(default=None, repr=False, metadata=NOT_STORED)
+
+    @property
+    def threshold(self) -> str:
+        """Name of the threshold that decided, as in `ContactSettings`; empty if it was none of them."""
+        is_short_press = self.reason is Reason.NOT_STILL and self.unit == "s"
+        return "still_s" if is_short_press else _THRESHOLD_OF_REASON.get(self.reason, "")
 
 
 Outcome: TypeAlias = Contact | Rejection
 
 
 class PressPhase(Enum):
-    """Where the poke in progress stands."""
+    """State of the poke in progress."""
 
     NO_DATA = "no data"
     TARING = "keep hands off"
@@ -109,20 +141,20 @@ class PressPhase(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BeforePokes:
-    """What the samples until the first poke showed: where no poke comes at all, it says why."""
+    """Summary of the samples before the first poke: it explains why no poke was found."""
 
     samples: int
-    """Skin frames with the wrench of their time."""
+    """Skin frames that were paired with a wrench."""
     seconds: float
     """s, from the first to the last."""
     tared: bool
-    """The force rested long enough for a tare."""
+    """The force was quiet for long enough to tare."""
     strongest: float
-    """N, the largest force beside its rest."""
+    """N, largest tared force."""
     answered: int
-    """Taxels that answered..."""
+    """Taxels that answered."""
     fell: int
-    """...and those that fell as far below their rest."""
+    """Taxels whose values fell below the baseline by as much."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

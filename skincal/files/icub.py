@@ -34,7 +34,7 @@ import numpy as np
 from skincal.files.calibration import Calibration, placed_taxels
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, list_channels
-from skincal.model.given import TEXT_MOST, read_regular
+from skincal.model.given import MAX_TEXT_BYTES, read_regular
 from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.rig_words import correction_words
@@ -119,13 +119,13 @@ def _text(part: str, frame: str, mapping: IntArray, rows: FloatArray, comments: 
 
 def part_name(path: Path) -> str:
     """Return the skin part that a position file is of; empty where it names none."""
-    found = re.search(r"^name\s+(\S+)", read_regular(path, TEXT_MOST).decode("utf-8", "replace"), re.MULTILINE)
+    found = re.search(r"^name\s+(\S+)", read_regular(path, MAX_TEXT_BYTES).decode("utf-8", "replace"), re.MULTILINE)
     return "" if found is None else found[1]
 
 
 def has_comment(path: Path, comment: str) -> bool:
     """Return whether a position file has a comment, as `positions_text` writes it."""
-    return f"# {comment}" in read_regular(path, TEXT_MOST).decode("utf-8", "replace").splitlines()
+    return f"# {comment}" in read_regular(path, MAX_TEXT_BYTES).decode("utf-8", "replace").splitlines()
 
 
 def _format_row(row: list[float]) -> str:
@@ -144,7 +144,7 @@ def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimat
     for state in State:
         channels = [estimate.channel for estimate in estimates if estimate.state is state and estimate.position is None]
         if channels:
-            lines.append(f"{state.value}: {list_channels(channels, most=len(channels))}")
+            lines.append(f"{state.value}: {list_channels(channels, max_ranges=len(channels))}")
     return lines
 
 
@@ -153,7 +153,7 @@ def read_icub(path: Path) -> FloatArray:
 
     Raises InputError: the file cannot be read, has no rows, or a row is not six finite numbers; names the line.
     """
-    return parse_icub(read_regular(path, TEXT_MOST).decode("utf-8", "replace"), str(path))
+    return parse_icub(read_regular(path, MAX_TEXT_BYTES).decode("utf-8", "replace"), str(path))
 
 
 def parse_icub(text: str, where: str) -> FloatArray:

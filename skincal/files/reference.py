@@ -18,7 +18,7 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.methods import leading_by
 from skincal.model.errors import InputError
-from skincal.model.given import DOCUMENT_MOST, parse_json, read_regular
+from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
 from skincal.taxels.differences import Repeatability, repeatability
 from skincal.taxels.result import Estimate, Method
 
@@ -201,7 +201,7 @@ def read_place_sets(path: Path) -> tuple[TaxelPositions, ...]:
 
 
 def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
-    document: Any = parse_json(read_regular(path, DOCUMENT_MOST))
+    document: Any = parse_json(read_regular(path, MAX_JSON_BYTES))
     if "estimates" not in document:
         places = {int(taxel["channel"]): _place(taxel["position_m"]) for taxel in document["taxels"]}
         return (TaxelPositions(path.name, str(document.get("link", "")), places),)
@@ -216,7 +216,7 @@ def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
 def _csv_sets(path: Path) -> tuple[TaxelPositions, ...]:
     """Return the sets of a calibration's CSV, which tells no predicted error but its largest part, the sd."""
     rows: list[_Row] = []
-    with io.StringIO(read_regular(path, DOCUMENT_MOST).decode("utf-8"), newline="") as file:
+    with io.StringIO(read_regular(path, MAX_JSON_BYTES).decode("utf-8"), newline="") as file:
         for row in csv.DictReader(file):
             words = [row["x_m"], row["y_m"], row["z_m"]]
             place = [float(word) for word in words] if all(words) else None

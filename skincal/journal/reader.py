@@ -1,16 +1,13 @@
 """Read a session in order: either bytes and actions, or actions and results without the bytes.
 
-What is read is always the beginning of what was written, never a wrong value and never a hole: chunks and lines carry a
-checksum, items and documents their number, and the lines of a segment say how many items there are. Items beyond those, which a
-kill may leave, are not played: what they led to was not written any more.
-
-A session that was cut off or damaged, made ready to go on: every segment is given an end, at its first damage.
+The result of reading is always a beginning of the session: no wrong value and no hole. Chunks and lines have checksums, items
+have numbers, and the lines of a segment confirm its items. Unconfirmed items, which a crash may leave, are not played: their
+results were never written. A segment with a damaged line file is played from its bytes.
 """
 
 from __future__ import annotations
 
 import os
-import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,31 +17,26 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import Writer
 
 from skincal import __version__
-from skincal.journal import documents
+from skincal.journal import ros_messages
 from skincal.journal.documents import (
-    FORMAT_WITH_NOTES,
-    Ending,
-    Lines,
-    LineWriter,
-    Note,
-    SegmentMark,
+    DetectorResult,
+    Result,
+    SegmentHeader,
+    SessionClosed,
     SessionEvent,
-    Taken,
     Totals,
-    from_document,
-    lines_path,
     read_document,
-    read_lines,
 )
-from skincal.journal.lock import writer_of
-from skincal.journal.mcap_file import EVENT_TOPIC, RAW_TOPIC, DamagedError, McapFile, is_closed, is_item, tells_all
+from skincal.journal.line_file import Lines, lines_path, read_lines, write_closed_copy
+from skincal.journal.lock import describe_lock_holder
+from skincal.journal.mcap_file import EVENT_TOPIC, RAW_TOPIC, DamagedError, McapFile, is_closed
 from skincal.journal.writer import DIGEST_OF_ALL_FILES, SCENE_FILE, SCENE_FOLDER, scene_digest, toml_digest
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Scene, load_scene
 
 LogItem: TypeAlias = Chunk | SessionEvent
-LogState: TypeAlias = SessionEvent | Note
+LogState: TypeAlias = SessionEvent | Result
 
 
 class SessionLog:
@@ -53,7 +45,7 @@ class SessionLog:
     Raises
     ------
     InputError
-        It is not a session's folder, or its scene cannot be read, or its first segment has no readable beginning.
+        It is not a session's folder, its scene cannot be read, or its first segment has no readable beginning.
     """
 
     def __init__(self, folder: Path, *, own: bool = False) -> None:
@@ -61,18 +53,18 @@ class SessionLog:
         self.segments = find_segments(folder)
         self._digest = scene_digest(folder / SCENE_FOLDER)
         self._findings: list[str] = []
-        first = next(Segment(self.segments[0], last=True).state(), None)
-        if not isinstance(first, SegmentMark):
+        first = Segment(self.segments[0], last=True).header()
+        if first is None:
             raise InputError(
                 f"{self.segments[0]}: holds nothing readable; it is another program's file, or damaged at its start."
             )
         self.links = first.links
         self.scene: Scene = load_scene(folder / SCENE_FOLDER / SCENE_FILE)
-        self.scene_changed = self._differs(first)
-        """The scene in the folder is not the one that was recorded with: what was made of the bytes no longer holds."""
-        self.has_notes = first.format >= FORMAT_WITH_NOTES
-        """Every segment read so far holds the session without the bytes."""
-        self.written_by = "" if own else writer_of(folder)
+        self.scene_changed = self._has_other_scene(first)
+        """The scene in the folder was changed after the recording: the results no longer hold."""
+        self.has_results = True
+        """Every segment read so far by `state` has a usable line file."""
+        self.written_by = "" if own else describe_lock_holder(folder)
         """Program that records it now, in words; empty if there is none."""
         if self.written_by:
             self._findings.append(f"{folder}: is being recorded by {self.written_by}; read as far as it is written.")
@@ -87,33 +79,37 @@ class SessionLog:
         return tuple(self._findings)
 
     def items(self) -> Iterator[LogItem]:
-        """Yield every item in the order in which it was taken, a `SegmentMark` where the session was opened to go on.
+        """Yield every item in its order, and a `SegmentHeader` for each time that the session was opened to go on.
 
-        Reading ends at the first damage, so that what comes out is a beginning of what happened and has no hole.
+        Reading ends at the first damage, so the items are a beginning of the session without a hole.
         """
         for segment in self._segments():
             for item in segment.items():
-                if not (isinstance(item, SegmentMark) and item.continues):
+                if not (isinstance(item, SegmentHeader) and item.continues):
                     yield item
 
     def state(self) -> Iterator[LogState]:
-        """Yield actions and the detector's results in order, without the bytes.
+        """Yield actions and the detector's results in their order, without the bytes.
 
-        What was read last says in `has_notes` and `scene_changed` whether that is enough. Of the bytes' damage only
-        a file's missing end is seen.
+        It ends early if `has_results` turns false: then only `items` give the session, as when `scene_changed` turns true.
+        Damage of the bytes is noticed only by a missing end of the file.
         """
         ended = True
         for segment in self._segments():
+            if not segment.has_lines:
+                if not segment.is_empty:
+                    self.has_results = False
+                    return
+                continue
             for item in segment.state():
-                if isinstance(item, SegmentMark):
-                    self.has_notes &= item.format >= FORMAT_WITH_NOTES
-                    self.scene_changed |= self._differs(item)
+                if isinstance(item, SegmentHeader):
+                    self.scene_changed |= self._has_other_scene(item)
                     if item.continues:
                         continue
-                if isinstance(item, Taken):
-                    self._demand_channels(item)
-                # The last counts stand behind the end.
-                ended = isinstance(item, Ending) or (ended and isinstance(item, Totals))
+                if isinstance(item, DetectorResult):
+                    self._check_channels(item)
+                # The last counts are behind the end.
+                ended = isinstance(item, SessionClosed) or (ended and isinstance(item, Totals))
                 yield item
         if not ended and not self.written_by:
             self._findings.append(
@@ -121,10 +117,10 @@ class SessionLog:
                 "and counts of readings may lack the last seconds."
             )
 
-    def _demand_channels(self, taken: Taken) -> None:
+    def _check_channels(self, result: DetectorResult) -> None:
         """Refuse outcomes of taxels that the scene does not have."""
         width = self.scene.skin.channels
-        named = [*(taken.dead or ()), *(int(c) for outcome, _ in taken.outcomes for c in outcome.channels)]
+        named = [*(result.dead or ()), *(int(c) for outcome in result.outcomes for c in outcome.channels)]
         if named and not 0 <= min(named) <= max(named) < width:
             raise InputError(f"{self.folder}: has a poke on channel {max(named)}; the scene has {width} channels, from 0.")
 
@@ -134,7 +130,7 @@ class SessionLog:
             later = self.segments[index + 1 :]
             segment = Segment(path, last=not later)
             yield segment
-            # Of a segment that grows, the end is never whole.
+            # The end of a growing segment is never whole.
             if segment.finding and (later or not self.written_by):
                 self._findings.append(f"{path.name}: {segment.finding}")
             if segment.has_hole and later:
@@ -142,16 +138,15 @@ class SessionLog:
                 self._findings.append(f"{names}: not read, since what comes before it has a hole.")
                 return
 
-    def _differs(self, mark: SegmentMark) -> bool:
-        """Return whether the scene is another one now."""
-        if mark.digest is not None:
-            covers_all = mark.digest.startswith(DIGEST_OF_ALL_FILES)
-            return mark.digest != (self._digest if covers_all else toml_digest(self.folder / SCENE_FOLDER))
-        return bool(mark.scene) and _without_paths(mark.scene) != _without_paths(self.scene.text)
+    def _has_other_scene(self, header: SegmentHeader) -> bool:
+        if header.digest is None:
+            return False
+        covers_all = header.digest.startswith(DIGEST_OF_ALL_FILES)
+        return header.digest != (self._digest if covers_all else toml_digest(self.folder / SCENE_FOLDER))
 
 
 def find_segments(folder: Path) -> list[Path]:
-    """Return a session's segments in their order; InputError where the folder holds none, or one is missing."""
+    """List a session's segments in their order. Raises InputError: the folder has none, or one is missing."""
     paths = sorted(folder.glob("segment-*.mcap"))
     if not paths:
         no_folder = "it is no folder" if folder.exists() else "there is no such folder"
@@ -160,7 +155,7 @@ def find_segments(folder: Path) -> list[Path]:
     for number, path in enumerate(paths, start=1):
         if path.name != f"segment-{number:04d}.mcap":
             raise InputError(f"{folder}: segment-{number:04d}.mcap is missing; put it back, or take the later segments away.")
-        # What is written to a link is written elsewhere.
+        # A link would be written through, to a file elsewhere.
         for each in (path, lines_path(path)):
             if each.is_symlink():
                 raise InputError(f"{each}: is a link; expected the file itself: copy it there.")
@@ -173,192 +168,176 @@ class Segment:
     def __init__(self, path: Path, *, last: bool) -> None:
         self.path = path
         self.finding = ""
-        """What is wrong, in words without the file's name; empty while nothing is."""
+        """Description of the damage without the file's name; empty without damage."""
         self.has_hole = False
         """Something is missing at the end."""
         self._mcap = McapFile(path)
-        self._lines = read_lines(path)
-        lines = self._lines
-        # The last segment may be growing: only a line that does not fit is damage there.
+        lines = self._lines = read_lines(path)
+        # The last segment may be growing: there only a line that does not fit is damage.
         if lines is None or lines.closed or (last and not lines.lost):
             return
         self.finding = f"{lines_path(path).name} is damaged"
-        whole = tells_all(path)
-        if whole or not lines.documents:
-            self.finding += " and is not read" + ("; nothing is lost." if whole else ".")
+        if _is_unusable(path, lines):
+            self.finding += "; the session is played from its bytes."
             self._lines = None
         else:
             self.finding += f"; the session is read up to there, the last {lines.lost} bytes are lost."
 
-    def state(self) -> Iterator[LogState]:
-        """Yield events and notes, up to the first damage."""
-        lines = self._lines
-        if lines is not None:
-            yield from (read_document(document, self.path) for document in lines.documents)
-            self.has_hole = not lines.closed
-            # The lines are closed after the other file, so that its end was whole then.
-            if lines.closed and not is_closed(self.path):
-                self.finding = (
-                    "its end is missing or damaged; no poke is lost, and --replay plays what is left of its readings."
-                )
-            return
-        try:
-            for document in self._mcap.documents():
-                yield from_document(document, self.path)
-        except DamagedError as error:
-            self.has_hole = True
-            self.finding = f"{error}; the session is read up to there, {self._mcap.lost} are lost."
+    @property
+    def has_lines(self) -> bool:
+        """The line file can be used."""
+        return self._lines is not None
 
-    def items(self) -> Iterator[Chunk | SessionEvent]:
-        """Yield items up to the first damage, as many as the lines vouch for."""
-        due = None if self._lines is None else self._lines.items
+    @property
+    def is_empty(self) -> bool:
+        """No item can be read: a crash came before the first."""
+        return next(self.items(), None) is None
+
+    def header(self) -> SegmentHeader | None:
+        """Read the first event; `None` if it cannot be read."""
+        first = next(self.state() if self.has_lines else self.items(), None)
+        return first if isinstance(first, SegmentHeader) else None
+
+    def state(self) -> Iterator[LogState]:
+        """Yield events and results of the line file."""
+        lines = self._lines
+        assert lines is not None
+        yield from (read_document(document, self.path) for document in lines.documents)
+        self.has_hole = not lines.closed
+        # The lines are closed after the MCAP file, which was whole then.
+        if lines.closed and not is_closed(self.path):
+            self.finding = "its end is missing or damaged; no poke is lost, and --replay plays what is left of its readings."
+
+    def items(self) -> Iterator[LogItem]:
+        """Yield items up to the first damage; only those that the lines confirm, if there are lines."""
+        lines = self._lines
+        confirmed = None if lines is None else lines.confirmed_items
         count, first_ns, last_ns, why = 0, 0, 0, ""
         try:
-            for topic, message in self._mcap.messages():
-                # What lies behind the last item that is vouched for led to something that was not written any more.
-                if count == due or not is_item(topic):
-                    continue
+            for topic, message in self._mcap.items():
+                if count == confirmed:
+                    continue  # not `break`: the end of the file is checked, too
                 if topic != EVENT_TOPIC:
                     first_ns, last_ns = first_ns or message.log_time, message.log_time
                 count += 1
-                yield self._item(topic, message)
+                yield self._read_item(topic, message)
         except DamagedError as error:
             why = str(error)
-        lines = self._lines
-        missing = not self._mcap.complete if lines is None else count < lines.items
-        self.has_hole = missing or not (lines is None or lines.closed)
-        if missing:
-            read = f"{count} items over {(last_ns - first_ns) * 1e-9:.1f} s were read"
+        is_missing = not self._mcap.complete if confirmed is None else count < confirmed
+        self.has_hole = is_missing or not (lines is None or lines.closed)
+        read = f"{count} items over {(last_ns - first_ns) * 1e-9:.1f} s were read"
+        if is_missing:
             self.finding = f"{why or 'items are missing'}; {read}, {self._mcap.lost} are lost."
         elif self.has_hole:
-            self.finding = self.finding or f"was not closed; {count} items over {(last_ns - first_ns) * 1e-9:.1f} s were read."
+            self.finding = self.finding or f"was not closed; {read}."
         elif why:
             self.finding = f"its index is damaged ({why}); no reading is lost."
 
-    def _item(self, topic: str, message: Message) -> Chunk | SessionEvent:
+    def _read_item(self, topic: str, message: Message) -> LogItem:
         if topic != EVENT_TOPIC:
-            return Chunk(topic.removeprefix(RAW_TOPIC), *documents.decode_chunk(message.data))
+            return Chunk(topic.removeprefix(RAW_TOPIC), *ros_messages.decode_chunk(message.data))
         event = read_document(message.data, self.path)
-        if isinstance(event, Taken | Totals):
-            raise DamagedError("a note stands where an event was expected")
+        if isinstance(event, DetectorResult | Totals):
+            raise DamagedError("a result is in the place of an event")
         return event
 
 
-def _without_paths(text: str) -> str:
-    """Return the scene's text without the names of the files, which the copy may have changed."""
-    return re.sub(r"^\s*(mesh|modules)\s*=.*$", "", text, flags=re.MULTILINE)
+def _is_unusable(path: Path, lines: Lines) -> bool:
+    """Whether damaged lines are worth less than the bytes: they tell nothing, or the MCAP file was closed."""
+    return not lines.documents or (bool(lines.lost) and is_closed(path))
 
 
 def recover_session(folder: Path) -> tuple[str, ...]:
-    """Make every segment of a session readable for other programs too, and ready to be followed by another; hold its lock.
+    """Give every segment of a session a readable end, so that it can be continued. The caller holds its lock.
 
-    A file that is written anew up to its damage is kept beside as `*.damaged`. Where it is not known any more what happened at
-    a segment's end, the segments after it are put aside as `*.after-damage`.
+    A file that is written again is kept as `*.damaged`. If the end of a segment is lost, the segments after it are set aside as
+    `*.after-damage`.
 
-    Returns sentences on what was done; empty where everything was whole. InputError where the folder cannot be written.
+    Returns sentences on what was done; empty if everything was whole. Raises InputError: the folder cannot be written.
     """
-    said: list[str] = []
+    sentences: list[str] = []
     segments = find_segments(folder)
     for index, path in enumerate(segments):
         try:
-            sentences, hole = _recover(path)
-            said += sentences
-            if hole:
-                # From the last on: at every moment what is left has no gap.
-                said += reversed([_after_damage(later, path.name) for later in reversed(segments[index + 1 :])])
-                break
+            repairs, end_is_lost = _recover(path)
+            sentences += repairs
+            if end_is_lost:
+                # From the last on: at every moment the rest has no gap.
+                aside = [_set_aside_segment(later, path.name) for later in reversed(segments[index + 1 :])]
+                return (*sentences, *reversed(aside))
         except OSError as error:
             why = error.strerror
             raise InputError(f"{path}: cannot be recovered ({why}); check the folder's rights and the space.") from None
-    return tuple(said)
+    return tuple(sentences)
 
 
-def _after_damage(path: Path, broken: str) -> str:
+def _set_aside_segment(path: Path, damaged: str) -> str:
     # Its lines first: alone they would be in the way of a new segment.
-    _put_aside(lines_path(path), "after-damage")
-    aside = _put_aside(path, "after-damage")
-    return f"{path.name}: put aside as {aside}, since {broken} before it has a hole."
+    _set_aside(lines_path(path), "after-damage")
+    return f"{path.name}: put aside as {_set_aside(path, 'after-damage')}, since {damaged} before it has a hole."
 
 
 def _recover(path: Path) -> tuple[list[str], bool]:
-    """Repair a segment; return sentences, and whether its end is lost."""
-    said: list[str] = []
-    lines, name = read_lines(path), lines_path(path).name
+    """Repair one segment. Return sentences, and whether data at its end is missing."""
+    sentences: list[str] = []
+    lines, file = read_lines(path), lines_path(path)
     ended = lines is not None and lines.closed
     if lines is not None and not ended:
-        if not lines.documents or tells_all(path):
-            aside = _put_aside(lines_path(path), "damaged")
-            said.append(f"{name}: has no end; put aside as {aside}, the MCAP file is read in its place.")
+        if _is_unusable(path, lines):
+            aside = _set_aside(file, "damaged")
+            sentences.append(f"{file.name}: is damaged; put aside as {aside}, the session is played from its bytes.")
             lines = None
         else:
-            said += _end_lines(lines_path(path), lines)
-    if is_closed(path) and lines is not None:
-        return said, not ended
-    if tells_all(path):
-        return said, False
-    sentence, complete = _write_anew(path, lines)
-    return [sentence, *said], not (ended or (lines is None and complete))
+            sentences += _close_lines(file, lines)
+    if is_closed(path) and (lines is not None or _is_whole(path)):
+        return sentences, lines is not None and not ended
+    sentence, complete = _rewrite(path, lines)
+    return [sentence, *sentences], not (ended or (lines is None and complete))
 
 
-def _end_lines(file: Path, lines: Lines) -> list[str]:
-    """Give a segment's lines an end behind the last one that is whole."""
-    said: list[str] = []
-    if file.stat().st_nlink > 1:
-        _part_from_links(file)
+def _is_whole(path: Path) -> bool:
+    try:
+        return sum(1 for _ in McapFile(path).records()) > 0
+    except DamagedError:
+        return False
+
+
+def _close_lines(file: Path, lines: Lines) -> list[str]:
+    """Close a line file behind its last good line."""
+    sentences: list[str] = []
     if lines.lost:
-        kept = _free_name(file, "damaged")
-        shutil.copyfile(file, kept)
-        os.truncate(file, lines.size)
-        said = [f"{file.name}: {lines.lost} bytes were lost; the file as it was is {kept.name}."]
-    LineWriter(file, lines).close(lines.items)
-    return said
-
-
-def _part_from_links(file: Path) -> None:
-    """Have a file be its folder's own: what is written to one with a second name is written elsewhere, too.
-
-    Tools that make backups of hard links leave such files, and a stranger may have made one.
-    """
+        kept = _keep_copy(file)
+        sentences = [f"{file.name}: {lines.lost} bytes were lost; the file as it was is {kept}."]
     fresh = _fresh_name(file)
-    with file.open("rb") as source, fresh.open("xb") as target:
-        shutil.copyfileobj(source, target)
-        os.fsync(target.fileno())
+    write_closed_copy(file, lines, fresh)
     fresh.replace(file)
+    return sentences
 
 
-def _fresh_name(file: Path) -> Path:
-    """Return the name under which a file is made that takes another's place; nothing lies there."""
-    fresh = file.with_name(file.name + ".recovering")
-    # A link of that name would lead elsewhere.
-    fresh.unlink(missing_ok=True)
-    return fresh
+def _rewrite(path: Path, lines: Lines | None) -> tuple[str, bool]:
+    """Write an MCAP file again up to its damage; return a sentence, and whether all its data is there.
 
-
-def _write_anew(path: Path, lines: Lines | None) -> tuple[str, bool]:
-    """Rewrite an MCAP file up to its damage; return a sentence, and whether all its data is there.
-
-    Where there is nothing in it, and no line beside it, it is put aside.
+    An empty one without lines is set aside.
     """
     fresh, source = _fresh_name(path), McapFile(path)
     with fresh.open("xb") as target:
-        count, why = _copy(source, target)
-        # Whole on the medium before it takes the name of the file that it replaces.
+        count, why = _copy_records(source, target)
+        # Whole on the disk before it replaces the other.
         os.fsync(target.fileno())
     lost = source.lost
     if not count and lines is None:
         fresh.unlink()
-        _put_aside(lines_path(path), "damaged")
-        return f"{path.name}: holds nothing that can be read; put aside as {_put_aside(path, 'damaged')}.", False
-    kept = _kept_beside(path, "damaged")
-    # In one step: a kill leaves the one or the other.
+        _set_aside(lines_path(path), "damaged")
+        return f"{path.name}: holds nothing that can be read; put aside as {_set_aside(path, 'damaged')}.", False
+    kept = _keep_copy(path)
     fresh.replace(path)
     if source.complete:
-        return f"{path.name}: its index was damaged and is written anew; nothing is lost; the file as it was is {kept}.", True
+        return f"{path.name}: its index was damaged and is written again; nothing is lost; the file as it was is {kept}.", True
     return f"{path.name}: {why}; recovered {count} messages, {lost} were lost; the file as it was is {kept}.", False
 
 
-def _copy(source: McapFile, target: BinaryIO) -> tuple[int, str]:
-    """Copy what can be read to an open file; return the number of messages, and why there are no more."""
+def _copy_records(source: McapFile, target: BinaryIO) -> tuple[int, str]:
+    """Copy all readable records; return the number of messages, and the reason why there are no more."""
     writer = Writer(target)
     writer.start(profile="ros2", library=f"skincal {__version__}")
     schemas, channels = dict[int, int](), dict[int, int]()
@@ -382,18 +361,22 @@ def _copy(source: McapFile, target: BinaryIO) -> tuple[int, str]:
     return count, why
 
 
-def _kept_beside(path: Path, ending: str) -> str:
-    """Give a file a second name that no other has, and return it."""
-    aside = _free_name(path, ending)
-    try:
-        aside.hardlink_to(path)
-    except OSError:  # a file system without hard links
-        shutil.copyfile(path, aside)
+def _fresh_name(file: Path) -> Path:
+    """Name of the new file that will replace another. Never written in place: the file may have a second name elsewhere."""
+    fresh = file.with_name(file.name + ".recovering")
+    fresh.unlink(missing_ok=True)  # a link of that name would lead elsewhere
+    return fresh
+
+
+def _keep_copy(path: Path) -> str:
+    """Copy a file to a free name, and return that."""
+    aside = _free_name(path, "damaged")
+    shutil.copyfile(path, aside)
     return aside.name
 
 
-def _put_aside(path: Path, ending: str) -> str:
-    """Give a file, where there is one, a name that no other has, and return it."""
+def _set_aside(path: Path, ending: str) -> str:
+    """Rename a file, if it exists, to a free name, and return that."""
     aside = _free_name(path, ending)
     if path.exists():
         path.rename(aside)

@@ -29,7 +29,7 @@ from skincal.mesh.readers import read_mesh, reader_of
 from skincal.mesh.search import surface_in_solver
 from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, make_surface, pairs_within, triangle_heights
 from skincal.model.errors import InputError
-from skincal.model.given import MESH_MOST, read_regular
+from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec
 
 MIN_DIAGONAL_M, MAX_DIAGONAL_M = 0.005, 3.0
@@ -81,7 +81,7 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     thousand times too large or too small.
     """
     reader_of(spec.path)  # a file with another suffix is not even opened
-    data = read_regular(spec.path, MESH_MOST, what="mesh file", advice="check [surface] mesh in the scene")
+    data = read_regular(spec.path, MAX_MESH_BYTES, what="mesh file", advice="check [surface] mesh in the scene")
     vertices, triangles = read_mesh(spec.path, data)
     if len(triangles) == 0:
         raise InputError(f"{spec.path}: the mesh is empty ({len(vertices)} vertices, no triangle); export the part again.")

@@ -1,24 +1,25 @@
-"""The exception for input that the user can mend, and the words for counts and channels in its sentences."""
+"""The error for input that the operator can correct, and words for counts and channels in its sentences."""
 
 from __future__ import annotations
 
 import unicodedata
 from collections.abc import Iterable
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C: what a shell reports of a program that the signal ended."""
-SENTENCE_MOST = 300
-"""Characters of a sentence: five lines of a terminal. What is quoted in it may be a file's whole content."""
-WORD_MOST = 80
-"""Characters of a word, such as a path, in a sentence that is too long."""
-NOT_SHOWN = ("Cc", "Cf", "Cs")
-"""Unicode's categories of what moves a terminal's cursor, turns the order of letters, or is half a letter."""
+INTERRUPTED_EXIT_CODE = 130
+"""After Ctrl-C: what a shell reports of a program that the signal ended."""
+MAX_SENTENCE_CHARS = 300
+"""Five lines of a terminal. A quote in a sentence may be a whole file."""
+MAX_WORD_CHARS = 80
+"""Of a word, such as a path, in a sentence that is too long."""
+UNPRINTABLE_CATEGORIES = ("Cc", "Cf", "Cs")
+"""Unicode's categories of characters that move a terminal's cursor, reverse the order of letters, or are half a letter."""
 
 
 class InputError(Exception):
-    """Input is at fault: the message says what was seen, what was expected and what to do. Exit code 2, no traceback.
+    """Wrong input. The message says what was found, what was expected and what to do. Exit code 2, no traceback.
 
-    The sentence quotes files and devices: it is made plain, and its middle left out where it is longer than `SENTENCE_MOST`.
+    Every reader of files and sessions raises it. The sentence quotes files and devices: control characters are replaced, and
+    the middle is left out beyond `MAX_SENTENCE_CHARS`.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -26,46 +27,41 @@ class InputError(Exception):
 
 
 def plain_text(text: str) -> str:
-    """Return text on one line that no terminal takes for an order: control characters are shown as question marks."""
+    """Replace control characters by question marks, so that a terminal shows one line and takes nothing for a command."""
     if text.isascii() and text.isprintable():
         return text
-    return "".join("?" if unicodedata.category(letter) in NOT_SHOWN else letter for letter in text)
+    return "".join("?" if unicodedata.category(letter) in UNPRINTABLE_CATEGORIES else letter for letter in text)
 
 
-def shortened(sentence: str, most: int = SENTENCE_MOST) -> str:
-    """Return a sentence of at most so many characters: long words lose their middle first, then the whole."""
-    if len(sentence) <= most:
+def shortened(sentence: str, max_chars: int = MAX_SENTENCE_CHARS) -> str:
+    """Shorten a sentence: first the middle of long words is left out, then the middle of the whole."""
+    if len(sentence) <= max_chars:
         return sentence
-    shorter = " ".join(_short_word(word) for word in sentence.split(" "))
-    if len(shorter) > most:
-        head = most * 2 // 3
-        shorter = f"{shorter[:head]}\N{HORIZONTAL ELLIPSIS}{shorter[head + 1 - most :]}"
-    return shorter
+    shorter = " ".join(_without_middle(word, MAX_WORD_CHARS, MAX_WORD_CHARS // 2) for word in sentence.split(" "))
+    return _without_middle(shorter, max_chars, max_chars * 2 // 3)
 
 
-def _short_word(word: str) -> str:
-    if len(word) <= WORD_MOST:
-        return word
-    return f"{word[: WORD_MOST // 2]}\N{HORIZONTAL ELLIPSIS}{word[1 - WORD_MOST // 2 :]}"
+def _without_middle(text: str, max_chars: int, head: int) -> str:
+    return text if len(text) <= max_chars else f"{text[:head]}\N{HORIZONTAL ELLIPSIS}{text[head + 1 - max_chars :]}"
 
 
-MOST_NAMED = 8
-"""Ranges that a sentence names before it says how many more there are."""
+MAX_LISTED_RANGES = 8
+"""Ranges of channels in a sentence before the number of further ones."""
 
 
-def list_channels(channels: Iterable[int], most: int = MOST_NAMED) -> str:
-    """Return channel numbers as ranges, such as `3, 204-215 and 2 more ranges`."""
+def list_channels(channels: Iterable[int], max_ranges: int = MAX_LISTED_RANGES) -> str:
+    """Write channel numbers as ranges, such as `3, 204-215 and 2 more ranges`."""
     ranges: list[list[int]] = []
     for channel in sorted(int(channel) for channel in channels):
         if ranges and channel == ranges[-1][1] + 1:
             ranges[-1][1] = channel
         else:
             ranges.append([channel, channel])
-    words = [str(first) if first == last else f"{first}-{last}" for first, last in ranges[:most]]
+    words = [str(first) if first == last else f"{first}-{last}" for first, last in ranges[:max_ranges]]
     left = len(ranges) - len(words)
     return ", ".join(words) + (f" and {left} more range{'s' if left > 1 else ''}" if left else "")
 
 
 def plural(count: int, word: str) -> str:
-    """Return `1 line`, `2 lines`."""
+    """Write `1 line`, `2 lines`."""
     return f"{count} {word}" if count == 1 else f"{count} {word}s"

@@ -1,7 +1,7 @@
-"""Files and documents that a stranger may have made: read whole, and only what is bearable.
+"""Read files and documents that may come from a stranger: whole, and never beyond a size limit.
 
-Every whole file that a scene, a session or a command names is read here: a regular file, so that a device never ends and a pipe
-never answers, and not beyond a limit, which is looked at before a byte is read. Every JSON document is read here, too.
+Every file that a scene, a session or a command names is read here. It must be a regular file: a device never ends, and a pipe
+may never answer. Its size is checked before a byte is read. Every JSON document is parsed here, too.
 """
 
 from __future__ import annotations
@@ -14,27 +14,25 @@ from typing import Any, BinaryIO
 
 from skincal.model.errors import InputError
 
-TEXT_MOST = 4 << 20
-"""Bytes of a scene, a layout or a position file. A layout of 100,000 channels has 2 MB; TOML of this size is read in 4 s."""
-MESH_MOST = 200 << 20
-"""Bytes of a mesh. A million triangles are 50 MB of STL; a cover that is printed has a tenth."""
-DOCUMENT_MOST = 16 << 20
-"""Bytes of a JSON document. The truth on 100,000 taxels has 10 MB."""
+MAX_TEXT_BYTES = 4 << 20
+"""Of a scene, a layout or a position file. A layout of 100,000 channels has 2 MB; TOML of this size is read in 4 s."""
+MAX_MESH_BYTES = 200 << 20
+"""Of a mesh. A million triangles are 50 MB of STL; a printed cover has a tenth."""
+MAX_JSON_BYTES = 16 << 20
+"""Of a JSON document. The truth on 100,000 taxels has 10 MB."""
 
 
 def open_regular(path: Path, *, what: str = "file", advice: str = "check the path") -> BinaryIO:
     """Open a regular file for reading.
 
-    `what` is the kind of file in the sentence on one that is missing, `advice` what to do then.
-
-    Raises InputError: it is missing, a folder, a device or a pipe, or it cannot be read.
+    `what` is the kind of file in the sentence on a missing one, `advice` what the operator should do.
     """
     try:
-        _demand_regular(path, path.stat(), advice)
-        # It may have become a pipe since: opening that must not wait.
+        _require_regular_file(path.stat(), path, advice)
+        # It may have become a pipe since: opening one must not wait.
         file = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         try:
-            _demand_regular(path, os.fstat(file), advice)
+            _require_regular_file(os.fstat(file), path, advice)
             return os.fdopen(file, "rb")
         except InputError:
             os.close(file)
@@ -46,24 +44,21 @@ def open_regular(path: Path, *, what: str = "file", advice: str = "check the pat
         raise InputError(f"{path}: cannot be read ({why}); check the path and its rights.") from None
 
 
-def read_regular(path: Path, most: int, *, what: str = "file", advice: str = "check the path") -> bytes:
-    """Return the bytes of a regular file of at most so many bytes.
-
-    Raises InputError: as for `open_regular`; also where the file is larger.
-    """
+def read_regular(path: Path, max_bytes: int, *, what: str = "file", advice: str = "check the path") -> bytes:
+    """Read a regular file of at most `max_bytes`; `what` and `advice` as in `open_regular`."""
     with open_regular(path, what=what, advice=advice) as file:
         size = os.fstat(file.fileno()).st_size
         try:
-            # What it grows by meanwhile is not read: Python makes room for as much as is asked for.
-            data = file.read(size) if size <= most else b""
+            # A file that grows meanwhile is read up to its size before.
+            data = file.read(size) if size <= max_bytes else b""
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror}); check the disk.") from None
-    if size > most:
-        raise InputError(f"{path}: has {size} bytes; expected a {what} of at most {most}; {advice}.")
+    if size > max_bytes:
+        raise InputError(f"{path}: has {size} bytes; expected a {what} of at most {max_bytes}; {advice}.")
     return data
 
 
-def _demand_regular(path: Path, found: os.stat_result, advice: str) -> None:
+def _require_regular_file(found: os.stat_result, path: Path, advice: str) -> None:
     if not stat.S_ISREG(found.st_mode):
         seen = "a folder" if stat.S_ISDIR(found.st_mode) else "a device or a pipe"
         raise InputError(f"{path}: is {seen}; expected a file; {advice}.")

@@ -1,7 +1,6 @@
-"""What devices send: bytes with their arrival, decoded readings, and what was lost on the way.
+"""Data of devices: bytes with their arrival, decoded readings, losses, and the state of a link.
 
-Everything here is frozen and in SI units. A batch holds several readings of one stream as arrays, in the order
-in which the device sent them; a batch of one is common.
+All values are frozen and in SI units. A batch holds one or more readings of one stream as arrays, in the device's order.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Stream(Enum):
-    """What a stream of readings measures."""
+    """Quantity of a stream of readings."""
 
     WRENCH = "wrench"
     SKIN = "skin"
@@ -29,7 +28,7 @@ class Stream(Enum):
 
 
 class Loss(Enum):
-    """Why a reading, or part of one, did not reach the estimates; the value is the sentence shown for it."""
+    """Why a reading, or part of one, was not used; the value is shown to the operator."""
 
     BAD_CHECKSUM = "checksum does not fit"
     BAD_WIDTH = "wrong number of values"
@@ -45,17 +44,17 @@ class Loss(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Bytes as one read returned them: the unit of the journal."""
+    """Bytes of one read: the unit of the journal."""
 
     link: str
     """Name of the link, unique in a session, such as `"wrench"`."""
     host_ns: int
-    """Host's monotonic clock straight after the read, nanoseconds."""
+    """Host's monotonic clock directly after the read, nanoseconds."""
     data: bytes
 
 
 class LinkState(Enum):
-    """What a link is doing."""
+    """State of a link."""
 
     OPEN = "open"
     LOST = "lost"
@@ -71,11 +70,11 @@ class LinkEvent:
     host_ns: int
     state: LinkState
     text: str = ""
-    """A sentence for the operator: what happened and what to do."""
+    """Sentence for the operator: what happened and what to do."""
     dropped: int = 0
-    """Bytes that came before it faster than they could be worked on, and were dropped."""
+    """Bytes before it that were dropped, because they came faster than they could be processed."""
     tried: tuple[int, ...] = ()
-    """Baud rates at which a serial port was listened to, where they are searched: one was added."""
+    """Baud rates tried so far on a serial port, if they are searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,12 +104,12 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
-    """One skin frame with the wrench brought to its instant."""
+    """One skin frame with the wrench of the same time."""
 
     host_s: float
     """Host's monotonic clock at the frame, seconds, by the device's mapped clock."""
     skin: FloatArray
-    """(channels,) float, raw; NaN where the channel gave no usable number."""
+    """(channels,) float, raw; NaN if the channel gave no usable number."""
     wrench: FloatArray
     """(6,) float, N and N m, mean over the frame's interval, sensor frame."""
     readings: int
@@ -118,7 +117,7 @@ class Sample:
     saturated: bool
     """A wrench reading of the interval was saturated or invalid."""
     angles: FloatArray | None = None
-    """(joints,) float, radians, last streamed joint angles; None without a joint stream."""
+    """(joints,) float, radians, last streamed joint angles; `None` without a joint stream."""
 
 
 TEMPERATURE = "temperature, degC"
@@ -126,28 +125,28 @@ TEMPERATURE = "temperature, degC"
 
 @dataclass(frozen=True, slots=True)
 class SideReading:
-    """What a device measures beside its readings, such as its temperature; its name says the unit."""
+    """Another quantity of a device, such as its temperature; its name includes the unit."""
 
     least: float
     most: float
     now: float
 
     def then(self, later: SideReading) -> SideReading:
-        """Return it with what was measured later."""
+        """Merge it with a later one."""
         return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
 
 
 SILENT_S = 2.0
-"""s. What has brought nothing for longer is silent. Joints at 1 Hz are slow, not silent."""
+"""s without data after which a link is silent. Joints at 1 Hz are slow, not silent."""
 
 
 def is_silent(last_s: float, now_s: float) -> bool:
-    """Return whether a link, or the frames of a skin, are silent at `now_s`; the newest came at `last_s` of the same clock."""
+    """Whether a link or a skin is silent at `now_s`; its newest data came at `last_s` of the same clock."""
     return now_s - last_s > SILENT_S
 
 
 class LinkAnswer(Enum):
-    """What a link is found to bring."""
+    """Diagnosis of the data of a link."""
 
     LISTENING = "listening"
     GOOD = "good"
@@ -160,26 +159,26 @@ class LinkAnswer(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LinkVerdict:
-    """What is found of a link: numbers and states; its words are in `skincal.words`."""
+    """Diagnosis of a link in numbers and states; its words are in `skincal.words`."""
 
     answer: LinkAnswer
     stream: Stream | None = None
-    """The stream that is wanted and does not come as it should; None where all do."""
+    """The expected stream that is missing or wrong; `None` if all are right."""
     found: Stream | None = None
-    """What comes instead: `OTHER_STREAM` alone."""
+    """Stream that arrives instead; `OTHER_STREAM` only."""
     width: int = 0
-    """Number of values that arrive: `OTHER_STREAM` and `OTHER_WIDTH` alone."""
+    """Number of values that arrive; `OTHER_STREAM` and `OTHER_WIDTH` only."""
     expected: int = 0
-    """Number of values that are expected: `OTHER_WIDTH` alone."""
+    """Number of values expected; `OTHER_WIDTH` only."""
     tried: tuple[int, ...] = ()
-    """Baud rates that were listened to, where they are searched."""
+    """Baud rates tried, if they are searched."""
     unchanged: bool = False
-    """A good skin has not changed one value yet, as thresholded ones do not while nothing touches."""
+    """A good skin has not changed a value yet, as thresholded skins do until something touches them."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
-    """How a link does, for the devices panel."""
+    """State of a link, for the devices panel."""
 
     link: str
     state: LinkState
@@ -196,15 +195,13 @@ class LinkHealth:
     losses: Mapping[Loss, int] = field(default_factory=dict[Loss, int])
     """Counted losses by reason."""
     beside: Mapping[str, SideReading] = field(default_factory=dict[str, SideReading])
-    """What else the device measured since the link was described, by name and unit."""
+    """Other quantities of the device so far, by name and unit."""
     units: str = ""
-    """What the values of its readings are; empty while unknown."""
+    """Units of its readings; empty while unknown."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
-    """What it is found to bring."""
     address: str = ""
-    """Where it is read from."""
 
 
-def joined(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:
-    """Return what was measured beside readings, before and later."""
+def merge_side_readings(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:
+    """Merge the other quantities of a device, earlier and later."""
     return {**before, **{name: before[name].then(found) if name in before else found for name, found in later.items()}}

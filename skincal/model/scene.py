@@ -1,7 +1,7 @@
-"""A scene: what there is to calibrate, read from a TOML file.
+"""A scene: the rig to calibrate, read from a TOML file.
 
-It decides which methods, layers of the view and panels exist: what a scene does not have is None here and costs nothing.
-The file's lengths are metres and its angles degrees unless the key ends in a unit; see `docs/scene.md`.
+It decides which methods, view layers and panels exist: missing parts are `None`. The file's lengths are metres and its angles
+degrees unless the key ends in a unit; see `docs/scene.md`.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import LENGTH_MAX, Table, check_degrees, check_metres, parse_toml, read_text
 
-# Settings that the file gives in degrees, by the name that says so.
-_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
-SETTING_LEAST, SETTING_MOST = 1e-9, 1e6
-"""Of thresholds and of noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton, and a weight of its
-inverse square leaves others no digits; raw units of a device of 20 bits end at a million, all else before."""
-SECONDS_MOST = 60.0
-"""s. Nobody holds still, or keeps the hands off, for a minute at each poke."""
-RISING = ("release_force", "touch_force", "force_min", "force_max")
-"""Thresholds of a poke of which each is below the next."""
-JOINTS_MOST = 1000
-"""Columns of a joint stream: a humanoid has some hundred."""
-DISTANCE_SD = (1e-5, 0.1)
-"""m, how well a distance may be known: no rule reads a hundredth of a millimetre on a soft skin."""
-NETWORK = re.compile(r"[\\/]([\\/]|\?\?)")
-"""How Windows lets names begin of what lies on other machines, and of its devices, such as `//HOST/share` and `\\\\.\\pipe`."""
+_KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
+"""Settings that the file gives in degrees, by their key there."""
+SETTING_MIN, SETTING_MAX = 1e-9, 1e6
+"""Of thresholds and noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton; raw units of a device of
+20 bits end at a million."""
+MAX_SETTING_S = 60.0
+"""s. Nobody holds still for a minute at each poke."""
+FORCE_ORDER = ("release_force", "touch_force", "force_min", "force_max")
+"""Force thresholds in ascending order."""
+MAX_JOINT_COLUMNS = 1000
+"""Of a joint stream: a humanoid has about a hundred."""
+DISTANCE_SD_RANGE_M = (1e-5, 0.1)
+"""m. Nobody measures a hundredth of a millimetre on a soft skin."""
+NETWORK_PATH = re.compile(r"[\\/]([\\/]|\?\?)")
+"""Beginning of a name of Windows on another machine or of a device, such as `//HOST/share` and `\\\\.\\pipe`."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -48,14 +48,14 @@ class SkinSpec:
     """+1 where raw values rise under pressure, -1 where they fall."""
     layout: Layout | None
     anchor: Anchor | None
-    """Where the layout lies on the part, as planned; None where unknown."""
+    """Planned position of the layout on the part; `None` if unknown."""
     range: tuple[float, float] | None
-    """Lowest and highest raw value of the device; a taxel that rests there is stuck."""
+    """Lowest and highest raw value of the device; a taxel that stays there is stuck."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceSpec:
-    """A mesh file and its place."""
+    """A mesh file and its pose."""
 
     path: Path
     scale: float
@@ -75,7 +75,7 @@ class ContactSettings:
     touch_force: float = 1.0
     """N. A poke begins above it: ten times a good sensor's noise (0.1 N)."""
     release_force: float = 0.6
-    """N. A poke ends below it; lower than `touch_force` so that noise cannot end it."""
+    """N. A poke ends below it. It is lower than `touch_force`, so that noise cannot end a poke."""
     still_s: float = 0.30
     """s. Length of the still window: 15 skin frames at 50 Hz."""
     still_change: float = 0.05
@@ -83,21 +83,21 @@ class ContactSettings:
     slide_max: float = 0.0015
     """m. Largest travel of the force axis inside the still window, measured where the contact is."""
     pitch_max: float = 0.008
-    """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation with sensor noise alone.
-    Widen it where the sensor's matrix is off: an error of 2 % with cross-talk at a lever of 0.2 m alone makes a pitch of
-    sd 6 mm, so that good pokes end as "two contacts or a torque"; three times that is 20 mm."""
+    """m. Largest |f . m|/|f|^2 (eq. 3): the 99th percentile of single contacts is 7.5 mm in simulation with sensor noise only.
+    Raise it to 20 mm if the sensor's matrix is wrong: an error of 2 % with cross-talk at a lever of 0.2 m makes a pitch of sd
+    6 mm, and good pokes end as "two contacts or a torque"."""
     taxels_max: int = 6
-    """Most taxels that may answer one poke: the default of the authors' own module (`skinCalibration`)."""
+    """Largest number of taxels that answer one poke: the default of the authors' own module (`skinCalibration`)."""
     response_min: float = 10.0
     """Raw units. The threshold delta: the authors' own module uses 10 of 255."""
     response_noises: float = 5.0
-    """A taxel answers when also this many standard deviations of its own noise above its baseline."""
+    """A taxel must also answer this many standard deviations of its own noise above its baseline."""
     quiet_s: float = 0.20
     """s. Length of a quiet window for the tare: 10 skin frames at 50 Hz."""
     tare_change_max: float = 1.0
-    """N. Largest difference of the tares before and after a poke; beyond it the sensor drifted or something leaned."""
+    """N. Largest difference of the tares before and after a poke. Beyond it the sensor drifted or something leaned on it."""
     gap_factor: float = 1.6
-    """Neighbours answer together when they are nearer than this many spacings of the layout."""
+    """Largest gap between taxels that answer together, in spacings of the layout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,79 +107,78 @@ class NoiseSettings:
     force: float = 0.10
     """N, sd of each force component: a good rig's, see `docs/noise.md`."""
     moment: float = 0.010
-    """N m, sd of each moment component: likewise; the FT45 resolves 0.005 N m."""
+    """N m, sd of each moment component of a good rig; the FT45 resolves 0.005 N m."""
     contact: float = 0.0015
-    """m, sd of the contact about the taxel that answers most, each direction in the skin: a hand aims to 2 mm, and where the
-    tip lands farther off, a neighbour answers more."""
+    """m, sd of the contact about the taxel with the largest response, each direction in the skin: a hand aims to 2 mm, and
+    farther off a neighbour answers more."""
     reach: float = 0.0025
-    """m, how far beside the tip the skin answers: a taxel that the tip misses by this much, each direction, more than the one
-    that answers most, answers 1/e of it. A 4 mm tip on 2 to 3 mm of foam (`simulate.rig`)."""
+    """m, distance over which the response falls to 1/e: a taxel that is this much farther from the tip than the strongest one
+    answers 1/e of it. For a 4 mm tip on 2 to 3 mm of foam (`simulate.rig`)."""
     radius: float = 0.03
-    """m, of the part across its axis under the skin: pokes beside a taxel lean with the skin, so the axes meet below it. A
-    forearm's; 1 where the part is flat."""
+    """m, radius of the part under the skin: pokes next to a taxel lean with the skin, so the axes meet below it. A forearm's; 1
+    for a flat part."""
     skin: float = 0.0015
-    """m, sd of how far the face that is touched lies above the taxels, or the mesh beside them: a push that leans acts so much
-    farther along the skin. 2 to 3 mm of foam or fabric on an iCub."""
+    """m, sd of the height of the touched face above the taxels or the mesh: a leaning push acts farther along the skin. 2 to 3
+    mm of foam or fabric on an iCub."""
     pose_turn: float = 0.0
-    """rad, sd of the turn of each arm pose about each axis through the sensor, one for all its pokes; 0: not modelled."""
+    """rad, sd of the rotation error of each arm pose about each axis through the sensor, the same for all its pokes."""
     pose_shift: float = 0.0
-    """m, sd of the shift of each arm pose along each axis, likewise."""
+    """m, sd of the position error of each arm pose along each axis, the same for all its pokes."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSpec:
-    """The chain between sensor and link, and the poses that have a name."""
+    """Kinematic chain between sensor and link, and named arm poses."""
 
     arm: Arm
     poses: dict[str, FloatArray]
-    """Name to (joints,) float, radians; may be empty where the joints are streamed."""
+    """Name to (joints,) float, radians; may be empty if the joints are streamed."""
     tolerance: float = float(np.radians(0.5))
-    """rad. Streamed joints that move more than this during a poke reject it."""
+    """rad. A poke is rejected if a streamed joint moves more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmark:
-    """A point of the part that is known: a screw head, a corner, a jig."""
+    """A known point of the part: a screw head, a corner, a jig."""
 
     name: str
     place: FloatArray
     """(3,) float, metres, link frame."""
     normal: FloatArray | None
-    """(3,) float, unit, outward; None where not given."""
+    """(3,) float, unit, outward; `None` if not given."""
 
 
 @dataclass(frozen=True, slots=True)
 class KnownDistance:
-    """How far two modules lie apart, measured straight from point to point."""
+    """Measured straight distance between two modules."""
 
     ends: tuple[int, int]
-    """Ids of the modules, of which the origins are meant; or channels of taxels of two modules."""
+    """Ids of two modules, whose origins are the ends; or channels of taxels of two modules."""
     of_taxels: bool
-    """Whether `ends` are channels."""
+    """`ends` are channels."""
     length: float
-    """m."""
     sd: float
-    """m, how well it is known."""
+    """m, standard deviation of `length`, which is in metres, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What there is to calibrate."""
+    """The rig to calibrate."""
 
     name: str
     link: str
-    """Frame in which every position is given, here and in every exported file."""
+    """Frame of every position, here and in every exported file."""
     skin: SkinSpec
     surface: SurfaceSpec | None
     arm: ArmSpec | None
     sensor_pose: FloatArray
-    """(4, 4) float: pose of the sensor in the link frame where there is no arm; the identity unless given."""
+    """(4, 4) float: pose of the sensor in the link frame without an arm; the identity by default."""
     wrench_sign: int
-    """-1 where the sensor reports the reaction."""
+    """-1 if the sensor reports the reaction force."""
     contacts: ContactSettings
     noise: NoiseSettings
     path: Path
-    """The scene file; relative paths in it start from its folder."""
+    """The scene file; relative paths in it are relative to its folder."""
     landmarks: tuple[Landmark, ...] = ()
     distances: tuple[KnownDistance, ...] = ()
     text: str = field(repr=False, default="")
@@ -187,11 +186,11 @@ class Scene:
 
 
 def load_scene(path: Path) -> Scene:
-    """Read a scene's TOML file and the layout it names; the mesh is read elsewhere, which costs more.
+    """Read a scene's TOML file and the layout it names, but not the mesh.
 
-    Raises InputError, which names the file, the key, what was seen and what was expected.
+    Raises InputError with the file, the key, the value found and what was expected.
     """
-    text = read_text(path).replace("\r\n", "\n")  # as sessions of old hold it
+    text = read_text(path).replace("\r\n", "\n")  # older sessions hold it so
     root = Table(parse_toml(text, path), str(path))
     skin = root.table("skin")
     if skin is None:
@@ -209,17 +208,17 @@ def load_scene(path: Path) -> Scene:
         arm=None if arm is None else _read_arm(arm),
         sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
         wrench_sign=1 if wrench is None else _read_sign(wrench),
-        contacts=_read_contacts(contacts),
+        contacts=_read_settings(contacts, ContactSettings),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         landmarks=_read_landmarks(root, path),
         distances=_read_distances(root, spec.layout),
         text=text,
     )
-    # At the end, when everything known was asked for: what is left is misspelt.
+    _check_force_order("" if contacts is None else contacts.where, scene.contacts)
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
         if part is not None:
-            part.done()
+            part.refuse_unknown_keys()
     return scene
 
 
@@ -228,7 +227,7 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
     if not 1 <= channels <= 100_000:
         raise InputError(f"{table.where}: channels is {channels}; expected 1 to 100000.")
     modules = table.take("modules", str, None)
-    layout = None if modules is None else load_layout(path.parent / _demand_here(modules, table.where), channels)
+    layout = None if modules is None else load_layout(path.parent / _require_local_path(modules, table.where), channels)
     anchor = table.table("anchor")
     limits = table.array("range", (2,), None)
     if limits is not None and not limits[0] < limits[1]:
@@ -244,25 +243,25 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
 
 def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
-        path=path.parent / _demand_here(table.take("mesh", str), table.where),
+        path=path.parent / _require_local_path(table.take("mesh", str), table.where),
         scale=table.choice("unit", UNITS),
         link_from_mesh=_read_pose(table, "pose", np.eye(4)),
     )
 
 
-def _demand_here(named: str, where: str) -> str:
-    """Return the name of a file in a scene, unless it is that of a share or a device of Windows.
+def _require_local_path(named: str, where: str) -> str:
+    """Refuse the name of a file on another machine or of a device of Windows.
 
-    Looking whether such a file is there already sends the user's name and a hash of the password to the host that it names.
+    Opening such a file sends the user's name and a hash of the password to the machine in its name.
     """
-    if NETWORK.match(named):
+    if NETWORK_PATH.match(named):
         raise InputError(f"{where}: {named} lies on another machine; copy the file beside the scene, and name it there.")
     return named
 
 
 def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
     pose: FloatArray = table.array(key, (4, 4), default)
-    # A matrix written with a few digits is rotation enough; a mirrored or scaled one is not.
+    # Accepts a rotation written with a few digits, but no mirrored or scaled one.
     rotation = pose[:3, :3]
     if (
         np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3
@@ -280,8 +279,8 @@ def _read_arm(table: Table) -> ArmSpec:
     columns: FloatArray = table.array("joints", (None,))
     if not len(columns) or (columns < 0).any() or (columns != np.rint(columns)).any():
         raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns of the joint stream, counted from 0.")
-    if (columns >= JOINTS_MOST).any():
-        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns below {JOINTS_MOST}.")
+    if (columns >= MAX_JOINT_COLUMNS).any():
+        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns below {MAX_JOINT_COLUMNS}.")
     joints = tuple(int(j) for j in columns)
     rows: FloatArray = table.array("dh", (len(joints), 4))
     check_metres(rows[:, :2], f"{table.where}: dh")
@@ -309,7 +308,7 @@ def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
         if not name or any(name == other.name for other in landmarks):
             raise InputError(f"{path}: a landmark is named {name!r}; expected a name that no other one has.")
         landmarks.append(Landmark(name, place, table.direction("normal") if "normal" in table.keys else None))
-        table.done()
+        table.refuse_unknown_keys()
     return tuple(landmarks)
 
 
@@ -323,13 +322,13 @@ def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, 
         if (ends != np.rint(ends)).any():
             raise InputError(f"{table.where}: {given[0]} is {ends.tolist()}; expected two whole numbers.")
         length, sd = (table.take(key, float) * 1e-3 for key in ("mm", "sd_mm"))
-        if not 0 < length <= LENGTH_MAX or not DISTANCE_SD[0] <= sd <= DISTANCE_SD[1]:
-            least, most = (f"{limit * 1e3:g}" for limit in DISTANCE_SD)
+        if not 0 < length <= LENGTH_MAX or not DISTANCE_SD_RANGE_M[0] <= sd <= DISTANCE_SD_RANGE_M[1]:
+            least, most = (f"{limit * 1e3:g}" for limit in DISTANCE_SD_RANGE_M)
             raise InputError(
                 f"{table.where}: mm is {length * 1e3:g} and sd_mm {sd * 1e3:g}; expected a distance above 0 and up to "
                 f"{LENGTH_MAX * 1e3:g}, known to {least} to {most}."
             )
-        table.done()
+        table.refuse_unknown_keys()
         known = KnownDistance((int(ends[0]), int(ends[1])), given[0] == "taxels", length, sd)
         check_distance(known, layout, table.where)
         if known in distances:
@@ -341,10 +340,7 @@ def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, 
 
 
 def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> None:
-    """Refuse a distance whose ends are not in two modules of a layout.
-
-    Raises InputError, whose sentence begins with `where`.
-    """
+    """Refuse a distance whose ends are not in two modules of a layout; `where` begins the sentence."""
     if layout is None:
         raise InputError(f"{where}: a distance is between modules, and the scene has no layout; name one in [skin].")
     owners: dict[int, int] = {module.id: index for index, module in enumerate(layout.modules)}
@@ -370,8 +366,7 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
     for item in fields(kind):
         default: Any = item.default
         wanted: type = int if isinstance(default, int) else float
-        # The type of the default says which kind of number is expected.
-        key = _IN_DEGREES.get(item.name, item.name)
+        key = _KEYS_IN_DEGREES.get(item.name, item.name)
         value = table.take(key, wanted, default)
         _check_setting(table.where, key, value, default)
         given[item.name] = value if key == item.name else float(np.radians(value))
@@ -379,41 +374,34 @@ def _read_settings(table: Table | None, kind: type[Any]) -> Any:
 
 
 def _check_setting(where: str, key: str, value: float, default: float) -> None:
-    # 0 is allowed where it is the default, and for the skin's thickness: it switches that noise off.
-    off = default == 0 or key == "skin"
-    if not (value > 0 or (off and value == 0)):
-        expected = "0 or a number above" if off else "a number above 0"
+    # 0 switches a noise off.
+    may_be_0 = default == 0 or key == "skin"
+    if not (value > 0 or (may_be_0 and value == 0)):
+        expected = "0 or a number above" if may_be_0 else "a number above 0"
         raise InputError(f"{where}: {key} is {value}; expected {expected}.")
-    most = most_of(key)
-    if value not in (0, default) and not SETTING_LEAST <= value <= most:
-        raise InputError(f"{where}: {key} is {value:g}; expected a number from {SETTING_LEAST:g} to {most:g}.")
+    most = setting_limit(key)
+    if value not in (0, default) and not SETTING_MIN <= value <= most:
+        raise InputError(f"{where}: {key} is {value:g}; expected a number from {SETTING_MIN:g} to {most:g}.")
 
 
-def most_of(key: str) -> float:
-    """Return the largest value that a threshold or a noise may have, in its unit."""
-    return SECONDS_MOST if key.endswith("_s") else SETTING_MOST
+def setting_limit(key: str) -> float:
+    """Largest value of a threshold or a noise, in its unit."""
+    return MAX_SETTING_S if key.endswith("_s") else SETTING_MAX
 
 
-def _read_contacts(table: Table | None) -> ContactSettings:
-    settings: ContactSettings = _read_settings(table, ContactSettings)
-    _check_rising("" if table is None else table.where, settings)
-    return settings
-
-
-def _check_rising(where: str, settings: ContactSettings) -> None:
-    for low, high in pairwise(RISING):
+def _check_force_order(where: str, settings: ContactSettings) -> None:
+    for low, high in pairwise(FORCE_ORDER):
         if not getattr(settings, low) < getattr(settings, high):
             raise InputError(
                 f"{where}: {low} is {getattr(settings, low):g} and {high} is {getattr(settings, high):g} (N); "
-                f"they were expected to rise: {' < '.join(RISING)}."
+                f"they were expected to rise: {' < '.join(FORCE_ORDER)}."
             )
 
 
 def with_thresholds(settings: ContactSettings, values: Mapping[str, float]) -> ContactSettings:
-    """Return settings with some thresholds in place of theirs, in SI units, by their names.
+    """Replace some thresholds, by their names, in SI units.
 
-    Raises InputError: a name is not known, a value is none that a rig has or no whole number where a count is expected, or the
-    forces do not rise.
+    Raises InputError: a name is unknown, a value is out of range, a count is no whole number, or the forces do not ascend.
     """
     where = "thresholds of a poke"
     known: dict[str, Any] = {item.name: item.default for item in fields(ContactSettings)}
@@ -427,14 +415,14 @@ def with_thresholds(settings: ContactSettings, values: Mapping[str, float]) -> C
             raise InputError(f"{where}: {name} is {value:g}; expected a whole number.")
         given[name] = round(value) if whole else float(value)
     changed = replace(settings, **given)
-    _check_rising(where, changed)
+    _check_force_order(where, changed)
     return changed
 
 
 def with_layout(scene: Scene, path: Path) -> Scene:
-    """Return a scene with the layout of another file.
+    """Replace the layout by that of another file.
 
-    Raises InputError: the file is no layout, or its channels do not fit the skin, or it lacks an end of a known distance.
+    Raises InputError: it is no layout, its channels do not fit the skin, or it lacks an end of a known distance.
     """
     layout = load_layout(path, scene.skin.channels)
     for known in scene.distances:
@@ -443,10 +431,7 @@ def with_layout(scene: Scene, path: Path) -> Scene:
 
 
 def resource(name: str) -> Path:
-    """Return the path of a file that ships with skincal, in a checkout or installed.
-
-    Raises InputError: there is no such resource.
-    """
+    """Find a file that ships with skincal, in a checkout or installed."""
     for folder in _resource_folders():
         if (folder / name).exists():
             return folder / name
@@ -454,21 +439,18 @@ def resource(name: str) -> Path:
 
 
 def ships(path: Path) -> bool:
-    """Return whether a path lies in skincal's own resources, which are never written into."""
+    """Whether a path lies in skincal's own resources, which are never written to."""
     return any(path.resolve().is_relative_to(folder) for folder in _resource_folders())
 
 
 def _resource_folders() -> tuple[Path, Path]:
     package = Path(__file__).resolve().parents[1]
-    # Installed, the resources lie within the package; in a checkout beside it.
+    # Installed, the resources are in the package; in a checkout next to it.
     return package / "resources", package.parent / "resources"
 
 
 def scene_file(given: Path) -> Path:
-    """Return a scene's file: the path itself, or that of the shipped scene of this name, such as `icub-forearm`.
-
-    Raises InputError: no scene of this name ships.
-    """
+    """Find a scene's file: the path itself, or the shipped scene of this name, such as `icub-forearm`."""
     if given.suffix == ".toml" or given.exists() or len(given.parts) != 1:
         return given
     shipped = sorted(file.parent.name for file in resource("scenes").glob("*/scene.toml"))

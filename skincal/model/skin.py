@@ -1,7 +1,7 @@
-"""Channels, modules and their flat layout: what the maker of the skin knows.
+"""Channels, modules and their flat layout, from the maker of the skin.
 
-A module is a rigid or flexible carrier with taxels at known places of its own plane. The layout puts modules in one
-plane, unrolled: p = c + R(theta) (mirror ? (-x, y) : (x, y)), the rule of the iCub's `skinGui` files
+A module is a rigid or flexible carrier with taxels at known positions in its own plane. The layout puts the modules in one
+unrolled plane: p = c + R(theta) (mirror ? (-x, y) : (x, y)), the rule of the iCub's `skinGui` files
 (`SkinMeshThreadPort.cpp`). Lengths are metres, angles radians.
 """
 
@@ -24,59 +24,41 @@ class ModuleKind:
 
     name: str
     pads: FloatArray
-    """(k, 2) float, metres: place of channel first_channel + i; NaN where there is no taxel (a thermal pad)."""
+    """(k, 2) float, metres: position of channel first_channel + i; NaN without a taxel (a thermal pad)."""
     outline: FloatArray
     """(v, 2) float, metres: corners, for drawing."""
     centre_pad: int
     """Local index of the taxel that represents the module (`taxel2Repr`)."""
 
 
-def _mm(points: list[tuple[float, float]]) -> FloatArray:
-    return np.array(points) * 1e-3
-
-
-# Taxels whose neighbours are looked for at once: 17 MB of differences to 4,200 taxels.
-_AT_ONCE = 256
-# Coordinate of a pad that is no taxel.
-_NONE = float("nan")
-KINDS: dict[str, ModuleKind] = {
+TAXELS_PER_BLOCK = 256
+"""Taxels whose neighbours are searched at once: 17 MB of differences to 4,200 taxels."""
+_KINDS = (
     # icub-main app/skinGui, Triangle.h: the paper's 12-taxel triangle, side 30 mm.
-    "triangle_12": ModuleKind(
-        "triangle_12",
-        _mm(
-            [
-                (7.5, -1.443), (10, -5.774), (5, -5.774), (0, -2.887), (-5, -5.774), (-10, -5.774),
-                (-7.5, -1.443), (-2.5, 1.443), (-2.5, 7.217), (0, 11.547), (2.5, 7.217), (2.5, 1.443),
-            ]
-        ),
-        _mm([(-15, -8.66), (15, -8.66), (0, 17.32)]),
-        3,
-    ),
+    ("triangle_12", [(-15, -8.66), (15, -8.66), (0, 17.32)], [
+        (7.5, -1.443), (10, -5.774), (5, -5.774), (0, -2.887), (-5, -5.774), (-10, -5.774),
+        (-7.5, -1.443), (-2.5, 1.443), (-2.5, 7.217), (0, 11.547), (2.5, 7.217), (2.5, 1.443),
+    ]),
     # matejhof/icub_matej CDC_PAD_positions.xlsx: the 10-taxel triangle of the newer skin; pads 6 and 10 are thermal.
-    "triangle_10pad": ModuleKind(
-        "triangle_10pad",
-        _mm(
-            [
-                (6.533, 0), (9.8, -5.66), (3.267, -5.66), (0, 0), (-3.267, -5.66), (-9.8, -5.66),
-                (_NONE, _NONE), (-6.533, 0), (-3.267, 5.66), (0, 11.317), (_NONE, _NONE), (3.267, 5.66),
-            ]
-        ),
-        _mm([(-16, -9.2376), (16, -9.2376), (0, 18.475)]),
-        3,
-    ),
-}  # fmt: skip
+    ("triangle_10pad", [(-16, -9.2376), (16, -9.2376), (0, 18.475)], [
+        (6.533, 0), (9.8, -5.66), (3.267, -5.66), (0, 0), (-3.267, -5.66), (-9.8, -5.66),
+        (np.nan, np.nan), (-6.533, 0), (-3.267, 5.66), (0, 11.317), (np.nan, np.nan), (3.267, 5.66),
+    ]),
+)  # fmt: skip
+KINDS = {name: ModuleKind(name, np.array(pads) * 1e-3, np.array(outline) * 1e-3, 3) for name, outline, pads in _KINDS}
+"""Shipped kinds of modules, by their name in layout files."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """Where a plane of the layout lies on the part: one point of it and two directions, link frame, metres."""
+    """Position of a plane of the layout on the part: one point and two directions, link frame, metres."""
 
     at: FloatArray
     """(2,) float, the point in the layout's plane."""
     point: FloatArray
     """(3,) float, the same point in the link frame."""
     x: FloatArray
-    """(3,) float, unit: where the layout's x axis points."""
+    """(3,) float, unit: direction of the layout's x axis."""
     normal: FloatArray
     """(3,) float, unit, outward."""
 
@@ -93,28 +75,27 @@ class Module:
     angle: float
     mirror: bool
     anchor: Anchor | None = None
-    """This module's own place on the part; without it the layout's anchor holds."""
+    """This module's own anchor; `None` for the layout's."""
 
     @property
     def channels(self) -> IntArray:
         """(k,) channels that are taxels."""
         return self.first_channel + np.flatnonzero(~np.isnan(self.kind.pads[:, 0]))
 
-    def _laid(self, points: FloatArray) -> FloatArray:
+    def _in_layout(self, points: FloatArray) -> FloatArray:
         c, s = np.cos(self.angle), np.sin(self.angle)
-        # p = c + R(theta) (mirror ? (-x, y) : (x, y)), on rows.
         own = points * np.array([-1.0 if self.mirror else 1.0, 1.0])
         return self.place + own @ np.array([[c, s], [-s, c]])
 
     @property
     def pads(self) -> FloatArray:
-        """(k, 2) float, metres: places of `channels` in the layout's plane."""
-        return self._laid(self.kind.pads[~np.isnan(self.kind.pads[:, 0])])
+        """(k, 2) float, metres: positions of `channels` in the layout's plane."""
+        return self._in_layout(self.kind.pads[~np.isnan(self.kind.pads[:, 0])])
 
     @property
     def outline(self) -> FloatArray:
         """(v, 2) float, metres: corners in the layout's plane."""
-        return self._laid(self.kind.outline)
+        return self._in_layout(self.kind.outline)
 
     @property
     def centre_channel(self) -> int:
@@ -123,16 +104,13 @@ class Module:
 
 
 class Layout:
-    """The modules of a skin, at least one, and what follows from their places; a skin frame has `width` channels.
+    """The modules of a skin, at least one, with their positions; a skin frame has `width` channels.
 
-    `path` and `text` are those of the file it was read from; None and empty where it was made otherwise.
+    `path` and `text` are those of its file; `None` and empty without one.
     """
 
     def __init__(self, modules: tuple[Module, ...], width: int, path: Path | None = None, text: str = "") -> None:
-        self.modules = modules
-        self.width = width
-        self.path = path
-        self.text = text
+        self.modules, self.width, self.path, self.text = modules, width, path, text
 
     @cached_property
     def channels(self) -> IntArray:
@@ -141,7 +119,7 @@ class Layout:
 
     @cached_property
     def module_of(self) -> IntArray:
-        """(width,) index into `modules` for each channel, -1 where there is no taxel."""
+        """(width,) index into `modules` for each channel, -1 without a taxel."""
         owner = np.full(self.width, -1, dtype=np.int64)
         for index, module in enumerate(self.modules):
             owner[module.channels] = index
@@ -149,7 +127,7 @@ class Layout:
 
     @cached_property
     def places(self) -> FloatArray:
-        """(width, 2) float, metres, the layout's plane; NaN where there is no taxel."""
+        """(width, 2) float, metres, the layout's plane; NaN without a taxel."""
         places = np.full((self.width, 2), np.nan)
         for module in self.modules:
             places[module.channels] = module.pads
@@ -161,11 +139,11 @@ class Layout:
         places = self.places[self.channels]
         # In blocks: the differences of 4,200 taxels at once would take 280 MB.
         nearest = np.empty(len(places))
-        for start in range(0, len(places), _AT_ONCE):
-            block = places[start : start + _AT_ONCE]
+        for start in range(0, len(places), TAXELS_PER_BLOCK):
+            block = places[start : start + TAXELS_PER_BLOCK]
             distances = np.linalg.norm(block[:, None] - places[None], axis=-1)
             distances[np.arange(len(block)), start + np.arange(len(block))] = np.inf
-            nearest[start : start + _AT_ONCE] = distances.min(axis=1)
+            nearest[start : start + TAXELS_PER_BLOCK] = distances.min(axis=1)
         return float(np.median(nearest))
 
 
@@ -174,28 +152,26 @@ def load_layout(path: Path, width: int) -> Layout:
 
     It holds an array of tables `[[modules]]`: `id`, `kind`, `first_channel`, `place_mm`, `angle_deg`, `mirror`, optionally
     `anchor`; and optionally `[kinds.NAME]` with `pads_mm`, `outline_mm`, `centre_pad`.
-
-    Raises InputError, which names the file, the module and what was expected.
     """
     return read_layout(read_text(path), path, width)
 
 
 def read_layout(text: str, path: Path, width: int) -> Layout:
-    """Read the text of a `*.modules.toml` file; raises what `load_layout` raises, whose sentences name `path`."""
+    """Read the text of a `*.modules.toml` file; sentences name `path`."""
     document = Table(parse_toml(text, path), str(path))
     kinds, own = dict(KINDS), document.table("kinds")
-    for name, table in own.each_table() if own is not None else ():
+    for name, table in own.subtables() if own is not None else ():
         kinds[name] = _read_kind(name, table)
     tables = document.tables("modules")
     if not tables:
         raise InputError(f"{path}: no [[modules]] table was found; list at least one module.")
-    document.done()
+    document.refuse_unknown_keys()
     modules = tuple(_read_module(table, kinds, width) for table in tables)
-    _check_owners(modules, path)
+    _check_channels_once(modules, path)
     return Layout(modules, width, path, text)
 
 
-def _check_owners(modules: tuple[Module, ...], path: Path) -> None:
+def _check_channels_once(modules: tuple[Module, ...], path: Path) -> None:
     owner: dict[int, int] = {}
     ids: set[int] = set()
     for module in modules:
@@ -215,11 +191,11 @@ def _read_kind(name: str, table: Table) -> ModuleKind:
     pads = table.lengths_mm("pads_mm", (None, 2), gaps=True)
     outline = table.lengths_mm("outline_mm", (None, 2))
     centre = table.take("centre_pad", int)
-    table.done()
+    table.refuse_unknown_keys()
     taxels = np.flatnonzero(~np.isnan(pads).any(axis=1))
     if centre not in taxels:
         raise InputError(f"{table.where}: centre_pad is {centre}; expected one of its taxels, {taxels.tolist()}.")
-    # One coordinate alone is no place.
+    # One coordinate alone is no position.
     pads[np.isnan(pads).any(axis=1)] = np.nan
     return ModuleKind(name, pads, outline, centre)
 
@@ -241,18 +217,18 @@ def _read_module(table: Table, kinds: dict[str, ModuleKind], width: int) -> Modu
         mirror=table.take("mirror", bool, False),
         anchor=None if anchor is None else read_anchor(anchor),
     )
-    table.done()
+    table.refuse_unknown_keys()
     return module
 
 
 def read_anchor(table: Table) -> Anchor:
     """Read an anchor table: `at_mm` in the layout's plane, `point_mm`, `x` and `normal` in the link frame.
 
-    Raises InputError: a key is missing, is not numbers, or `x` and `normal` are not perpendicular to within a degree.
+    `x` and `normal` must be perpendicular to within a degree.
     """
     at, point = table.lengths_mm("at_mm", (2,)), table.lengths_mm("point_mm", (3,))
     x, normal = table.direction("x"), table.direction("normal")
-    table.done()
+    table.refuse_unknown_keys()
     if abs(float(x @ normal)) >= np.sin(np.radians(1.0)):
         raise InputError(f"{table.where}: x and normal must be perpendicular to within a degree.")
     return Anchor(at=at, point=point, x=x, normal=normal)

@@ -1,4 +1,4 @@
-"""A table of a TOML file, read so that each missing, wrong or unknown value is named with its place in the file."""
+"""A table of a TOML file: each missing, wrong or unknown value is refused with its location in the file."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text
-from skincal.model.given import TEXT_MOST, read_regular
+from skincal.model.given import MAX_TEXT_BYTES, read_regular
 
-T = TypeVar("T")
+Value = TypeVar("Value")
 
 LENGTH_MAX = 10.0
 """m. No length of a robot is larger; millimetres taken for metres are."""
-ANGLE_MAX = 3600.0
-"""Degrees: ten turns, more than any joint of an arm makes."""
-INTEGER_MAX = 10**18
-"""Whole numbers of 64 bits end soon after; no count, channel or setting is as large."""
+MAX_ANGLE_DEG = 3600.0
+"""Ten turns: more than any joint of an arm makes."""
+MAX_INTEGER = 10**18
+"""Just below the limit of 64 bits; no count, channel or setting is as large."""
 DIRECTION_MAX = 1e100
-"""The square of a longer vector, or of one shorter than its inverse, leaves the range of a double: its direction is lost."""
-DOTS_MOST = 32
+"""The square of a longer vector, or of one shorter than its inverse, is no finite number: its direction is lost."""
+MAX_DOTS_IN_NAME = 32
 """A scene has tables three deep; the time to read a dotted name grows with the square of its dots."""
-_DOTTED = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{DOTS_MOST}}}")
-_SHORT = reprlib.Repr()
-_SHORT.maxlist, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlevel = 16, 60, 60, 4
+_TOO_MANY_DOTS = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{MAX_DOTS_IN_NAME}}}")
+_short_repr = reprlib.Repr()
+_short_repr.maxlist, _short_repr.maxstring, _short_repr.maxother, _short_repr.maxlevel = 16, 60, 60, 4
 
 
 def read_text(path: Path) -> str:
-    """Return a file's text, its ends of line as they are; `InputError` says why it cannot be read."""
-    data = read_regular(path, TEXT_MOST)
+    """Read a text file; its line ends stay as they are."""
+    data = read_regular(path, MAX_TEXT_BYTES)
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
@@ -42,9 +42,9 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file's text; `InputError` says what is wrong with it and where."""
-    if _DOTTED.search(text):
-        raise InputError(f"{path}: a name has {DOTS_MOST} dots or more; expected a few levels.")
+    """Parse the text of a TOML file."""
+    if _TOO_MANY_DOTS.search(text):
+        raise InputError(f"{path}: a name has {MAX_DOTS_IN_NAME} dots or more; expected a few levels.")
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -54,21 +54,21 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
 
 
 def shown(value: object) -> str:
-    """Return how a value is written, with its middle left out where it is long."""
+    """Quote a value in a sentence, without its middle if it is long."""
     try:
-        return _SHORT.repr(value)
+        return _short_repr.repr(value)
     except ValueError:  # Python writes no number of more than 4,300 digits
         return "a number of very many digits"
 
 
 class Table:
-    """Gives out each value once; `done` refuses what was not asked for. Sentences begin with `where`: file and place."""
+    """Gives each value once; `refuse_unknown_keys` refuses the rest. `where` begins each sentence: file and place in it."""
 
     def __init__(self, values: dict[str, Any], where: str) -> None:
         self._values = dict(values)
         self.where = where
         for key in self._values:
-            _demand_plain(key, where)
+            _require_plain(key, where)
 
     @property
     def keys(self) -> list[str]:
@@ -76,28 +76,29 @@ class Table:
         return list(self._values)
 
     def take(self, key: str, kind: type, default: Any = ...) -> Any:
-        """Return a value of this kind; a whole number counts as a number, true and false do not."""
-        # An ellipsis stands for no default, since None is one.
+        """Take a value of this type; a whole number counts as a number, true and false do not. `...` means no default."""
         if key not in self._values:
             if default is ...:
-                raise InputError(f"{self.where}: {key} is missing; expected {_name(kind)}.")
+                raise InputError(f"{self.where}: {key} is missing; expected {_TYPE_NAMES[kind]}.")
             return default
         value = self._values.pop(key)
-        if isinstance(value, int) and abs(value) > INTEGER_MAX:
-            raise InputError(f"{self.where}: {key} has {_digits(value)} digits; expected {_name(kind)} of 18 at most.")
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        if isinstance(value, int) and abs(value) > MAX_INTEGER:
+            # `str` of a very long number is refused by Python; log10(2) is 0.30103.
+            digits = len(str(abs(value))) if value.bit_length() < 1000 else int(value.bit_length() * 0.30103) + 1
+            raise InputError(f"{self.where}: {key} has {digits} digits; expected {_TYPE_NAMES[kind]} of 18 at most.")
+        if kind is float and type(value) is int:
             value = float(value)
         # To Python true and false are whole numbers.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {_name(kind)}.")
+            raise InputError(f"{self.where}: {key} is {shown(value)}; expected {_TYPE_NAMES[kind]}.")
         if isinstance(value, str):
-            _demand_plain(value, f"{self.where}: {key}")
+            _require_plain(value, f"{self.where}: {key}")
         if isinstance(value, float) and not np.isfinite(value):
             raise InputError(f"{self.where}: {key} is {value}; expected a finite number.")
         return value
 
     def array(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> Any:
-        """Return a list of numbers as an array of this shape, None for any length; with `gaps` NaN may stand in it."""
+        """Take a list of numbers as an array of this shape, `None` for any length; with `gaps` it may hold NaN."""
         value = self.take(key, list, default)
         if value is default:
             return default
@@ -105,15 +106,14 @@ class Table:
         try:
             array = np.array(value, dtype=float)
         except (TypeError, ValueError, OverflowError):
-            # Rows of different lengths, words, or whole numbers beyond every double: nothing that fits any shape.
-            array = np.empty(0)
+            array = np.empty(0)  # rows of different lengths, words, or too large numbers: it fits no shape
         fits = array.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, array.shape, strict=True))
         if not fits or not (np.isfinite(array) | (gaps & np.isnan(array))).all():
             raise InputError(f"{self.where}: {key} is {shown(value)}; expected {wanted} finite numbers.")
         return array
 
     def direction(self, key: str) -> FloatArray:
-        """Return three numbers as a unit vector."""
+        """Take three numbers as a unit vector."""
         vector: FloatArray = self.array(key, (3,))
         with np.errstate(over="ignore", under="ignore"):
             length = float(np.linalg.norm(vector))
@@ -124,7 +124,7 @@ class Table:
         return vector / length
 
     def lengths_mm(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> FloatArray:
-        """Return an array that the file gives in millimetres, in metres; as `array`, and none beyond `LENGTH_MAX`."""
+        """Take an array of millimetres, as `array`, and convert it to metres."""
         lengths: FloatArray = self.array(key, shape, default, gaps=gaps)
         longest = float(np.nanmax(np.abs(lengths), initial=0.0))
         if longest > LENGTH_MAX * 1e3:
@@ -133,8 +133,8 @@ class Table:
             )
         return lengths * 1e-3
 
-    def choice(self, key: str, known: dict[str, T], default: Any = ...) -> T:
-        """Return what stands for one of the words in `known`."""
+    def choice(self, key: str, known: dict[str, Value], default: Any = ...) -> Value:
+        """Take one of the words in `known`; return its value."""
         value = self.take(key, str, default)
         if value is default:
             return default
@@ -143,58 +143,48 @@ class Table:
         return known[value]
 
     def table(self, key: str) -> Table | None:
-        """Return a table within this one; None where there is none."""
+        """Take a table within this one; `None` if it is missing."""
         values = self.take(key, dict, None)
         return None if values is None else Table(values, f"{self.where}: [{key}]")
 
-    def each_table(self) -> list[tuple[str, Table]]:
-        """Return the tables within this one, with their names; nothing else may be left in it."""
+    def subtables(self) -> list[tuple[str, Table]]:
+        """Take all that is left as tables, with their names."""
         return [(key, Table(self.take(key, dict), f"{self.where}: [{key}]")) for key in self.keys]
 
     def tables(self, key: str) -> list[Table]:
-        """Return an array of tables; empty where there is none."""
+        """Take an array of tables; empty if it is missing."""
         values = self.take(key, list, [])
         for value in values:
             if not isinstance(value, dict):
                 raise InputError(f"{self.where}: {key} holds {shown(value)}; expected tables [[{key}]].")
         return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
 
-    def done(self) -> None:
-        """Refuse what is left.
-
-        Raises InputError: a name was not asked for.
-        """
+    def refuse_unknown_keys(self) -> None:
+        """Refuse what was not taken: it is misspelt."""
         if self._values:
             raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
 
 
-def _demand_plain(text: str, where: str) -> None:
-    """Refuse text that would reach a terminal or a file's header as an order."""
+_TYPE_NAMES = {
+    str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"
+}  # fmt: skip
+
+
+def _require_plain(text: str, where: str) -> None:
+    """Refuse text that a terminal or a file's header would take for a command."""
     if plain_text(text) != text:
         raise InputError(f"{where}: {shown(text)} holds a control character; expected plain text.")
 
 
-def _digits(value: int) -> int:
-    """Return how many decimal digits a whole number has; above some hundred, about how many."""
-    return len(str(abs(value))) if value.bit_length() < 1000 else int(value.bit_length() * 0.30103) + 1
-
-
-def _name(kind: type) -> str:
-    return {str: "text", int: "a whole number", float: "a number", list: "a list", dict: "a table", bool: "true or false"}[kind]
-
-
 def check_degrees(angles: FloatArray, what: str) -> None:
-    """Refuse angles beyond `ANGLE_MAX`: of much larger ones no digit is left after the turns."""
+    """Refuse angles beyond `MAX_ANGLE_DEG`: after subtracting the turns no digit of them is left."""
     largest = float(np.abs(angles).max(initial=0.0))
-    if largest > ANGLE_MAX:
-        raise InputError(f"{what} has an angle of {largest:g}; degrees up to {ANGLE_MAX:g} were expected.")
+    if largest > MAX_ANGLE_DEG:
+        raise InputError(f"{what} has an angle of {largest:g}; degrees up to {MAX_ANGLE_DEG:g} were expected.")
 
 
 def check_metres(lengths: FloatArray, what: str) -> None:
-    """Refuse lengths beyond `LENGTH_MAX`.
-
-    Raises InputError, whose sentence names the likely unit.
-    """
+    """Refuse lengths beyond `LENGTH_MAX`; the sentence names the likely unit."""
     longest = float(np.abs(lengths).max(initial=0.0))
     if longest > LENGTH_MAX:
         raise InputError(

@@ -12,7 +12,7 @@ from skincal.contacts.outcome import Contact
 from skincal.files.importers.overview import RecordingFiles
 from skincal.files.importers.recorded_lines import START_NS, OpenRecording
 from skincal.journal import writer
-from skincal.journal.lock import LOCK_NAME, writer_of
+from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene, load_scene
@@ -81,7 +81,7 @@ def take_away(session: Path | None, missing: Sequence[Path]) -> None:
         for ending in ("mcap", "jsonl"):
             for segment in session.glob(f"segment-[0-9][0-9][0-9][0-9].{ending}"):
                 segment.unlink()
-        if not writer_of(session):
+        if not describe_lock_holder(session):
             # Left by a killed process.
             (session / LOCK_NAME).unlink(missing_ok=True)
     for place in missing:

@@ -74,9 +74,9 @@ def scene_of_mesh(mesh: Path, scenes: Path) -> Path:
     InputError
         The mesh cannot be read, or the folder cannot be written.
     """
-    from skincal.model.given import MESH_MOST, read_regular
+    from skincal.model.given import MAX_MESH_BYTES, read_regular
 
-    data = read_regular(mesh, MESH_MOST)
+    data = read_regular(mesh, MAX_MESH_BYTES)
     unit = _unit_of(mesh)
     name, number = plain_text(mesh.stem), 1
     try:

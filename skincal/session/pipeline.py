@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from skincal.contacts.detector import ContactDetector, Doubt, Known
+from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import BeforePokes, Contact, Outcome, PressPhase
 from skincal.geometry import FloatArray
-from skincal.journal.documents import Ending, Item, Note, Taken, Totals
+from skincal.journal.documents import DetectorResult, Item, Result, SessionClosed, Totals
 from skincal.journal.writer import JournalFailure, JournalWriter
-from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, Stamped
+from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import Scene
@@ -75,7 +75,6 @@ class Pipeline:
         """Sentences about damage of the replayed session."""
         self._detector = ContactDetector(scene)
         self._dead = self._detector.dead
-        self._doubts: dict[int, Doubt] = {}
         self.laid = laid
         """The layout on the part; `None` if it is not laid."""
         self._earlier = Totals()
@@ -120,20 +119,16 @@ class Pipeline:
                     self._intake.read_ahead([item for item in found if isinstance(item, Chunk)])
                 yield from found
 
-    def apply_note(self, note: Note) -> None:
+    def apply_note(self, note: Result) -> None:
         """Apply what a detector made of an item: outcomes and dead channels, or counts of readings."""
         if isinstance(note, Totals):
             self._earlier = note
             return
         if note.dead is not None:
             self.session.set_detected_dead(note.dead)
-        for outcome, doubt in note.outcomes:
+        for outcome in note.outcomes:
             self.session.add(outcome)
             self.poses.add_used(outcome.pose, outcome.link_from_sensor)
-            if doubt is None:
-                self._doubts.pop(outcome.poke, None)
-            else:
-                self._doubts[outcome.poke] = doubt
 
     def act(self, action: Action, host_ns: int) -> None:
         """Apply an action and record it; `InputError` if it is impossible, and then nothing changes."""
@@ -143,7 +138,7 @@ class Pipeline:
         self.note_skipped_pose(action)
         self._current_pose(None)
         self._detector.use_thresholds(self.session.decisions.thresholds)
-        self._commit(Stamped(host_ns, action), self._detector.use_all_but(self.session.dead.keys()))
+        self._commit(TimedAction(host_ns, action), self._detector.ignore_channels(self.session.dead.keys()))
         # A request needs no fsync: without the bytes after it, it is useless.
         if not isinstance(action, AskLandmark | AskPoke):
             self._record(lambda journal: journal.sync())
@@ -239,19 +234,17 @@ class Pipeline:
     def renew_detector(self) -> None:
         """Replace the detector by a new one that knows the session."""
         session = self.session
-        known = ((doubt, session.outcome(number)) for number, doubt in sorted(self._doubts.items()))
-        doubts = [(doubt, outcome) for doubt, outcome in known if outcome is not None]
-        self._detector = ContactDetector(self.scene, Known(session.last_poke, session.found_dead, doubts))
+        self._detector = ContactDetector(self.scene, session.last_poke, session.found_dead, session.reported)
         self._dead = self._detector.dead
         self._detector.use_thresholds(session.decisions.thresholds)
-        for outcome in self._detector.use_all_but(session.dead.keys()):
+        for outcome in self._detector.ignore_channels(session.dead.keys()):
             session.add(outcome)
         # In a loaded session the last chosen pose holds.
         self._current_pose(None)
 
     def end_session(self, host_ns: int) -> None:
         """End a poke in progress and finalize those that wait."""
-        self._commit(Ending(host_ns), self._detector.reset())
+        self._commit(SessionClosed(host_ns), self._detector.reset())
 
     def close(self) -> None:
         """Finish the journal; the session stays."""
@@ -272,7 +265,7 @@ class Pipeline:
             self._dead = self._detector.dead
             self.session.set_detected_dead(self._dead)
             self._found_dead = True
-            outcomes += self._detector.use_all_but(self.session.dead.keys())
+            outcomes += self._detector.ignore_channels(self.session.dead.keys())
         return outcomes
 
     def _commit(self, item: Item, outcomes: Sequence[Outcome]) -> None:
@@ -292,10 +285,10 @@ class Pipeline:
 
     def _journal_item(self, item: Item, outcomes: Sequence[Outcome]) -> None:
         self._now_ns = max(self._now_ns, item.host_ns)
-        notes: list[Note] = []
+        notes: list[Result] = []
         if outcomes or self._found_dead:
             dead = self._dead if self._found_dead else None
-            taken = Taken([(outcome, self._detector.doubt(outcome)) for outcome in outcomes], dead)
+            taken = DetectorResult(outcomes, dead)
             self.apply_note(taken)
             self._found_dead = False
             notes.append(taken)
@@ -322,7 +315,7 @@ class Pipeline:
     def _totals_due(self, item: Item) -> bool:
         if self._totals_ns is None:
             self._totals_ns = item.host_ns
-        if not isinstance(item, Ending) and item.host_ns - self._totals_ns < TOTALS_PERIOD_NS:
+        if not isinstance(item, SessionClosed) and item.host_ns - self._totals_ns < TOTALS_PERIOD_NS:
             return False
         self._totals_ns = item.host_ns
         return True

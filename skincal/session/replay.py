@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from skincal.journal.documents import FORMAT_WITH_GROUPED_POSES, Ending, SegmentMark, Taken, Totals
+from skincal.journal.documents import FORMAT_WITH_GROUPED_POSES, DetectorResult, SegmentHeader, SessionClosed, Totals
 from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
-from skincal.model.actions import FoundAtLandmark, MissedLandmark, Stamped
+from skincal.model.actions import FoundAtLandmark, MissedLandmark, TimedAction
 from skincal.model.errors import InputError
 from skincal.model.scene import ships, with_layout
 from skincal.session.part import load_scene_surface
@@ -41,26 +41,25 @@ def replay(folder: Path, layout: Path | None = None) -> Pipeline:
 def load(folder: Path, layout: Path | None = None) -> Pipeline:
     """Load a session from its stored pokes; nothing in the folder changes.
 
-    It is replayed if it has no stored pokes or its scene has changed. Else as `replay`, but with another layout pokes stay as
-    they were judged with the scene's, and a streamed arm pose is unknown until joints are streamed again.
+    It is replayed if its scene has changed, or if a line file is missing or damaged. Else as `replay`, but with another layout
+    pokes stay as they were judged with the scene's, and a streamed arm pose is unknown until joints are streamed again.
     """
     return _load(SessionLog(folder), layout)
 
 
 def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
-    # Stored pokes hold for the scene of the recording; the oldest sessions have none.
-    if log.scene_changed or not log.has_notes:
-        return _played(log, layout)
     pipeline = _new_pipeline(log, layout)
     misfits: list[str] = []
     for item in log.state():
-        # A later segment may be of another scene or an older version.
-        if log.scene_changed or not log.has_notes:
-            return _played(SessionLog(log.folder, own=log.own), layout)
+        if log.scene_changed:
+            break
         try:
             _load_step(pipeline, item)
         except InputError as error:
             misfits.append(f"{_MISFIT}: {error}")
+    # Results hold for the scene of their recording only, and a segment with a damaged line file has none.
+    if log.scene_changed or not log.has_results:
+        return _played(SessionLog(log.folder, own=log.own), layout)
     pipeline.renew_detector()
     pipeline.findings = (*log.findings, *misfits)
     return pipeline
@@ -72,13 +71,13 @@ def _new_pipeline(log: SessionLog, layout: Path | None) -> Pipeline:
 
 
 def _load_step(pipeline: Pipeline, item: LogState) -> None:
-    if isinstance(item, Stamped):
+    if isinstance(item, TimedAction):
         # Not the pipeline's `act`: the following notes hold the detector's reaction.
         pipeline.session.act(item.action, item.host_ns * 1e-9)
         pipeline.note_skipped_pose(item.action)
-    elif isinstance(item, Taken | Totals):
+    elif isinstance(item, DetectorResult | Totals):
         pipeline.apply_note(item)
-    elif isinstance(item, SegmentMark):
+    elif isinstance(item, SegmentHeader):
         step(pipeline, item)
 
 
@@ -109,16 +108,16 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
 
 def step(pipeline: Pipeline, item: LogItem) -> None:
     """Apply one item of a log to a pipeline."""
-    if isinstance(item, SegmentMark):
+    if isinstance(item, SegmentHeader):
         if item.number > 1:
             pipeline.begin_segment(item.links)
         pipeline.poses.are_grouped = item.format >= FORMAT_WITH_GROUPED_POSES
         pipeline.session.set_clock(item.clock)
-    elif isinstance(item, Stamped):
+    elif isinstance(item, TimedAction):
         # These follow again from bytes and requests.
         if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
             pipeline.act(item.action, item.host_ns)
-    elif isinstance(item, Ending):
+    elif isinstance(item, SessionClosed):
         pipeline.end_session(item.host_ns)
     else:
         pipeline.feed(item)
@@ -131,7 +130,7 @@ def _played(log: SessionLog, layout: Path | None) -> Pipeline:
         try:
             step(pipeline, item)
         except InputError as error:
-            if not isinstance(item, Stamped):
+            if not isinstance(item, TimedAction):
                 raise
             # With changed thresholds of the scene a poke may have another outcome.
             misfits.append(f"{_MISFIT}: {error}")

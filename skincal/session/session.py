@@ -162,6 +162,11 @@ class Session:
         for outcome in [outcome for outcome in self._reported.values() if not outcome.final]:
             self.add(replace(outcome, final=True))
 
+    @property
+    def reported(self) -> Iterable[Outcome]:
+        """Every poke's outcome as the rig reported it."""
+        return self._reported.values()
+
     def outcome(self, poke: int) -> Outcome | None:
         """Give a poke's outcome as the rig reported it; `None` if there is no such poke."""
         return self._reported.get(poke)

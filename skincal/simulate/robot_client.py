@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from skincal.model.errors import InputError, shortened
-from skincal.model.scene import SECONDS_MOST, SETTING_MOST
+from skincal.model.scene import MAX_SETTING_S, SETTING_MAX
 from skincal.robot.target_lines import (
     KNOWN_POINT,
     NO_TAXEL,
@@ -32,9 +32,9 @@ from skincal.robot.target_server import POLL_S, READ_MAX_BYTES, RECONNECT_AFTER_
 
 COORDINATE_MAX_M = 10.0
 """m. No part reaches so far from its frame's origin."""
-FORCE_MAX_N = SETTING_MOST
+FORCE_MAX_N = SETTING_MAX
 """N. Maximum of a scene's thresholds; a robot has limits of its own."""
-HOLD_MAX_S = 2.0 * SECONDS_MOST
+HOLD_MAX_S = 2.0 * MAX_SETTING_S
 """s. Twice the longest still window."""
 
 

@@ -19,7 +19,18 @@ from skincal.devices.decoding import WRENCH_WIDTH
 from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, LinkState, Loss, Sample, SideReading, Stream, joined
+from skincal.model.readings import (
+    Batch,
+    Chunk,
+    LinkEvent,
+    LinkHealth,
+    LinkState,
+    Loss,
+    Sample,
+    SideReading,
+    Stream,
+    merge_side_readings,
+)
 from skincal.streams.clocks import Timestamper
 from skincal.streams.decoders.auto_detect import LinkDecoder, decoder_class
 from skincal.streams.link_diagnosis import Differences, LinkMonitor
@@ -199,7 +210,7 @@ class LinkIntake:
             batches = self._decoder.finish()
             self._count_readings(batches)
         elif event.state is LinkState.OPEN and self._last_ns:
-            # A new decoder: half a record from before the break must not be joined with the first one after it.
+            # A new decoder: half a record from before the break must not be merge_side_readings with the first one after it.
             self._losses_before += self._decoder.current.counts
             self._side_readings_before = self.side_readings()
             self._decoder = self._new_decoder()
@@ -245,7 +256,7 @@ class LinkIntake:
 
     def side_readings(self) -> Mapping[str, SideReading]:
         """Return the other quantities that the device measured."""
-        return joined(self._side_readings_before, self._decoder.current.side_readings)
+        return merge_side_readings(self._side_readings_before, self._decoder.current.side_readings)
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading if that is less."""

@@ -332,7 +332,7 @@ class Reader:
             data = link.read(READ_MAX_S)
             if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= STABLE_AFTER_S):
                 self._report_open()
-            # Stamped at once, by a clock that cannot be set back while a session runs.
+            # TimedAction at once, by a clock that cannot be set back while a session runs.
             if data:
                 self._enqueue(Chunk(self._spec.name, time.monotonic_ns(), data))
             tried: tuple[int, ...] = getattr(link, "tried", ())

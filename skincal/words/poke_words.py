@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from skincal.contacts.outcome import RAW, BeforePokes, Reason, Rejection
+from skincal.contacts.outcome import RAW_UNIT, BeforePokes, Reason, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.model.errors import plural
 from skincal.model.scene import ContactSettings
@@ -62,7 +62,7 @@ def rejection_words(rejection: Rejection) -> str:
     """Say why a poke was rejected, with number and limit: `"tip slid 2.1 mm (limit 1.5 mm)"`."""
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
     words = REASON_WORDS[reason]
-    if rejection.unit == RAW and math.isfinite(value):
+    if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
     if reason in _WITHOUT_NUMBER or not (math.isfinite(value) and math.isfinite(limit)):
         return words

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from skincal.contacts.thresholds import ThresholdUse
-from skincal.model.scene import RISING, ContactSettings, most_of
+from skincal.model.scene import FORCE_ORDER, ContactSettings, setting_limit
 from skincal.words.units import UNITS, DisplayUnit, count, number
 
 ABOUT = "Conditions for a poke to count. A change applies to later pokes only, is saved in the session and can be undone."
@@ -93,7 +93,7 @@ def typed_value(name: str, text: str) -> float:
 def objections(values: Mapping[str, float]) -> dict[str, str]:
     """Return why thresholds, in SI units by their names, cannot be used, by the names of their fields; empty where they can."""
     wrong = {name: sentence for name, value in values.items() if (sentence := _objection(name, value))}
-    for low, high in pairwise(RISING):
+    for low, high in pairwise(FORCE_ORDER):
         if low not in wrong and high not in wrong and not values[low] < values[high]:
             title = WORDS[high].title[0].lower() + WORDS[high].title[1:]
             wrong[low] = f"Expected less than {with_unit(high, values[high])}, which is for: {title}."
@@ -102,8 +102,8 @@ def objections(values: Mapping[str, float]) -> dict[str, str]:
 
 def _objection(name: str, value: float) -> str:
     unit = WORDS[name].unit
-    if not 0 < value <= most_of(name):
-        most = f" and at most {with_unit(name, most_of(name))}" if name.endswith("_s") else ""
+    if not 0 < value <= setting_limit(name):
+        most = f" and at most {with_unit(name, setting_limit(name))}" if name.endswith("_s") else ""
         return f"Expected a number above 0{most}, {_in(unit)}."
     whole = isinstance(getattr(ContactSettings(), name), int)
     return "Expected a whole number." if whole and value != round(value) else ""

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from skincal.session.replay import resume
-from tests.skincal.journal.kill_support import ROOT, assert_kept, killed_in_a_row, second_opener
+from tests.skincal.journal.journal_support import ROOT
+from tests.skincal.journal.kill_support import assert_kept, killed_in_a_row, second_opener
 from tests.skincal.record_support import recorder, write_devices
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no kill -9")

@@ -218,7 +218,7 @@ def estimate_key(estimate: Estimate) -> tuple[object, ...]:
 
 def outcome_key(outcome: Outcome) -> tuple[object, ...]:
     """All fields of an outcome in a form that `==` compares bit for bit."""
-    values = (getattr(outcome, name) for name in type(outcome).__slots__)
+    values = (getattr(outcome, name) for name in type(outcome).__slots__ if name not in ("press", "tare_after"))
     return tuple(np.asarray(value).tobytes() if isinstance(value, np.ndarray | float) else value for value in values)
 
 

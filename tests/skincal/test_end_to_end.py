@@ -14,7 +14,7 @@ from skincal.files.icub import read_icub
 from skincal.files.reference import error_summary, read_reference
 from skincal.mesh.lay import place_layout
 from skincal.mesh.load import load_surface
-from skincal.model.actions import AddLandmark, AskLandmark, to_json
+from skincal.model.actions import AddLandmark, AskLandmark, action_to_json
 from skincal.model.readings import Loss
 from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
@@ -159,7 +159,7 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
     x, y, z = place_layout(scene.skin.layout, scene.skin.anchor, None).places[3].tolist()
     orders = [AddLandmark("pad", x, y, z), AskLandmark("pad"), AskLandmark("nose")]
     reading, writing = os.pipe()
-    os.write(writing, b"".join(json.dumps(to_json(order)).encode() + b"\n" for order in orders))
+    os.write(writing, b"".join(json.dumps(action_to_json(order)).encode() + b"\n" for order in orders))
     os.close(writing)
     with (
         os.fdopen(reading) as stdin,

@@ -22,7 +22,7 @@ from skincal.cli.record import OrderLine, _loop
 from skincal.geometry import axis_point, move_wrench
 from skincal.journal.reader import SessionLog
 from skincal.mesh.load import load_surface
-from skincal.model.actions import FoundAtLandmark, Stamped, to_json
+from skincal.model.actions import FoundAtLandmark, TimedAction, action_to_json
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction
@@ -131,8 +131,8 @@ def without_a_window(folder, lived) -> None:
     for item in log.items():
         if isinstance(item, Chunk | LinkEvent):
             items.put(item)
-        elif isinstance(item, Stamped) and not isinstance(item.action, FoundAtLandmark):
-            items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
+        elif isinstance(item, TimedAction) and not isinstance(item.action, FoundAtLandmark):
+            items.put(OrderLine(item.host_ns, json.dumps(action_to_json(item.action)).encode()))
     surface = load_surface(log.scene.surface)[0]
     headless = Pipeline(log.scene, log.links, surface)
     _loop(headless, items, {}, (None, None), threading.Event())

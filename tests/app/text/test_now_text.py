@@ -26,7 +26,7 @@ from app.text.outcomes import (
     verdict_detail,
     verdict_words,
 )
-from skincal.contacts.outcome import RAW, PressPhase, Reason
+from skincal.contacts.outcome import RAW_UNIT, PressPhase, Reason
 from skincal.model.actions import Exclude, MissedLandmark, Revive
 from skincal.model.readings import LinkAnswer, LinkState, LinkVerdict, Stream
 from skincal.session.undo import History, LastOperation, OperationKind
@@ -84,10 +84,10 @@ def test_a_rejection_names_its_number_and_its_limit():
     assert rejection_words(slip(1, Reason.NOT_STILL, 0.12, 0.3, "s")) == approved("now.too_short", seen=0.12, least="0.30")
     assert rejection_words(slip(1, Reason.NOT_STILL, 0.08, 0.05, "1")) == approved("now.not_still", seen=8.0, most=5.0)
     assert rejection_words(slip(1, Reason.NO_TAXEL, 0, 1, "")) == "no taxel answered", "as sessions of old have it"
-    assert rejection_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW)) == approved(
+    assert rejection_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW_UNIT)) == approved(
         "now.none_answered", largest=4.3, needed="12.0"
     )
-    assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW), NAMES) == "rejected: no taxel answered"
+    assert verdict_words(slip(1, Reason.NO_TAXEL, 4.26, 12.0, RAW_UNIT), NAMES) == "rejected: no taxel answered"
     assert rejection_words(slip(1, Reason.TARE_CHANGED, math.nan, 1.0, "N")) == "sensor zero changed"
 
 

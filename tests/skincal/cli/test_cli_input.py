@@ -142,13 +142,13 @@ def test_a_link_that_never_says_why_it_is_not_open_is_reported_once():
 
 def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, monkeypatch):
     """It comes in the middle of the third write; that item, and all that was read before the end, is in the session."""
-    from skincal.journal import documents
+    from skincal.journal import ros_messages
     from skincal.journal.reader import SessionLog
     from skincal.model.readings import Chunk
 
     for name, values in (("wrench", 6), ("skin", CHANNELS)):
         (tmp_path / name).write_text((" ".join(["0.5"] * values) + "\n") * 2000)
-    encode, begun = documents.encode_chunk, []
+    encode, begun = ros_messages.encode_chunk, []
 
     def interrupted(*arguments):
         begun.append(arguments)
@@ -156,7 +156,7 @@ def test_an_interrupt_never_strikes_while_the_session_is_written(run, tmp_path, 
             signal.raise_signal(signal.SIGINT)
         return encode(*arguments)
 
-    monkeypatch.setattr(documents, "encode_chunk", interrupted)
+    monkeypatch.setattr(ros_messages, "encode_chunk", interrupted)
     before = signal.getsignal(signal.SIGINT)
     _, _, err = run(*recording(tmp_path / "s", tmp_path / "wrench", tmp_path / "skin", "--seconds", "30"))
     assert "stopped" in err
@@ -193,7 +193,7 @@ def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(ru
     folder = tmp_path / "s"
     code, out, err = run("simulate", *SCENE, "--out", folder, "--json")
     pokes = 0 if at_once else 3
-    assert (code, err) == (simulate.INTERRUPTED, approved("operator.stopped", pokes=pokes, count=252) + "\n")
+    assert (code, err) == (simulate.INTERRUPTED_EXIT_CODE, approved("operator.stopped", pokes=pokes, count=252) + "\n")
     assert json.loads(out)["pokes"] == pokes
     assert signal.getsignal(signal.SIGINT) is before
     assert SessionLog(folder).findings == ()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.detector import ContactDetector
-from skincal.contacts.outcome import RAW, Contact, PressPhase, Reason, Rejection
+from skincal.contacts.outcome import RAW_UNIT, Contact, PressPhase, Reason, Rejection
 from skincal.geometry import Arm, DhLink
 from skincal.model.scene import ArmSpec, ContactSettings
 from tests.skincal.poke_script import PERIOD_S, Script, outcome_key, small_scene, some_pokes
@@ -196,7 +196,7 @@ def test_a_torque():
 
 def test_no_taxel():
     found = rejected(quiet_script().press(FORCE, POINT, {3: 9.0}).quiet(), Reason.NO_TAXEL)
-    assert (found.value, found.limit, found.unit) == (9.0, small_scene().contacts.response_min, RAW)
+    assert (found.value, found.limit, found.unit) == (9.0, small_scene().contacts.response_min, RAW_UNIT)
 
 
 def test_an_answer_must_stand_above_the_channels_own_noise():
@@ -419,7 +419,7 @@ def test_progress_gives_the_axis_in_the_link_frame():
     np.testing.assert_allclose(np.cross(progress.force, contact - progress.axis_point), 0.0, atol=1e-9)
     assert progress.channels.tolist() == [3, 7]
     assert progress.still == 1.0
-    detector.use_all_but({7})
+    detector.ignore_channels({7})
     assert detector.progress(pose).channels.tolist() == [3], "a channel that is left out answers nothing"
 
 
@@ -437,7 +437,7 @@ def test_a_slower_device_is_followed():
 def test_a_dead_channel_is_left_out_of_later_pokes(bad):
     script = quiet_script().press(FORCE, POINT, ANSWERS).quiet()
     detector = ContactDetector(script.scene)
-    detector.use_all_but({bad})
+    detector.ignore_channels({bad})
     assert only(script.run(detector)).channels.tolist() == [10 - bad]
 
 
@@ -445,8 +445,8 @@ def test_a_channel_marked_dead_gives_back_the_pokes_it_spoilt():
     script = quiet_script().press(FORCE, POINT, {3: 80.0, 7: 40.0, 16: 60.0}).quiet()
     detector = ContactDetector(script.scene)
     assert only(script.run(detector)).reason is Reason.NOT_CONNECTED
-    (contact,) = detector.use_all_but({16})
+    (contact,) = detector.ignore_channels({16})
     assert isinstance(contact, Contact)
     assert (contact.poke, contact.channels.tolist(), contact.final) == (1, [3, 7], True)
-    (again,) = detector.use_all_but(set())
+    (again,) = detector.ignore_channels(set())
     assert again.reason is Reason.NOT_CONNECTED

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.contacts.thresholds import NEWEST, rejected_by, threshold_uses
+from skincal.contacts.thresholds import NEWEST_POKES, rejected_by, threshold_uses
 
 
 def contact(poke, size=8.0, pitch_m=0.002, taxels=2, tare_change=math.nan):
@@ -41,7 +41,7 @@ def test_values_and_rejections_of_the_newest_pokes():
 
 def test_only_the_newest_are_looked_at():
     old = [rejection(poke, Reason.SLID, 0.003, 0.0015, "m") for poke in range(1, 4)]
-    newest = [contact(poke) for poke in range(4, 4 + NEWEST)]
+    newest = [contact(poke) for poke in range(4, 4 + NEWEST_POKES)]
     assert threshold_uses([*old, *newest], ("slide_max",))["slide_max"].rejected == 0
     assert threshold_uses([*old, *newest[:-1]], ("slide_max",))["slide_max"].rejected == 1
     assert threshold_uses((), ("slide_max",))["slide_max"].pokes == 0

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,21 +12,14 @@ from pathlib import Path
 from skincal.contacts.outcome import Contact
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
+from tests.skincal.journal.journal_support import process
 from tests.skincal.poke_script import outcome_key, same_estimates
 
-ROOT = Path(__file__).resolve().parents[3]
 RECORDER = """
-import sys, time
+import time
 from dataclasses import replace
-from pathlib import Path
-from skincal.journal.writer import create_session
-from skincal.model.errors import InputError
-from skincal.session.pipeline import Pipeline
-from skincal.session.replay import resume
 from tests.skincal.journal.kill_support import key_of
-from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
-folder, turn = Path(sys.argv[1]), int(sys.argv[2])
-scene = write_scene(folder / "source")
+turn = int(sys.argv[2])
 script = some_pokes(scene, 40, seed=turn)
 items = as_chunks([replace(sample, host_s=sample.host_s + 1000.0 * turn) for sample in script.samples])
 print("begin", flush=True)
@@ -52,15 +43,12 @@ for item in items:
         told += 1
 """
 OPENER = """
-import sys, time
-from pathlib import Path
-from skincal.model.errors import InputError
-from skincal.session.replay import resume
+import time
 print("begin", flush=True)
 while True:
-    for folder in sys.argv[1:]:
+    for session in sys.argv[2:]:
         try:
-            resume(Path(folder)).close()
+            resume(Path(session)).close()
         except InputError:
             continue
     time.sleep(0.01)
@@ -74,34 +62,28 @@ def key_of(contact: Contact) -> str:
 
 def script_process(code: str, *words: object) -> subprocess.Popen[str]:
     """Start a script that says "begin" when it has imported what it needs."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, words)],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "begin\n"
-    return process
+    started = process(code, *words)
+    assert started.stdout is not None
+    assert started.stdout.readline() == "begin\n"
+    return started
 
 
 @contextlib.contextmanager
 def second_opener(*sessions: Path) -> Iterator[None]:
     """Try to go on with sessions, in another process, until the end; it must live till then."""
-    process = script_process(OPENER, *sessions)
+    opener = script_process(OPENER, sessions[0].parent / "opener", *sessions)
     try:
         yield
-        assert process.poll() is None
+        assert opener.poll() is None
     finally:
-        end(process)
+        end(opener)
 
 
-def end(process: subprocess.Popen[str]) -> str:
-    """Kill a process; return what it had said."""
-    process.kill()
-    said = process.communicate()[0] or ""
-    assert process.returncode != 1, "it was alive until it was killed"
+def end(child: subprocess.Popen[str]) -> str:
+    """Kill a process; return its output."""
+    child.kill()
+    said = child.communicate()[0] or ""
+    assert child.returncode != 1, "it was alive until it was killed"
     return said
 
 
@@ -110,12 +92,12 @@ def killed_in_a_row(folder: Path, kills: int, seed: int) -> int:
     rng, told = random.Random(seed), []
     with second_opener(folder / "s"):
         for turn in range(kills):
-            process = script_process(RECORDER, folder, turn)
+            child = script_process(RECORDER, folder, turn)
             if turn == 0:
-                assert process.stdout is not None
-                assert process.stdout.readline() == "open\n"
+                assert child.stdout is not None
+                assert child.stdout.readline() == "open\n"
             time.sleep(rng.uniform(0.0, 0.8))
-            lines = end(process).splitlines(keepends=True)
+            lines = end(child).splitlines(keepends=True)
             # A torn line is of a poke that nobody was told of.
             told += [line.rstrip("\n") for line in lines if line.endswith("\n") and line != "open\n"]
     assert_kept(folder / "s", told)

@@ -1,4 +1,4 @@
-"""Sessions of strangers, folders that vanish, kills in the middle of a recovery: said, survived, and nothing else touched."""
+"""Sessions of strangers, folders that vanish, crashes during a recovery: reported, survived, and no other file is touched."""
 
 import contextlib
 import json
@@ -6,6 +6,7 @@ import math
 import os
 import shutil
 import struct
+import tracemalloc
 import zlib
 from io import BytesIO
 from pathlib import Path
@@ -15,8 +16,8 @@ import zstandard
 from mcap.opcode import Opcode
 
 from skincal.files.export import write_calibration
-from skincal.journal import mcap_file, writer
-from skincal.journal.documents import LineWriter
+from skincal.journal import mcap_file
+from skincal.journal.line_file import LineWriter
 from skincal.journal.mcap_file import is_closed
 from skincal.journal.reader import SessionLog, recover_session
 from skincal.journal.writer import create_session
@@ -26,35 +27,30 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
+from tests.skincal.journal.journal_support import contacts_of, files_of, record, records_of, refuse
+from tests.skincal.poke_script import LINKS, as_chunks, killed, some_pokes, write_scene
 
 posix = pytest.mark.skipif(os.name == "nt", reason="links need rights there, and open files cannot be taken away")
 
 
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A session of two pokes that was closed."""
+    folder = tmp_path_factory.mktemp("hardened")
+    record(write_scene(folder / "source"), folder / "s", 2).close()
+    return folder / "s"
+
+
 @pytest.fixture
-def recorded(tmp_path):
-    """A session that was closed, with two pokes."""
-    scene = write_scene(tmp_path / "source")
-    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
-    for item in as_chunks(some_pokes(scene, 2).samples):
-        pipeline.feed(item)
-    pipeline.close()
-    return tmp_path / "s"
+def session(recorded, tmp_path):
+    return shutil.copytree(recorded, tmp_path / "s")
 
 
 @pytest.fixture
 def cut_off(tmp_path):
-    """A session whose recorder was killed, with three pokes."""
-    scene = write_scene(tmp_path / "source")
-    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
-    for item in as_chunks(some_pokes(scene, 3).samples):
-        pipeline.feed(item)
-    killed(pipeline)
+    """A session of three pokes whose recorder was killed."""
+    killed(record(write_scene(tmp_path / "source"), tmp_path / "s", 3))
     return tmp_path / "s"
-
-
-def contacts_of(pipeline):
-    return [outcome_key(contact) for contact in pipeline.session.contacts]
 
 
 @posix
@@ -73,32 +69,37 @@ def test_a_segment_that_is_a_link_is_refused_and_what_it_leads_to_stays(cut_off,
 
 
 @pytest.mark.parametrize("torn", [0, 5])
-def test_recovery_writes_to_no_other_name_of_a_file(cut_off, tmp_path, torn):
-    """A stranger's hard link, or a backup of hard links: the session is made ready, its other names keep what they had."""
+def test_recovery_writes_to_no_other_file(cut_off, tmp_path, torn):
+    """Hard links, a stranger's or a backup's, keep their content, and links at the names of new files are not followed."""
     copy = shutil.copytree(cut_off, tmp_path / "copy", copy_function=os.link)
     (copy / "session.lock").unlink()
     path = copy / "segment-0001.jsonl"
     os.truncate(path, path.stat().st_size - torn)
-    before = {each.name: each.read_bytes() for each in cut_off.iterdir() if each.is_file()}
-    pokes = len(load(cut_off).session.contacts)
+    letter = tmp_path / "letter"
+    letter.write_text("dear", encoding="utf-8")
+    if os.name != "nt":
+        for name in ("segment-0001.mcap.recovering", "segment-0001.mcap.damaged", "segment-0001.jsonl.damaged"):
+            (copy / name).symlink_to(letter)
+    before, pokes = files_of(cut_off), len(load(cut_off).session.contacts)
     resumed = resume(copy)
     resumed.close()
     assert len(resumed.session.contacts) == pokes >= 2
-    assert {each.name: each.read_bytes() for each in cut_off.iterdir() if each.is_file()} == before
+    assert files_of(cut_off) == before
+    assert letter.read_text(encoding="utf-8") == "dear"
     assert all(each.stat().st_nlink == 1 for each in copy.glob("*.jsonl"))
 
 
 @posix
-def test_a_segment_that_is_no_file_is_refused(recorded):
-    path = recorded / "segment-0001.mcap"
+def test_a_segment_that_is_no_file_is_refused(session):
+    path = session / "segment-0001.mcap"
     path.unlink()
-    path.symlink_to(recorded / "nothing")
+    path.symlink_to(session / "nothing")
     with pytest.raises(InputError):
-        load(recorded)
+        load(session)
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(InputError, match="a device or a pipe"):
-        replay(recorded)
+        replay(session)
 
 
 @posix
@@ -129,9 +130,6 @@ def test_a_folder_that_vanishes_is_noticed_within_a_second(tmp_path, gone):
 
 def test_a_full_disk_at_the_start_is_not_in_the_way_of_the_next_try(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-
-    def refuse(*_, **__):
-        raise OSError(28, "No space left on device")
 
     for what in ("write_text", "write_bytes", "fsync"):
         with monkeypatch.context() as patch:
@@ -197,7 +195,7 @@ def recovered_within(folder, steps, monkeypatch):
         return step
 
     with monkeypatch.context() as patch:
-        for name in ("rename", "replace", "hardlink_to", "unlink"):
+        for name in ("rename", "replace", "unlink"):
             patch.setattr(Path, name, counted(getattr(Path, name)))
         with contextlib.suppress(KilledError):
             recover_session(folder)
@@ -205,21 +203,12 @@ def recovered_within(folder, steps, monkeypatch):
     return False
 
 
-def framed(data):
-    at = 8
-    while at < len(data) - 8:
-        length = int.from_bytes(data[at + 1 : at + 9], "little")
-        yield data[at], at, at + 9 + length
-        at += 9 + length
-
-
-def test_a_chunk_that_was_moved_is_a_finding(recorded):
-    path = recorded / "segment-0001.mcap"
+def test_a_chunk_that_was_moved_is_a_finding(session):
+    path = session / "segment-0001.mcap"
     data = path.read_bytes()
-    chunks = [(begin, end) for opcode, begin, end in framed(data) if opcode == Opcode.CHUNK]
-    (a, b), (c, d) = chunks[1], chunks[3]
+    _, (a, b), _, (c, d), *_ = records_of(data, Opcode.CHUNK)
     path.write_bytes(data[:a] + data[c:d] + data[b:c] + data[a:b] + data[d:])
-    log = SessionLog(recorded)
+    log = SessionLog(session)
     list(log.items())
     assert any("missing" in sentence for sentence in log.findings)
 
@@ -231,7 +220,7 @@ def test_no_bit_of_an_index_hides_a_poke(cut_off):
     data = path.read_bytes()
     whole = contacts_of(load(cut_off))
     assert len(whole) >= 2
-    indexes = [(begin, end) for opcode, begin, end in framed(data) if opcode == Opcode.MESSAGE_INDEX]
+    indexes = list(records_of(data, Opcode.MESSAGE_INDEX))
     for begin, end in indexes[:: len(indexes) // 12]:
         for at in {begin + 9, begin + 11, begin + 12, begin + 13, begin + 14, end - 1}:
             changed = bytearray(data)
@@ -267,16 +256,14 @@ CLAIMS = {
 
 @pytest.mark.timeout(20)
 @pytest.mark.parametrize("claim", CLAIMS)
-def test_what_a_file_claims_to_unpack_to_is_not_believed(recorded, claim):
-    import tracemalloc
-
-    path = recorded / "segment-0001.mcap"
-    (recorded / "segment-0001.jsonl").unlink()
+def test_what_a_file_claims_to_unpack_to_is_not_believed(session, claim):
+    path = session / "segment-0001.mcap"
+    (session / "segment-0001.jsonl").unlink()
     data = path.read_bytes()
-    first = next(end for opcode, _, end in framed(data) if opcode == Opcode.CHUNK)
+    first = next(end for _, end in records_of(data, Opcode.CHUNK))
     path.write_bytes(data[:first] + CLAIMS[claim])
     tracemalloc.start()
-    found = [load(recorded).findings, replay(recorded).findings]
+    found = [load(session).findings, replay(session).findings]
     assert tracemalloc.get_traced_memory()[1] < 150 << 20
     tracemalloc.stop()
     assert all(sentences for sentences in found)
@@ -285,8 +272,7 @@ def test_what_a_file_claims_to_unpack_to_is_not_believed(recorded, claim):
 def with_documents(folder, *documents):
     """Give a session the lines of a stranger, with right checksums."""
     path = folder / "segment-0001.jsonl"
-    first = path.read_bytes().splitlines()[0]
-    head = json.dumps(json.loads(first)[3]).encode()
+    head = json.dumps(json.loads(path.read_bytes().splitlines()[0])[3]).encode()
     path.unlink()
     lines = LineWriter(path)
     for count, document in enumerate((head, *documents)):
@@ -309,7 +295,7 @@ BAD = [
     b'{"type": "segment", "format": "3"}',
     b'{"type": "segment", "format": 3, "segment": 1, "links": 7, "scene": ""}',
     *(
-        json.dumps({"type": "segment", "format": 3, "segment": 1, "links": links, "scene": ""}).encode()
+        json.dumps({"type": "segment", "format": 3, "segment": 1, "links": links}).encode()
         for links in ([LINK] * 4, [LINK | {"address": "x" * 1001}])
     ),
     b'{"type": "action"}',
@@ -342,88 +328,79 @@ WRONG = [
 @pytest.mark.parametrize("document", BAD + [
     json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT | {key: value}]}).encode() for key, value in WRONG
 ])  # fmt: skip
-def test_events_and_notes_that_nobody_wrote_end_in_a_sentence(recorded, document):
-    with_documents(recorded, document)
+def test_events_and_results_that_nobody_wrote_end_in_a_sentence(session, document):
+    with_documents(session, json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT]}).encode())
+    assert len(load(session).session.contacts) == 1
+    with_documents(session, document)
     with pytest.raises(InputError):
-        load(recorded)
+        load(session)
 
 
 NAMED = "a\n\x1b[2J\u202e"
 
 
 @pytest.mark.parametrize("format_", ["icub", "csv", "ply"])
-def test_no_name_of_a_journal_brings_a_control_character_into_a_file(recorded, tmp_path, format_):
+def test_no_name_of_a_journal_brings_a_control_character_into_a_file(session, tmp_path, format_):
     landmark = {"type": "action", "host_ns": 1, "do": "add_landmark", "name": NAMED, "x": 0.0, "y": 0.0, "z": 0.1}
     poke = {"type": "taken", "host_ns": 1, "outcomes": [CONTACT | {"pose": NAMED, "poke": k} for k in (1, 2, 3)]}
-    with_documents(recorded, *(json.dumps(document).encode() for document in (landmark, poke)))
-    session = load(recorded).session
+    with_documents(session, *(json.dumps(document).encode() for document in (landmark, poke)))
+    session = load(session).session
     assert (session.contacts[0].pose, session.decisions.landmarks[-1].name) == (NAMED, NAMED)
     write_calibration(checked_calibration(session, rig=None), format_, tmp_path / "out", Method.FREE)
     written = (tmp_path / "out").read_text(encoding="utf-8").replace("\r\n", "\n")
     assert all(plain_text(line) == line for line in written.split("\n"))
 
 
-def test_a_first_line_without_a_key_ends_in_a_sentence(recorded):
-    path = recorded / "segment-0001.jsonl"
+def test_a_first_line_without_a_key_ends_in_a_sentence(session):
+    path = session / "segment-0001.jsonl"
     body = b"0,,7]\n"
     path.write_bytes(b'["%08x",' % zlib.crc32(body) + body)
     with pytest.raises(InputError):
-        load(recorded)
+        load(session)
 
 
-def test_a_right_contact_is_taken(recorded):
-    with_documents(recorded, json.dumps({"type": "taken", "host_ns": 1, "outcomes": [CONTACT]}).encode())
-    assert len(load(recorded).session.contacts) == 1
-
-
-def test_a_million_lines_end_at_the_first_that_is_damaged(recorded):
+def test_a_million_lines_end_at_the_first_that_is_damaged(session):
     """Ten bytes each would be as many objects."""
-    import tracemalloc
-
-    path = recorded / "segment-0001.jsonl"
+    path = session / "segment-0001.jsonl"
     path.write_bytes(path.read_bytes() + b"\n" * 3_000_000)
     tracemalloc.start()
-    load(recorded)
+    load(session)
     assert tracemalloc.get_traced_memory()[1] < 40 << 20
     tracemalloc.stop()
 
 
-def test_an_index_has_a_limit(recorded, monkeypatch):
+def test_an_index_has_a_limit(session, monkeypatch):
     """What says that it is longer is not read, and the records are."""
-    path = recorded / "segment-0001.mcap"
+    path = session / "segment-0001.mcap"
     assert is_closed(path)
     size = path.stat().st_size
     begin = int.from_bytes(path.read_bytes()[-28:-20], "little")
     monkeypatch.setattr(mcap_file, "MAX_SUMMARY_BYTES", size - begin - 1)
     assert not is_closed(path)
-    assert contacts_of(load(recorded)) == contacts_of(replay(recorded))
+    assert contacts_of(load(session)) == contacts_of(replay(session))
 
 
-def test_a_scene_folder_has_few_files(recorded):
+def test_a_scene_folder_has_few_files(session):
     for number in range(15):
-        (recorded / "scene" / f"{number}.toml").touch()
+        (session / "scene" / f"{number}.toml").touch()
     with pytest.raises(InputError, match="has 17 TOML files"):
-        load(recorded)
+        load(session)
 
 
-def test_lines_have_a_limit(recorded):
-    with (recorded / "segment-0001.jsonl").open("r+b") as file:
+def test_lines_have_a_limit(session):
+    with (session / "segment-0001.jsonl").open("r+b") as file:
         file.truncate((64 << 20) + 1)
     with pytest.raises(InputError, match="at most"):
-        load(recorded)
+        load(session)
 
 
-def test_the_checksum_of_an_index_is_looked_at(recorded):
-    path = recorded / "segment-0001.mcap"
+def test_the_checksum_of_an_index_is_looked_at(session):
+    path = session / "segment-0001.mcap"
     data = bytearray(path.read_bytes())
     begin = int.from_bytes(data[-28:-20], "little")
     assert zlib.crc32(data[begin:-12]) == int.from_bytes(data[-12:-8], "little")
     data[begin + 20] ^= 1
     path.write_bytes(data)
-    resumed = resume(recorded)
+    resumed = resume(session)
     resumed.close()
     assert any("index was damaged" in sentence for sentence in resumed.findings)
-
-
-def test_what_watches_the_folder_looks_no_more_than_twice_a_second():
-    assert 0 < writer.WATCH_NS <= 500_000_000

@@ -1,4 +1,4 @@
-"""Torn, flipped and full: what is read back is a beginning of what was written, with a sentence about the rest."""
+"""Torn, flipped and full: a damaged session is read as a beginning of the original, with a sentence about the rest."""
 
 import os
 import random
@@ -8,44 +8,37 @@ import subprocess
 import sys
 import time
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 
 from app.text.message import refused_words
 from skincal.contacts.outcome import Contact
 from skincal.journal.reader import SessionLog
-from skincal.journal.writer import JournalWriter, create_session
+from skincal.journal.writer import create_session
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from tests.approved import approved, approved_pattern
-from tests.skincal.poke_script import LINKS, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
+from tests.skincal.journal.journal_support import feed, more_pokes, outcomes_of, process, record, records_of, refuse, segment
+from tests.skincal.poke_script import LINKS, Script, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """A session that was closed: its folder and its items."""
     folder = tmp_path_factory.mktemp("damage")
-    scene = write_scene(folder / "source")
-    pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
-    for item in as_chunks(some_pokes(scene, 4).samples):
-        pipeline.feed(item)
-    pipeline.close()
+    record(write_scene(folder / "source"), folder / "s").close()
     return folder / "s", list(SessionLog(folder / "s").items())
 
 
-def damaged_copy(recorded, tmp_path, change):
+def damaged_copy(recorded, tmp_path, change=lambda data: data):
     folder, items = recorded
-    target = tmp_path / f"d{len(list(tmp_path.iterdir()))}"
-    (target / "scene").mkdir(parents=True)
-    for path in (folder / "scene").iterdir():
-        (target / "scene" / path.name).write_bytes(path.read_bytes())
-    data = bytearray((folder / "segment-0001.mcap").read_bytes())
-    (target / "segment-0001.mcap").write_bytes(change(data))
-    shutil.copy(folder / "segment-0001.jsonl", target)
+    target = shutil.copytree(folder, tmp_path / f"d{len(list(tmp_path.iterdir()))}")
+    path = segment(target)
+    path.write_bytes(change(bytearray(path.read_bytes())))
     return target, items
 
 
@@ -94,12 +87,8 @@ def test_a_chunk_that_loses_its_kind_leaves_no_hole(recorded, tmp_path):
     """A record of a kind that no reader knows is skipped by the format; the numbers of the items tell."""
 
     def hide(data):
-        at, chunks = 8, []
-        while at < len(data) - 8:
-            if data[at] == 0x06:
-                chunks.append(at)
-            at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-        data[chunks[len(chunks) // 2]] = 0x86
+        chunks = list(records_of(data, Opcode.CHUNK))
+        data[chunks[len(chunks) // 2][0]] = 0x86
         return data
 
     folder, items = damaged_copy(recorded, tmp_path, hide)
@@ -117,7 +106,7 @@ def test_zeros_at_the_end_are_cut_off(recorded, tmp_path):
 
 
 def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
-    folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
+    folder, items = damaged_copy(recorded, tmp_path)
     torn(folder, (folder / "segment-0001.mcap").stat().st_size * 2 // 3)
     before, _ = read_all(folder)
     assert len(items) / 4 < len(before) < len(items)
@@ -125,21 +114,16 @@ def test_a_torn_session_is_recovered_and_goes_on(recorded, tmp_path):
     assert (folder / "segment-0001.mcap.damaged").exists()
     assert "recovered" in pipeline.findings[0]
     assert "bytes were lost" in pipeline.findings[0]
-    scene = pipeline.scene
-    for item in as_chunks(some_pokes(scene, 1, seed=3).samples):
-        pipeline.feed(item)
-    pipeline.close()
+    more_pokes(pipeline).close()
     assert {path.name for path in folder.glob("*.mcap")} == {"segment-0001.mcap", "segment-0002.mcap"}
     again, findings = read_all(folder)
     assert again[: len(before)] == before
     assert findings == ()
-    assert [outcome_key(record.outcome) for record in replay(folder).snapshot().pokes] == [
-        outcome_key(record.outcome) for record in pipeline.snapshot().pokes
-    ]
+    assert outcomes_of(replay(folder)) == outcomes_of(pipeline)
 
 
 def test_segments_after_a_hole_are_put_aside(recorded, tmp_path):
-    folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
+    folder, items = damaged_copy(recorded, tmp_path)
     resume(folder).close()
     torn(folder, (folder / "segment-0001.mcap").stat().st_size // 2)
     back, findings = read_all(folder)
@@ -158,7 +142,7 @@ def test_segments_after_a_hole_are_put_aside(recorded, tmp_path):
 
 def test_lost_bytes_of_an_earlier_segment_cost_no_poke(recorded, tmp_path):
     """The lines tell what was made of them, and that bytes lack; playing these ends there, and says so."""
-    folder, _ = damaged_copy(recorded, tmp_path, lambda data: data)
+    folder, _ = damaged_copy(recorded, tmp_path)
     resume(folder).close()
     path = folder / "segment-0001.mcap"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -187,22 +171,14 @@ def test_torn_lines_are_read_up_to_there_and_the_bytes_with_them(recorded, tmp_p
         lines.write_bytes(lines.read_bytes()[:at] + bytes(rng.randrange(200)))
         loaded, played = load(folder), replay(folder)
         assert loaded.findings
-        assert same_session(loaded, played)
+        assert outcomes_of(loaded) == outcomes_of(played)
         counts.append(len(loaded.session.contacts))
-        pipeline = resume(folder)
-        for item in as_chunks(some_pokes(pipeline.scene, 1, seed=3).samples):
-            pipeline.feed(item)
+        pipeline = more_pokes(resume(folder))
         pipeline.close()
-        assert same_session(pipeline, load(folder))
-        assert same_session(pipeline, replay(folder))
+        assert outcomes_of(pipeline) == outcomes_of(load(folder)) == outcomes_of(replay(folder))
     assert counts[0] == counts[1] == 4, "without a line there is the MCAP file"
     assert counts[2:] == sorted(counts[2:])
     assert counts[2] < 4
-
-
-def same_session(first, second):
-    one, other = ([outcome_key(record.outcome) for record in pipeline.snapshot().pokes] for pipeline in (first, second))
-    return one == other
 
 
 def test_a_flipped_bit_of_a_line_costs_nothing_while_the_bytes_are_whole(recorded, tmp_path):
@@ -210,12 +186,12 @@ def test_a_flipped_bit_of_a_line_costs_nothing_while_the_bytes_are_whole(recorde
     data = (recorded[0] / "segment-0001.jsonl").read_bytes()
     whole = load(recorded[0])
     for _ in range(25):
-        folder, items = damaged_copy(recorded, tmp_path, lambda data: data)
+        folder, items = damaged_copy(recorded, tmp_path)
         changed = bytearray(data)
         changed[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         (folder / "segment-0001.jsonl").write_bytes(changed)
         loaded = load(folder)
-        assert same_session(loaded, whole)
+        assert outcomes_of(loaded) == outcomes_of(whole)
         assert "segment-0001.jsonl" in loaded.findings[0]
         assert read_all(folder)[0] == items
 
@@ -226,13 +202,6 @@ def test_reading_is_lazy(recorded):
 
 
 RECORDER = """
-import sys, time
-from pathlib import Path
-from skincal.journal.writer import create_session
-from skincal.session.pipeline import Pipeline
-from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
-folder = Path(sys.argv[1])
-scene = write_scene(folder / "source")
 pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 items = as_chunks(some_pokes(scene, 60).samples)
 print("begin", flush=True)
@@ -246,21 +215,11 @@ for count, item in enumerate(items):
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no kill -9")
 @pytest.mark.parametrize("wait_s", [0.3, 0.75])
 def test_kill_9_loses_at_most_the_poke_in_progress(tmp_path, wait_s):
-    root = Path(__file__).resolve().parents[3]
-    process = subprocess.Popen(
-        [sys.executable, "-c", RECORDER, str(tmp_path)],
-        cwd=root,
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(root)},
-    )
-    assert process.stdout is not None
-    process.stdout.readline()
+    recorder = process(RECORDER, tmp_path)
+    recorder.stdout.readline()
     time.sleep(wait_s)
-    process.kill()
-    rest = process.stdout.read().splitlines()
-    process.wait()
-    process.stdout.close()
+    recorder.kill()
+    rest = recorder.communicate()[0].splitlines()
     fed, final = (int(word) for word in rest[-2].split())  # the last line may be torn
     again = resume(tmp_path / "s")
     again.close()
@@ -282,15 +241,7 @@ def test_kill_9_loses_at_most_the_poke_in_progress(tmp_path, wait_s):
 
 
 FULL_DISK = """
-import resource, sys
-from pathlib import Path
-from skincal.contacts.outcome import Contact
-from skincal.journal.writer import create_session
-from skincal.session.replay import replay
-from skincal.session.pipeline import Pipeline
-from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
-folder = Path(sys.argv[1])
-scene = write_scene(folder / "source")
+import resource
 pipeline = Pipeline(scene, LINKS, None, create_session(folder / "s", scene, LINKS))
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 for item in as_chunks(some_pokes(scene, 8).samples):
@@ -304,19 +255,10 @@ print(len(replay(folder / "s").session.contacts))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="this system has no limit on a file's size")
 def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
-    root = Path(__file__).resolve().parents[3]
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", FULL_DISK, str(tmp_path)],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env=os.environ | {"PYTHONPATH": str(root)},
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    live, sentence, kept = done.stdout.splitlines()
+    full = process(FULL_DISK, tmp_path, stderr=subprocess.PIPE)
+    out, errors = full.communicate()
+    assert (full.returncode, errors) == (0, "")
+    live, sentence, kept = out.splitlines()
     assert int(live) == 8
     assert 0 < int(kept) < 8
     assert approved("session.not_written") in sentence
@@ -324,12 +266,11 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
     assert approved("session.export_now") in refused_words(sentence)
 
 
-def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
+def test_a_disk_thatrefuses_says_so_once(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
-    monkeypatch.setattr(os, "fsync", _refuse)
-    for item in as_chunks(some_pokes(scene, 2).samples):
-        pipeline.feed(item)
+    pipeline = record(scene, tmp_path / "s", Script(scene).quiet(0.02))
+    monkeypatch.setattr(os, "fsync", refuse)
+    feed(pipeline, some_pokes(scene, 2))
     assert "No space left" in pipeline.journal_failure
     assert pipeline.journal is None
     assert sum(isinstance(record.outcome, Contact) for record in pipeline.snapshot().pokes) == 2
@@ -341,17 +282,12 @@ def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     assert len(kept) == 1
 
 
-def _refuse(_descriptor):
-    raise OSError(28, "No space left on device")
-
-
 def test_a_failed_writer_stays_silent(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
     journal = create_session(tmp_path / "s", scene, LINKS)
-    monkeypatch.setattr(os, "fsync", _refuse)
+    monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(Exception, match=approved_pattern("session.not_written")):
         journal.sync()
     journal.write(Chunk("skin", 1, b"x"))
     journal.sync()
     journal.close()
-    assert isinstance(journal, JournalWriter)

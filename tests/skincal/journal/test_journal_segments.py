@@ -1,6 +1,5 @@
-"""A long session lies in several segments; where one ends and the next begins leaves no trace in it."""
+"""A long session consists of several segments; a change of segment leaves no trace in it."""
 
-import json
 import os
 import random
 import shutil
@@ -9,26 +8,20 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.journal import writer
-from skincal.journal.documents import Ending, SegmentMark, lines_path, read_lines
+from skincal.journal.documents import SegmentHeader, SessionClosed
+from skincal.journal.line_file import lines_path
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, MarkDead, Undo
 from skincal.model.readings import Chunk
-from skincal.model.scene import load_scene, resource
+from skincal.model.scene import resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
-from tests.skincal.poke_script import (
-    LINKS,
-    as_chunks,
-    killed,
-    outcome_key,
-    same_estimates,
-    some_pokes,
-    write_scene,
-)
+from tests.skincal.journal.journal_support import assert_same, more_pokes, outcomes_of, record, refuse, segment
+from tests.skincal.poke_script import LINKS, as_chunks, killed, outcome_key, some_pokes, write_scene
 
 SEGMENT_NS = 700_000_000
-"""Shorter than a poke takes until it is final."""
+"""Shorter than the time until a poke is final."""
 
 
 @pytest.fixture
@@ -37,52 +30,12 @@ def scene(tmp_path, monkeypatch):
     return write_scene(tmp_path / "source")
 
 
-def recorded(scene, folder, actions=(), pokes=4):
-    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
-    items = as_chunks(some_pokes(scene, pokes).samples)
-    due = {round(share * len(items)): action for share, action in actions}
-    for k, item in enumerate(items):
-        pipeline.feed(item)
-        if k in due:
-            pipeline.act(due[k], item.host_ns)
-    return pipeline
-
-
-def assert_same(*pipelines):
-    first, *others = (pipeline.snapshot() for pipeline in pipelines)
-    for other in others:
-        assert [outcome_key(record.outcome) for record in first.pokes] == [
-            outcome_key(record.outcome) for record in other.pokes
-        ]
-        assert [record.excluded for record in first.pokes] == [record.excluded for record in other.pokes]
-        assert first.dead == other.dead
-        assert first.can_undo == other.can_undo
-        assert same_estimates(first, other)
-
-
-def test_a_copied_scene_is_the_same_scene(tmp_path):
-    """A landmark may have the name of the mesh, and a layout in another folder the name of the scene."""
-    source = tmp_path / "source"
-    shutil.copytree(resource("scenes/icub-forearm"), source)
-    (source / "layouts").mkdir()
-    (source / "modules.toml").rename(source / "layouts" / "scene.toml")
-    text = (source / "scene.toml").read_text()
-    text = text.replace('"forearm.obj"', '"../mesh.obj"').replace('"modules.toml"', '"layouts/scene.toml"')
-    (source / "forearm.obj").rename(tmp_path / "mesh.obj")
-    (source / "scene.toml").write_text(text.replace('"elbow, outer"', '"../mesh.obj"'))
-    copy = load_scene(writer.copy_scene(load_scene(source / "scene.toml"), tmp_path / "copy"))
-    assert copy.landmarks[0].name == "../mesh.obj"
-    assert copy.surface.path == tmp_path / "copy" / "mesh.obj"
-    assert copy.skin.layout is not None
-    assert len(copy.skin.layout.channels) == 84
-
-
 def test_segments_follow_each_other_in_the_middle_of_a_poke(scene, tmp_path, monkeypatch):
     actions = [(0.4, Exclude(1)), (0.6, MarkDead(2)), (0.8, Undo())]
-    live = recorded(scene, tmp_path / "s", actions)
+    live = record(scene, tmp_path / "s", 4, actions)
     live.close()
     monkeypatch.undo()
-    whole = recorded(scene, tmp_path / "whole", actions)
+    whole = record(scene, tmp_path / "whole", 4, actions)
     whole.close()
     assert len(list((tmp_path / "s").glob("*.mcap"))) > 6
     assert len(list((tmp_path / "whole").glob("*.mcap"))) == 1
@@ -96,11 +49,11 @@ def test_segments_follow_each_other_in_the_middle_of_a_poke(scene, tmp_path, mon
             reader = make_reader(file, validate_crcs=True)
             topics = {channel.topic for channel in reader.get_summary().channels.values()}
             assert [metadata.name for metadata in reader.iter_metadata()] == ["skincal"]
-        assert {"/raw/wrench", "/raw/skin", "/wrench", "/taxels", "/joints", "/events", "/session"} <= topics
+        assert {"/raw/wrench", "/raw/skin", "/wrench", "/taxels", "/joints", "/events"} <= topics
 
 
 def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):
-    recorded(scene, tmp_path / "s").close()
+    record(scene, tmp_path / "s").close()
     ends = []
     for path in sorted((tmp_path / "s").glob("*.mcap")):
         with path.open("rb") as file:
@@ -122,16 +75,14 @@ def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, see
         pipeline.feed(item)
         if k in moments:
             shutil.copytree(tmp_path / "s", tmp_path / f"killed-{k}")
-            final[k] = [outcome_key(record.outcome) for record in pipeline.snapshot().pokes if record.outcome.final]
+            final[k] = [outcome_key(poke.outcome) for poke in pipeline.snapshot().pokes if poke.outcome.final]
     pipeline.close()
     for k in moments:
         folder = tmp_path / f"killed-{k}"
         loaded, played = load(folder), replay(folder)
         assert_same(loaded, played)
-        assert [outcome_key(record.outcome) for record in loaded.snapshot().pokes][: len(final[k])] == final[k]
-        again = resume(folder)
-        for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
-            again.feed(item)
+        assert outcomes_of(loaded)[: len(final[k])] == final[k]
+        again = more_pokes(resume(folder))
         again.close()
         assert_same(again, load(folder), replay(folder))
         assert replay(folder).findings == ()
@@ -139,7 +90,7 @@ def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, see
 
 def test_a_kill_between_two_segments(scene, tmp_path):
     """The one is closed, and the other has nothing in it yet, or not even a file beside it."""
-    live = killed(recorded(scene, tmp_path / "s"))
+    live = killed(record(scene, tmp_path / "s"))
     last = max((tmp_path / "s").glob("*.mcap"))
     contents = [b"", b"\x89MCAP0\r\n", last.read_bytes()[:150]]
     for k, data in enumerate(contents):
@@ -155,8 +106,8 @@ def test_a_kill_between_two_segments(scene, tmp_path):
         assert load(folder).findings == replay(folder).findings == ()
 
 
-def test_lines_without_a_byte_of_the_other_file_still_tell_the_session(scene, tmp_path):
-    live = recorded(scene, tmp_path / "s")
+def test_lines_without_a_byte_of_the_other_file_still_give_the_session(scene, tmp_path):
+    live = record(scene, tmp_path / "s")
     live.close()
     for path in (tmp_path / "s").glob("*.mcap"):
         path.write_bytes(bytes(5000))
@@ -169,14 +120,12 @@ def test_lines_without_a_byte_of_the_other_file_still_tell_the_session(scene, tm
 
 
 def test_a_pause_of_a_long_session(scene, tmp_path):
-    """What ends a segment belongs to it, also where its successor is open already."""
-    pipeline = recorded(scene, tmp_path / "s")
+    """The end of a segment belongs to it, even if the next one is open already."""
+    pipeline = record(scene, tmp_path / "s")
     following = pipeline.journal.open_next(scene, LINKS)
     pipeline.close()
     pipeline.begin_segment(LINKS, following)
-    for item in as_chunks(some_pokes(scene, 1, seed=8).samples):
-        pipeline.feed(item)
-    pipeline.close()
+    more_pokes(pipeline).close()
     assert_same(pipeline, load(tmp_path / "s"), replay(tmp_path / "s"))
     assert load(tmp_path / "s").findings == ()
 
@@ -188,9 +137,6 @@ def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, 
         pipeline.feed(item)
     begun = len(list((tmp_path / "s").glob("*.mcap")))
 
-    def refuse(_):
-        raise OSError(28, "No space left on device")
-
     monkeypatch.setattr(writer, "LineWriter", refuse)
     for item in items[len(items) // 2 :]:
         pipeline.feed(item)
@@ -201,12 +147,11 @@ def test_a_disk_that_takes_no_further_segment_ends_the_journal(scene, tmp_path, 
     assert_same(load(tmp_path / "s"), replay(tmp_path / "s"))
 
 
-def test_a_session_without_lines_goes_on_with_them(tmp_path):
-    """The one that ships was recorded before there were lines: it is opened from the notes in its MCAP file."""
+def test_the_shipped_session_goes_on(tmp_path):
+    """It has a line file, as every recording; its MCAP file alone gives the same pokes."""
     folder = shutil.copytree(resource("sessions/sample"), tmp_path / "s")
-    path = folder / "segment-0001.mcap"
+    path = segment(folder)
     before = path.read_bytes()
-    assert read_lines(path) is None
     first = load(folder)
     assert len(first.session.contacts) > 10
     again = resume(folder)
@@ -214,15 +159,12 @@ def test_a_session_without_lines_goes_on_with_them(tmp_path):
     again.act(Exclude(first.session.contacts[0].poke), 1)
     again.close()
     assert path.read_bytes() == before
-    lines = [json.loads(line) for line in lines_path(folder / "segment-0002.mcap").read_text().splitlines()]
-    assert [line[3]["type"] for line in lines if len(line) == 4] == ["segment", "action", "end", "totals"]
     assert_same(again, load(folder))
-    cut = len(before) * 3 // 4
-    path.write_bytes(before[:cut])
-    for beside in folder.glob("segment-0002*"):
-        beside.unlink()
+    path.write_bytes(before[: len(before) // 4])
+    lines_path(path).unlink()
     torn = load(folder)
     assert "lost" in torn.findings[0]
+    assert 0 < len(torn.session.contacts) < len(first.session.contacts)
     again = resume(folder)
     assert "recovered" in again.findings[0]
     assert_same(torn, again, load(folder))
@@ -230,18 +172,18 @@ def test_a_session_without_lines_goes_on_with_them(tmp_path):
     assert load(folder).findings == ()
 
 
-def test_an_ending_belongs_to_the_segment_that_it_ends(scene, tmp_path):
+def test_the_end_of_a_session_belongs_to_its_last_segment(scene, tmp_path):
     journal = create_session(tmp_path / "s", scene, LINKS)
     journal.write(Chunk("skin", 1, b"x"))
     following = journal.open_next(scene, LINKS)
-    journal.write(Ending(10 * SEGMENT_NS))
+    journal.write(SessionClosed(10 * SEGMENT_NS))
     journal.close()
     following.close()
-    assert [path.name for path in sorted((tmp_path / "s").glob("*.mcap"))] == ["segment-0001.mcap", "segment-0002.mcap"]
-    assert [type(item) for item in SessionLog(tmp_path / "s").items()] == [SegmentMark, Chunk, Ending, SegmentMark]
+    assert len(list((tmp_path / "s").glob("*.mcap"))) == 2
+    assert [type(item) for item in SessionLog(tmp_path / "s").items()] == [SegmentHeader, Chunk, SessionClosed, SegmentHeader]
 
 
-def test_at_a_contact_both_files_are_forced_onto_the_medium_the_bytes_first(tmp_path, monkeypatch):
+def test_at_a_contact_both_files_are_forced_onto_the_disk_the_bytes_first(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
     pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     names = {path.stat().st_ino: path.suffix for path in (tmp_path / "s").glob("segment-*")}

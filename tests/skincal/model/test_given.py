@@ -13,7 +13,7 @@ from skincal.files.reference import read_reference
 from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
 from skincal.model import given
-from skincal.model.errors import SENTENCE_MOST, InputError, plain_text
+from skincal.model.errors import MAX_SENTENCE_CHARS, InputError, plain_text
 from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import read_layout
 from skincal.streams.links import LinkError, LinkSpec, open_link
@@ -25,7 +25,7 @@ def sentence_of(work, *arguments):
     with pytest.raises(InputError) as raised:
         work(*arguments)
     text = str(raised.value)
-    assert len(text) <= SENTENCE_MOST
+    assert len(text) <= MAX_SENTENCE_CHARS
     assert plain_text(text) == text
     return text
 
@@ -80,7 +80,7 @@ def test_what_has_no_suffix_of_a_mesh_is_not_opened(tmp_path):
 
 
 def test_a_file_beyond_the_limit_is_refused_before_it_is_read(tmp_path):
-    for name, read, most in (("a.toml", load_scene, given.TEXT_MOST), ("a.stl", mesh_of, given.MESH_MOST)):
+    for name, read, most in (("a.toml", load_scene, given.MAX_TEXT_BYTES), ("a.stl", mesh_of, given.MAX_MESH_BYTES)):
         path = tmp_path / name
         with path.open("wb") as file:
             file.truncate(most + 1)
@@ -234,7 +234,7 @@ def test_text_meshes_have_a_limit(monkeypatch, tmp_path):
 
 def test_a_sentence_keeps_its_beginning_and_its_end():
     error = InputError(f"/{'x' * 400}/{'y ' * 400}: is \x1b[2Jlong; make it short.")
-    assert len(str(error)) <= SENTENCE_MOST
+    assert len(str(error)) <= MAX_SENTENCE_CHARS
     assert str(error).startswith("/xxx")
     assert str(error).endswith("make it short.")
     assert "\x1b" not in str(error)

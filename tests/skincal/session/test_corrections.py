@@ -11,10 +11,10 @@ from skincal.contacts.outcome import Contact, PressPhase, Progress
 from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.geometry import axis_point, move_wrench
-from skincal.journal.documents import Taken
+from skincal.journal.documents import DetectorResult
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
-from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo, from_json, to_json
+from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo, action_from_json, action_to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, MAX_KEPT_POSES, RIG, Correction, CorrectionErrors
@@ -202,13 +202,13 @@ def test_what_is_no_correction_is_refused(change):
     good = correct_action(RIG, Correction(np.eye(6), root=1e-3 * np.eye(36)), 0.007, 0.001, 21, 1.2)
     session.act(good)
     session.act(Undo())
-    assert from_json(json.loads(json.dumps(to_json(good)))) == good
+    assert action_from_json(json.loads(json.dumps(action_to_json(good)))) == good
     with pytest.raises(InputError, match="expected"):
         session.act(replace(good, **change))
     assert not session.snapshot().decisions.corrections
     with pytest.raises(InputError, match="expected"):
-        from_json({**to_json(good), "matrix": ["1.0"] * 36})
-    assert isinstance(from_json(to_json(good)), Correct)
+        action_from_json({**action_to_json(good), "matrix": ["1.0"] * 36})
+    assert isinstance(action_from_json(action_to_json(good)), Correct)
 
 
 def some_correction(poses, rng, quadratic=True):
@@ -229,9 +229,9 @@ def test_an_action_is_the_correction_again(rng, poses, quadratic):
     """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""
     there = some_correction(poses, rng, quadratic)
     action = correct_action(RIG, there, 0.007, 0.001, 21, 1.25, 2.8)
-    line = json.dumps(to_json(action))
+    line = json.dumps(action_to_json(action))
     assert len(line) < 2e6
-    used = used_of(from_json(json.loads(line)))
+    used = used_of(action_from_json(json.loads(line)))
     assert (used.ratio, used.noisier) == (1.25, 2.8)
     for name in ("matrix", "quadratic"):
         assert np.array_equal(getattr(used.correction, name), getattr(there, name))
@@ -241,11 +241,11 @@ def test_an_action_is_the_correction_again(rng, poses, quadratic):
 
 def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
     session, _ = bad
-    document = to_json(found_in(session))
+    document = action_to_json(found_in(session))
     old = {key: value for key, value in document.items() if key not in ("spread", "quadratic", "ratio", "noisier")}
-    session.act(from_json(document))
+    session.act(action_from_json(document))
     known = session.snapshot().estimates
-    session.act(from_json(old))
+    session.act(action_from_json(old))
     used = session.snapshot().decisions.corrections[RIG]
     assert used.correction.exact
     assert np.isnan(used.ratio)
@@ -385,7 +385,7 @@ def recorded(poked, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bad") / "s"
     pipeline = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
     outcomes = [*contacts, *(landmark_outcome(landmark) for landmark in landmarks)]
-    taken = Taken([(record, None) for record in outcomes], None)
+    taken = DetectorResult(outcomes)
     pipeline.apply_note(taken)
     pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
     for poke in landmarks:

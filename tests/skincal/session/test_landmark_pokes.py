@@ -22,9 +22,9 @@ from skincal.model.actions import (
     Exclude,
     FoundAtLandmark,
     MissedLandmark,
-    Stamped,
+    TimedAction,
     Undo,
-    to_json,
+    action_to_json,
 )
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
@@ -68,7 +68,7 @@ def fed(scene, items, orders=(), journal=None):
 def ask_head_throughout(scene, places):
     """Bytes of pokes at these places, and the order that asks for the head before the first."""
     items = bytes_of(scene, [{}] * len(places), places)
-    return items, [Stamped(starts_of(scene, items)[0] - 500_000_000, AskLandmark("head"))]
+    return items, [TimedAction(starts_of(scene, items)[0] - 500_000_000, AskLandmark("head"))]
 
 
 @pytest.fixture
@@ -137,14 +137,14 @@ def test_scenes_name_landmarks_and_say_what_is_wrong_with_them(tmp_path):
 def test_a_poke_after_the_request_is_at_the_landmark_whether_a_taxel_answers_or_not(scene):
     items = bytes_of(scene)
     _, second, third = starts_of(scene, items)
-    snapshot = fed(scene, items, [Stamped(second - 500_000_000, AskLandmark("head"))]).snapshot()
+    snapshot = fed(scene, items, [TimedAction(second - 500_000_000, AskLandmark("head"))]).snapshot()
     assert [type(record.outcome) for record in snapshot.pokes] == [Rejection, Contact, Rejection]
     assert snapshot.at_landmarks == {2: "head", 3: "head"}
     assert snapshot.can_undo == approved("landmark.undo_poke", poke=3, name="head")
     # A poke that was on its way is not at it, and none is once nothing is asked for.
-    late = Stamped(second - round(REACTION_S * 0.9e9), AskLandmark("tail"))
+    late = TimedAction(second - round(REACTION_S * 0.9e9), AskLandmark("tail"))
     assert fed(scene, items, [late]).snapshot().at_landmarks == {3: "tail"}
-    ended = Stamped(third - 300_000_000, AskLandmark(""))
+    ended = TimedAction(third - 300_000_000, AskLandmark(""))
     assert fed(scene, items, [late, ended]).snapshot().at_landmarks == {}
 
 
@@ -164,9 +164,9 @@ def test_record_and_a_replay_make_the_same_of_the_same_bytes_and_orders(stored, 
     items = bytes_of(stored)
     first, _, third = starts_of(stored, items)
     orders = [
-        Stamped(first - 500_000_000, AskLandmark("head")),
-        Stamped(third - 700_000_000, Undo()),
-        Stamped(third - 600_000_000, AskLandmark("tail")),
+        TimedAction(first - 500_000_000, AskLandmark("head")),
+        TimedAction(third - 700_000_000, Undo()),
+        TimedAction(third - 600_000_000, AskLandmark("tail")),
     ]
     folder = tmp_path / "s"
     live = fed(stored, items, orders, create_session(folder, stored, LINKS))
@@ -176,9 +176,9 @@ def test_record_and_a_replay_make_the_same_of_the_same_bytes_and_orders(stored, 
     for item in SessionLog(folder).items():
         if isinstance(item, Chunk):
             plain.feed(item)
-        if isinstance(item, Stamped):
+        if isinstance(item, TimedAction):
             if not isinstance(item.action, FoundAtLandmark | MissedLandmark):
-                items.put(OrderLine(item.host_ns, json.dumps(to_json(item.action)).encode()))
+                items.put(OrderLine(item.host_ns, json.dumps(action_to_json(item.action)).encode()))
         elif hasattr(item, "link"):
             items.put(item)
     assert plain.snapshot().at_landmarks == {}, "without the orders"
@@ -200,7 +200,7 @@ def test_record_and_a_replay_make_the_same_of_the_same_bytes_and_orders(stored, 
 def test_a_poke_far_from_the_landmark_is_a_rejection_with_its_number(scene, capsys):
     items, orders = ask_head_throughout(scene, (POINT, FAR, POINT))
     queued, pipeline = queue.SimpleQueue(), Pipeline(scene, LINKS, None)
-    queued.put(OrderLine(orders[0].host_ns, json.dumps(to_json(orders[0].action)).encode()))
+    queued.put(OrderLine(orders[0].host_ns, json.dumps(action_to_json(orders[0].action)).encode()))
     for item in items:
         queued.put(item)
     _loop(pipeline, queued, {}, (None, None), threading.Event())
@@ -244,7 +244,7 @@ def test_a_push_from_another_side_is_not_at_a_landmark_however_near_its_axis_pas
     scene = replace(scene, landmarks=(front, back))
     items = bytes_of(scene, ({}, {}))
     first, second = starts_of(scene, items)
-    orders = [Stamped(first - 500_000_000, AskLandmark("front")), Stamped(second - 500_000_000, AskLandmark("back"))]
+    orders = [TimedAction(first - 500_000_000, AskLandmark("front")), TimedAction(second - 500_000_000, AskLandmark("back"))]
     snapshot = fed(scene, items, orders).snapshot()
     assert snapshot.at_landmarks == {1: "front"}
     missed = snapshot.decisions.missed_landmarks[2]

@@ -11,21 +11,21 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.cli import main
-from skincal.contacts.detector import ContactDetector, Doubt, Known
-from skincal.contacts.gates import FinishedPress, StillMean
+from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.press import FinishedPress, StillMean
 from skincal.contacts.tare import Tare
-from skincal.journal import documents, reader, writer
+from skincal.journal import ros_messages
 from skincal.journal.documents import (
+    DetectorResult,
     LinkTotals,
-    Taken,
     Totals,
-    from_document,
-    note_to_json,
+    read_document,
+    result_to_json,
 )
 from skincal.journal.mcap_file import McapFile
 from skincal.journal.reader import SessionLog
-from skincal.journal.writer import JournalWriter, create_session
+from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, MarkDead, Restore, Revive, SetPose, Undo
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, Loss, Stream
@@ -192,7 +192,7 @@ def test_a_dead_channel_stays_dead_after_a_break_until_it_shows_otherwise(scene,
 )
 def test_a_verdict_of_before_needs_new_evidence_to_fall(why, change):
     script = Script(small_scene(), skin_noise=1.0).quiet(3.0)
-    detector = ContactDetector(script.scene, Known(pokes=4, dead={5: why}))
+    detector = ContactDetector(script.scene, last_poke=4, dead={5: why})
     for sample in script.samples:
         if not change:
             sample.skin[5] = 120.0
@@ -291,30 +291,20 @@ def test_a_recovered_segment_is_whole_for_other_programs(scene, tmp_path):
 def test_loading_opens_no_bytes(scene, tmp_path, monkeypatch):
     live = record(scene, tmp_path / "s", some_pokes(scene, 6))
     live.close()
-    monkeypatch.setattr(documents, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
+    monkeypatch.setattr(ros_messages, "decode_chunk", lambda _: pytest.fail("bytes were decoded"))
     with monkeypatch.context() as patch:
         patch.setattr(McapFile, "records", lambda _: pytest.fail("bytes were read"))
         assert_same(live, load(tmp_path / "s"))
-    # Of a session without lines the records are looked at, but nothing is made of the bytes.
-    monkeypatch.setattr(reader, "read_lines", lambda _: None)
-    assert_same(live, load(tmp_path / "s"))
-
-
-def chunks_with(path, topic):
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    (channel,) = [each.id for each in summary.channels.values() if each.topic == topic]
-    return [chunk.chunk_start_offset for chunk in summary.chunk_indexes if channel in chunk.message_index_offsets]
 
 
 def test_damaged_bytes_cost_no_contact(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 4))
     live.close()
     path = tmp_path / "s" / "segment-0001.mcap"
-    notes = set(chunks_with(path, "/session"))
-    at = next(offset for offset in chunks_with(path, "/wrench") if offset not in notes)
+    with path.open("rb") as file:
+        chunk = make_reader(file).get_summary().chunk_indexes[2]
     data = bytearray(path.read_bytes())
-    data[at + 200] ^= 4
+    data[chunk.chunk_start_offset + 200] ^= 4
     path.write_bytes(data)
     assert_same(live, load(tmp_path / "s"))
     played = replay(tmp_path / "s")
@@ -322,37 +312,10 @@ def test_damaged_bytes_cost_no_contact(scene, tmp_path):
     assert "lost" in played.findings[0]
 
 
-def test_a_note_that_is_missing_ends_the_reading_and_is_said(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(reader, "read_lines", lambda _: None)
-    live = record(scene, tmp_path / "s", some_pokes(scene, 4))
-    live.close()
-    path = tmp_path / "s" / "segment-0001.mcap"
-    whole = path.read_bytes()
-    offsets = chunks_with(path, "/session")
-    for at in (offsets[2], offsets[-1]):
-        data = bytearray(whole)
-        data[at + 100] ^= 4
-        path.write_bytes(data)
-        loaded = load(tmp_path / "s")
-        assert loaded.findings
-        got = [outcome_key(poke.outcome) for poke in loaded.snapshot().pokes]
-        assert len(got) <= 4
-    # A chunk that is taken out without a trace is missed by its number.
-    with path.open("rb") as file:
-        path.write_bytes(whole)
-        index = next(chunk for chunk in make_reader(file).get_summary().chunk_indexes if chunk.chunk_start_offset == offsets[2])
-    end = index.chunk_start_offset + index.chunk_length + index.message_index_length
-    path.write_bytes(whole[: offsets[2]] + whole[end:])
-    assert "is missing" in load(tmp_path / "s").findings[0]
-
-
-def test_a_journal_without_notes_is_played(scene, tmp_path, monkeypatch):
-    write = JournalWriter.write
-    monkeypatch.setattr(writer, "JOURNAL_FORMAT", 1)
-    monkeypatch.setattr(JournalWriter, "write", lambda self, item, _=(): write(self, item))
+def test_without_lines_the_bytes_are_played(scene, tmp_path):
     live = record(scene, tmp_path / "s", some_pokes(scene, 3), [(0.9, Exclude(1))])
     live.close()
-    monkeypatch.undo()
+    (tmp_path / "s" / "segment-0001.jsonl").unlink()
     assert_same(live, load(tmp_path / "s"))
     live = resume(tmp_path / "s")
     feed(live, as_chunks(some_pokes(scene, 1, 9).samples))
@@ -398,12 +361,8 @@ def odd_outcomes():
     rejection = Rejection(8, 0.1, 0.2, Reason.NOT_STILL, math.inf, -0.0, "1", np.empty(0, dtype=np.int64), final=True)
     unstill = dataclasses.replace(poke, still=None, channels=np.empty(0, dtype=np.int64), responses=np.empty(0))
     unposed = dataclasses.replace(poke, still=dataclasses.replace(still, link_from_sensor=None))
-    return [
-        (contact, None),
-        (rejection, Doubt(poke, tare)),
-        (rejection, Doubt(unstill, None)),
-        (rejection, Doubt(unposed, None)),
-    ]
+    presses = [(poke, tare), (unstill, None), (unposed, None)]
+    return [contact, *(dataclasses.replace(rejection, press=press, tare_after=after) for press, after in presses)]
 
 
 def deep_key(value):
@@ -414,16 +373,19 @@ def deep_key(value):
     return np.asarray(value).tobytes() if isinstance(value, np.ndarray | float) else value
 
 
+def back_from_json(result):
+    return read_document(json.dumps(result_to_json(result), allow_nan=False).encode(), Path())
+
+
 def test_every_bit_of_a_note_comes_back():
-    taken = Taken(odd_outcomes(), {5: "stuck", 3: "gives no number"})
-    text = json.dumps(note_to_json(taken), allow_nan=False)
-    back = from_document(json.loads(text), Path())
+    taken = DetectorResult(odd_outcomes(), {5: "stuck", 3: "gives no number"})
+    back = back_from_json(taken)
     assert [deep_key(entry) for entry in back.outcomes] == [deep_key(entry) for entry in taken.outcomes]
     assert list(back.dead.items()) == list(taken.dead.items())
-    assert back.outcomes[0][0].channels.dtype == np.int64
+    assert back.outcomes[0].channels.dtype == np.int64
     totals = Totals((LinkTotals("skin", "SKB/1", 9, {Loss.BAD_CHECKSUM: 2}),), 4)
-    for note in (Taken([]), totals):
-        assert from_document(json.loads(json.dumps(note_to_json(note))), Path()) == note
+    for note in (DetectorResult([]), totals):
+        assert back_from_json(note) == note
 
 
 def test_commands_say_the_same_from_notes_and_from_bytes_and_what_was_damaged(scene, tmp_path, capsys):

@@ -13,7 +13,17 @@ from skincal.contacts.outcome import Contact
 from skincal.geometry import Arm, DhLink
 from skincal.journal.documents import WallClock
 from skincal.model import actions as a
-from skincal.model.actions import Exclude, MarkDead, Redo, Restore, Revive, SetThresholds, Undo, from_json, to_json
+from skincal.model.actions import (
+    Exclude,
+    MarkDead,
+    Redo,
+    Restore,
+    Revive,
+    SetThresholds,
+    Undo,
+    action_from_json,
+    action_to_json,
+)
 from skincal.model.errors import InputError
 from skincal.model.scene import ArmSpec, ContactSettings, Landmark
 from skincal.session.session import Session
@@ -52,7 +62,7 @@ def session(outcomes):
     ids=str,
 )
 def test_an_action_comes_back_from_json(action):
-    assert from_json(json.loads(json.dumps(to_json(action)))) == action
+    assert action_from_json(json.loads(json.dumps(action_to_json(action)))) == action
 
 
 @pytest.mark.parametrize(
@@ -70,7 +80,7 @@ def test_an_action_comes_back_from_json(action):
 )
 def test_what_is_no_action_is_refused(document):
     with pytest.raises(InputError, match="expected"):
-        from_json(document)
+        action_from_json(document)
 
 
 NOT_AT_LANDMARK = approved_pattern("landmark.wrong_contact")

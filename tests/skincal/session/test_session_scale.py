@@ -12,7 +12,7 @@ import pytest
 from mcap.reader import make_reader
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.journal.documents import Ending, Taken, note_to_json
+from skincal.journal.documents import DetectorResult, SessionClosed, result_to_json
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
 from skincal.model.actions import Exclude, Restore, Undo
@@ -70,10 +70,10 @@ def write_pokes(folder, scene, pokes):
     for contact in pokes:
         at = start_ns + round(contact.start_s * 1e9)
         first = replace(contact, force=contact.force * 1.001, tare_change=float("nan"), final=False)
-        for step, notes in enumerate(([], [Taken([(first, None)])], [], [Taken([(contact, None)])])):
+        for step, notes in enumerate(([], [DetectorResult([first])], [], [DetectorResult([contact])])):
             journal.write(Chunk("skin", at + step * 600_000_000, b"x" * 40))
             journal.write(Chunk("wrench", at + step * 600_000_000 + 1, b"x" * 40), notes)
-    journal.write(Ending(at + 3_000_000_000))
+    journal.write(SessionClosed(at + 3_000_000_000))
     journal.close()
 
 
@@ -94,7 +94,7 @@ def test_a_session_is_opened_in_little_more_than_its_notes_take_to_parse(tmp_pat
     write_pokes(tmp_path / "s", scene, pokes)
     loaded = load(tmp_path / "s")
     assert [outcome_key(contact) for contact in loaded.session.contacts] == [outcome_key(poke) for poke in pokes]
-    notes = [json.dumps(note_to_json(Taken([(poke, None)]))) for poke in pokes for _ in range(2)]
+    notes = [json.dumps(result_to_json(DetectorResult([poke]))) for poke in pokes for _ in range(2)]
     parsing = least(lambda: [json.loads(note) for note in notes])
     assert least(lambda: load(tmp_path / "s")) < 3.0 * parsing
 

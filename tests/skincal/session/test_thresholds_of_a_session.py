@@ -6,7 +6,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.journal.documents import Taken, from_document, note_to_json
+from skincal.journal.documents import DetectorResult, read_document, result_to_json
 from skincal.model.actions import MarkDead, Redo, SetThresholds, Undo
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings
@@ -121,13 +121,16 @@ def test_a_doubt_comes_back_with_its_thresholds(scene):
     pipeline = Pipeline(scene, LINKS, None)
     pipeline.act(SetThresholds(("taxels_max", "pitch_max"), (2.0, 0.0071)), 0)
     outcome = feed(pipeline, as_chunks(some_pokes(scene, 3).samples)).snapshot().pokes[1].outcome
-    doubt = pipeline._detector.doubt(outcome)
-    document = json.loads(json.dumps(note_to_json(Taken([(outcome, doubt)]))))
-    ((_, read),) = from_document(document, scene.path).outcomes
-    assert read.poke.thresholds == doubt.poke.thresholds == ContactSettings(taxels_max=2, pitch_max=0.0071)
-    del document["outcomes"][0]["doubt"]["poke"]["thresholds"]
-    ((_, old),) = from_document(document, scene.path).outcomes
-    assert old.poke.thresholds is None
-    document["outcomes"][0]["doubt"]["poke"]["thresholds"] = {"taxels_max": -3}
+    document = result_to_json(DetectorResult([outcome]))
+
+    def read_back():
+        (read,) = read_document(json.dumps(document).encode(), scene.path).outcomes
+        return read.press.thresholds
+
+    assert read_back() == outcome.press.thresholds == ContactSettings(taxels_max=2, pitch_max=0.0071)
+    stored = document["outcomes"][0]["doubt"]["poke"]
+    stored["thresholds"] = {"taxels_max": -3}
     with pytest.raises(InputError, match="taxels_max"):
-        from_document(document, scene.path)
+        read_back()
+    del stored["thresholds"]
+    assert read_back() is None

@@ -20,7 +20,7 @@ from skincal.devices.bota import BotaDecoder, driver_settings
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.plain import split_command
 from skincal.devices.registry import parse_device
-from skincal.journal.documents import SegmentMark, link_to_json, read_document
+from skincal.journal.documents import SegmentHeader, link_to_json, read_document
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
 from skincal.model.readings import TEMPERATURE, Chunk, LinkState, Loss, Stream
@@ -202,7 +202,7 @@ def test_a_stranger_who_writes_a_command_into_a_session_is_not_obeyed(tmp_path):
     link = {**link_to_json(LinkSpec("wrench", "x", (Stream.WRENCH,))), "address": "run:touch x"}
     document = {"type": "segment", "segment": 1, "format": 3, "scene": "", "links": [link], "host_ns": 0}
     mark = read_document(json.dumps(document).encode(), tmp_path)
-    assert isinstance(mark, SegmentMark)
+    assert isinstance(mark, SegmentHeader)
     assert mark.links[0].address == "ran:touch x"
     with pytest.raises(InputError, match="was recorded from a command"):
         parse_address(mark.links[0].address)

@@ -16,7 +16,7 @@ import pytest
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.rtde import RtdeHandshake
 from skincal.devices.yarp import name_server, read_names
-from skincal.model.errors import SENTENCE_MOST, InputError
+from skincal.model.errors import MAX_SENTENCE_CHARS, InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
 from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
@@ -174,7 +174,7 @@ def test_a_device_that_talks_and_never_agrees_is_not_kept():
 
 def test_what_a_device_says_is_made_plain_and_short():
     failure = LinkError(FailureKind.OTHER, f"x: \x1b[2J{'word ' * 1000}; look at it.")
-    assert len(str(failure)) <= SENTENCE_MOST
+    assert len(str(failure)) <= MAX_SENTENCE_CHARS
     assert "\x1b" not in str(failure)
     assert str(failure).endswith("; look at it.")
 
@@ -475,7 +475,7 @@ def heard_of(address, carries, seconds):
         reader.stop()
     assert not reader.running
     (health,) = intake.health(0)
-    assert len(health.text) <= SENTENCE_MOST + 200
+    assert len(health.text) <= MAX_SENTENCE_CHARS + 200
     assert health.readings < 10, "what a liar sends is no reading"
     return said
 

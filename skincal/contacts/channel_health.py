@@ -1,0 +1,183 @@
+"""Find channels that cannot be trusted: without numbers, stuck, or answering pokes far away.
+
+A channel is dead while its cause lasts: one that moves again, or gives numbers again, is used again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from types import MappingProxyType
+
+import numpy as np
+
+from skincal.contacts.tare import TARE_AGE_MAX_S
+from skincal.geometry import FloatArray, IntArray
+from skincal.model.scene import Scene
+
+NO_NUMBER_AFTER_S = 2.0
+"""s. A channel without a number for this time is dead: a hundred frames at 50 Hz."""
+STUCK_AT_END_AFTER_S = TARE_AGE_MAX_S
+"""s. A channel that stays at the pressed end of its range for this time is stuck: longer than any poke that counts."""
+STUCK_AFTER_S = 60.0
+"""s. A channel that keeps one exact value for this time is stuck, on a skin with noise."""
+NOISY_FRAME_FRACTION = 0.75
+"""Share of the frames in which the typical channel changes, on a skin with noise of a raw unit and more. On a coarser skin a
+good channel may keep its value for minutes."""
+STUCK_NEIGHBOUR_POKES = 6
+"""Pokes on a neighbour, without any change of this channel, that make it stuck."""
+FAR_POKES_MIN = 5
+"""Far pokes that a channel must have answered to be always on."""
+FAR_ANSWERED_FRACTION = 0.6
+"""Share of the far pokes that a channel must have answered to be always on."""
+NO_LAYOUT_POKES_MIN = 10
+"""Pokes before a channel may be called always on without a layout: then no poke is known to be far."""
+NO_LAYOUT_PEAKS_MIN = 5
+"""Different strongest taxels that these pokes must have."""
+NO_LAYOUT_ANSWERED_FRACTION = 0.8
+"""Share of all pokes that a channel must have answered to be always on, without a layout."""
+MAX_CHANNELS_PER_POKE = 32
+"""Channels. A poke that more of them answer, such as a palm, says nothing about single channels."""
+NEIGHBOUR_SPACINGS = 1.2
+"""Largest distance of direct neighbours, in spacings of the layout."""
+
+
+class DeadCause(Enum):
+    """Why a channel is dead. The journal stores sentences that begin with these words: they must not change."""
+
+    NO_NUMBER = "gives no number"
+    STUCK = "stuck"
+    ALWAYS_ON = "always on"
+
+
+class ChannelHealth:
+    """Health of the taxels `candidates` (c,), from every frame and every poke.
+
+    `known` are channels that were dead before a break, with the reason. Each stays dead until it shows otherwise.
+    """
+
+    def __init__(self, scene: Scene, candidates: IntArray, known: Mapping[int, str] = MappingProxyType({})) -> None:
+        channels, layout = scene.skin.channels, scene.skin.layout
+        self._candidates = candidates
+        self._positions = None if layout is None else layout.places[candidates]
+        self._far = 0.0 if layout is None else 2.0 * scene.contacts.gap_factor * layout.spacing
+        self._near = 0.0 if layout is None else NEIGHBOUR_SPACINGS * layout.spacing
+        self._pressed_end = None if scene.skin.range is None else scene.skin.range[1 if scene.skin.polarity > 0 else 0]
+        self._last: FloatArray = np.empty(0)
+        self._frames = 0
+        # Of each channel: time of its last change and of its last number, frames with a change, whether it ever changed.
+        self._changed_s, self._number_s = np.zeros((2, channels))
+        self._changes = np.zeros(channels, dtype=np.int64)
+        self._varied = np.zeros(channels, dtype=bool)
+        # Pokes: all, on a neighbour, answered; far ones, and those of them that were answered.
+        self._pokes = 0
+        self._peaks: set[int] = set()
+        self._near_pokes = np.zeros(channels, dtype=np.int64)
+        self._answered, self._far_pokes, self._far_answered = np.zeros((3, len(candidates)), dtype=np.int64)
+        self._judged_s = 0.0
+        self._known = dict(known)
+        self.dead: Mapping[int, str] = known
+        """Channels that are not used, with the reason; a new mapping whenever it changes."""
+
+    def on_frame(self, host_s: float, skin: FloatArray) -> bool:
+        """Take one frame; return whether `dead` changed. The channels are judged once a second."""
+        if not len(self._last):
+            self._changed_s[:] = self._number_s[:] = self._judged_s = host_s
+            self._last = skin
+            return False
+        moved, is_number = skin != self._last, ~np.isnan(skin)
+        self._changed_s[moved] = host_s
+        self._number_s[is_number] = host_s
+        self._changes += moved
+        self._varied |= moved & is_number & ~np.isnan(self._last)  # NaN differs from everything
+        self._near_pokes[moved] = 0
+        self._frames += 1
+        self._last = skin
+        return host_s - self._judged_s >= 1.0 and self._judge(host_s)
+
+    def on_poke(self, host_s: float, channels: IntArray, responses: FloatArray) -> bool:
+        """Take the answers of one poke, accepted or not; return whether `dead` changed."""
+        if not 0 < len(channels) <= MAX_CHANNELS_PER_POKE:
+            return False
+        peak = int(channels[np.argmax(responses)])
+        answered = np.isin(self._candidates, channels)
+        self._pokes += 1
+        self._peaks.add(peak)
+        self._answered += answered
+        if self._positions is not None:
+            is_far = _distance_to_others(self._positions, answered) > self._far
+            self._far_pokes += is_far
+            self._far_answered += is_far & answered
+            distance = np.linalg.norm(self._positions - self._positions[self._candidates == peak], axis=1)
+            self._near_pokes[self._candidates[(distance <= self._near) & ~answered]] += 1
+        return self._judge(host_s)
+
+    def _judge(self, host_s: float) -> bool:
+        """Judge every channel; return whether `dead` changed."""
+        self._judged_s = host_s
+        # If several causes fit, the last one gives the sentence: the plainest comes last.
+        dead = self._always_on() | self._stuck(host_s) | self._without_numbers(host_s)
+        self._known = {channel: why for channel, why in self._known.items() if self._still_holds(channel, why)}
+        dead = dict(sorted((self._known | dead).items()))
+        # Another number in a sentence is no change.
+        if dead.keys() == self.dead.keys():
+            return False
+        self.dead = dead
+        return True
+
+    def _still_holds(self, channel: int, why: str) -> bool:
+        """Whether a reason from before the break still holds: nothing since has shown otherwise."""
+        if channel >= len(self._last):
+            return False
+        if why.startswith(DeadCause.NO_NUMBER.value):
+            return bool(np.isnan(self._last[channel]))
+        if not why.startswith(DeadCause.ALWAYS_ON.value):
+            return not self._varied[channel]
+        if self._positions is None:
+            return self._pokes < NO_LAYOUT_POKES_MIN or len(self._peaks) < NO_LAYOUT_PEAKS_MIN
+        return bool((self._far_pokes[self._candidates == channel] < FAR_POKES_MIN).any())
+
+    def _without_numbers(self, host_s: float) -> dict[int, str]:
+        without = host_s - self._number_s[self._candidates] >= NO_NUMBER_AFTER_S
+        words = f"{DeadCause.NO_NUMBER.value} for {NO_NUMBER_AFTER_S:g} s or more; check its wiring"
+        return dict.fromkeys(self._candidates[without].tolist(), words)
+
+    def _stuck(self, host_s: float) -> dict[int, str]:
+        own, word = self._candidates, DeadCause.STUCK.value
+        value, unchanged_s = self._last[own], host_s - self._changed_s[own]
+        # An exact value means something only if the typical channel changes in most frames.
+        is_noisy = float(np.median(self._changes[own])) >= NOISY_FRAME_FRACTION * self._frames
+        since = f"for {STUCK_AFTER_S:g} s or more while the others vary"
+        dead = {
+            c: f"{word}: exactly {self._last[c]:g} {since}" for c in own[(unchanged_s >= STUCK_AFTER_S) & is_noisy].tolist()
+        }
+        pokes = f"through {STUCK_NEIGHBOUR_POKES} pokes or more on its neighbours"
+        near = own[self._near_pokes[own] >= STUCK_NEIGHBOUR_POKES].tolist()
+        dead |= {c: f"{word}: exactly {self._last[c]:g} {pokes}" for c in near}
+        if self._pressed_end is not None:
+            at_end = own[(unchanged_s >= STUCK_AT_END_AFTER_S) & (value == self._pressed_end)].tolist()
+            end = f"{word} at {self._pressed_end:g}, the pressed end of its range, for {STUCK_AT_END_AFTER_S:g} s or more"
+            dead |= dict.fromkeys(at_end, end)
+        return dead
+
+    def _always_on(self) -> dict[int, str]:
+        if self._positions is not None:
+            answered, of, where = self._far_answered, self._far_pokes, "that lie elsewhere"
+            always = (answered >= FAR_POKES_MIN) & (answered >= FAR_ANSWERED_FRACTION * of)
+        elif self._pokes >= NO_LAYOUT_POKES_MIN and len(self._peaks) >= NO_LAYOUT_PEAKS_MIN:
+            answered, of, where = self._answered, np.full(len(self._answered), self._pokes), f"at {len(self._peaks)} places"
+            always = answered >= NO_LAYOUT_ANSWERED_FRACTION * self._pokes
+        else:
+            return {}
+        return {
+            int(self._candidates[k]): f"{DeadCause.ALWAYS_ON.value}: answered {answered[k]} of {of[k]} pokes {where}"
+            for k in np.flatnonzero(always)
+        }
+
+
+def _distance_to_others(positions: FloatArray, answered: np.ndarray) -> FloatArray:
+    """(c,) distance of each position (c, 2) to the nearest other one that answered; 0 without another one."""
+    distance = np.linalg.norm(positions[:, None] - positions[answered][None], axis=-1)
+    distance[np.flatnonzero(answered), np.arange(int(answered.sum()))] = np.inf  # a taxel is not its own neighbour
+    nearest = distance.min(axis=1)
+    return np.where(np.isfinite(nearest), nearest, 0.0)
