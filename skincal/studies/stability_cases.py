@@ -35,10 +35,12 @@ class CaseSizes:
     """Squares along each side of a sheet."""
     many: int
     """Contacts of the case with most of them."""
+    draws: int = 20
+    """Perturbations of a case. The largest change of 20 is 0.87 of that of 120 in the median, of 8 it is 0.79."""
 
 
 FULL_SIZES = CaseSizes(contacts=24, grid=24, many=3_000)
-QUICK_SIZES = CaseSizes(contacts=10, grid=8, many=300)
+QUICK_SIZES = CaseSizes(contacts=10, grid=8, many=300, draws=8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,9 +17,8 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.plotting import render
 from skincal.simulate.benches import SHAPES, Bench
 from skincal.studies import baselines, runtime
-from skincal.studies.baselines import closest_in_triangles
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed, usable_cores
-from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary, with_neighbours
+from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.approved import approved
@@ -68,19 +67,6 @@ def test_the_error_of_a_wrong_baseline_is_measured(monkeypatch):
     assert row["error_beside_ours_mm"] > 5.0
     assert row["error_mm"]["median"] > 5.0
     assert row["extrapolated_from"]["taxels"] == 1
-
-
-@pytest.mark.parametrize(("solver", "off"), [(baselines.by_quadprog, 1e-10), (baselines.by_slsqp, 1e-5)])
-def test_the_papers_way_solves_each_triangle(solver, off, rng):
-    corners = 0.005 * rng.standard_normal((60, 3, 3)) + [0.1, 0.0, 0.2]
-    root = rng.standard_normal((3, 3)) + 3.0 * np.eye(3)
-    offset = root @ (corners.mean(axis=(0, 1)) + 0.004 * rng.standard_normal(3))
-    found = solver(baselines.programmes(corners, root, offset))
-    shares, _ = closest_in_triangles(corners @ root.T - offset)
-    points = np.einsum("ni,nij->nj", np.column_stack([1.0 - found.sum(axis=1), found]), corners)
-    assert np.abs(points - np.einsum("ni,nij->nj", shares, corners)).max() < off
-    # Some of them lie inside, some on a side: both kinds are tried.
-    assert 5 < np.sum(shares.min(axis=1) > 1e-9) < 55
 
 
 @pytest.mark.parametrize("way", [baselines.by_lstsq, baselines.by_normal_equations])
@@ -286,15 +272,6 @@ def test_quartiles_and_words_of_times():
     assert quartiles([4.0, 1.0, 2.0, 3.0, 5.0]) == {"median": 3.0, "q1": 2.0, "q3": 4.0, "count": 5}
     words = {0.123: "0.123 ms", 1000.0: "1 s", 90e3: "90 s", 240e3: "4 min", 3.6e7: "10 h"}
     assert {ms: time_words(ms) for ms in words} == words
-
-
-def test_a_poke_of_the_live_study_touches_seven_taxels_of_one_neighbourhood():
-    contact = with_neighbours(bench(), poked()[0])
-    assert len(contact.channels) == 7
-    assert (np.diff(contact.channels) > 0).all()
-    places = bench().rig.places[[bench().rig.row_of(int(channel)) for channel in contact.channels]]
-    assert np.linalg.norm(places - places.mean(axis=0), axis=1).max() < 0.02
-    assert math.isclose(contact.responses.max(), poked()[0].responses.max())
 
 
 def best_of(runs, work):
