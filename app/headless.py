@@ -7,10 +7,9 @@ from pathlib import Path
 
 from skincal.files.export import write_calibration
 from skincal.files.reference import error_summary, read_reference
-from skincal.methods import leading_method
 from skincal.model.errors import InputError
-from skincal.session.checked import checked_calibration
 from skincal.session.pipeline import Pipeline
+from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 
 POKE_COUNT = 168
@@ -30,9 +29,8 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
     out = folder or _unused(Path(DEFAULT_FOLDER))
     _say(f"{why}\nThe same session runs without it: {POKE_COUNT} pokes on the simulated {scene_path.parent.name}, in {out}")
     pipeline = _simulate(scene_path, out)
-    # No landmark was poked.
-    calibration = checked_calibration(pipeline.session, rig=None)
-    method = leading_method(calibration.estimates) or Method.FREE
+    results = SessionResults(pipeline)
+    calibration, method = results.calibration(), results.leading or Method.FREE
     positions = out / "positions.txt"
     _say(f"{method.value} predicts the smallest error, and is written and drawn")
     _say(f"{calibration.verdicts[method]}.")

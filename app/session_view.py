@@ -63,7 +63,7 @@ from skincal.words.units import ChannelNames
 from skincal.words.verdict_words import verdict_sentence
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
 
 VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
@@ -582,13 +582,13 @@ class SessionView(QObject):
         part = self.workspace.part
         channels = part.channels.tolist()
 
-        def show(reference: Reference) -> None:
+        def show(reference: TaxelPositions) -> None:
             self.offer(reference)
             self.workspace.show_tab(ErrorsPanel.title)
 
         self._controller.compute(lambda: load_reference(path, part.scene.link, channels), show, self._tell_failure)
 
-    def offer(self, reference: Reference) -> None:
+    def offer(self, reference: TaxelPositions) -> None:
         """Let panels compare the estimates with known positions."""
         for panel in self.workspace.panels.values():
             panel.add_reference(reference)

@@ -57,7 +57,8 @@ from app.text_size import scaled
 from app.theme import GAP, Colours
 from app.workers.processes import JobService, Watch, import_job, look_job
 from app.workers.threads import ThreadService
-from skincal.files.importers.overview import RecordingFiles, RecordingPreview, guess_streams
+from skincal.files.importers.preview import RecordingFiles, RecordingPreview, guess_streams
+from skincal.files.importers.registry import IMPORTERS, RecordedPlace
 from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -72,7 +73,7 @@ TOLD_MS = 100
 """Between two looks at how far the import is."""
 PATIENCE_MS = 500
 """An import that is stopped ends by itself within this, or by force: one that reads a large log through hears nothing."""
-KINDS_OF_FILES = "Recordings (*.csv *.tsv *.txt *.log);;All files (*)"
+KINDS_OF_FILES = f"Recordings (*{' *'.join(suffix for each in IMPORTERS for suffix in each.suffixes)});;All files (*)"
 DOTS = "\N{HORIZONTAL ELLIPSIS}"
 TITLES = {Stream.WRENCH: "&Force/torque", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
 HINTS = {
@@ -301,7 +302,7 @@ class ImportDialog(QDialog):
 
     def files(self) -> RecordingFiles:
         """Return which files are named."""
-        places = (Path(text) if (text := field.text().strip()) else None for field in self.fields.values())
+        places = (RecordedPlace.parse(text) if (text := field.text().strip()) else None for field in self.fields.values())
         return RecordingFiles(*places)
 
     def _scene_file(self) -> Path:
@@ -369,7 +370,7 @@ class ImportDialog(QDialog):
         self._jobs.drop()
         try:
             files = self.files()
-            _ = files.kind
+            _ = files.importer
         except InputError as error:
             self._looked(None, str(error) if any(field.text().strip() for field in self.fields.values()) else "")
             return

@@ -69,7 +69,7 @@ from skincal.modules.health import PlannedNeighbours, neighbours_of
 from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference, TaxelPositions
+    from skincal.files.reference import TaxelPositions
 
 MAX_WORST = 10
 MAX_MODULE_ROWS = 7  # Modules of a forearm; a longer list scrolls
@@ -270,7 +270,7 @@ class ComparePanel(Panel):
 
     # More sets, and the corrected layout
 
-    def add_reference(self, reference: Reference) -> None:
+    def add_reference(self, reference: TaxelPositions) -> None:
         name = TRUTH_SET if reference.origin is Origin.TRUTH else reference.name
         self._others[name] = in_order(self._channels, reference.places)
         self._paths[name] = None

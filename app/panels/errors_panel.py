@@ -25,7 +25,7 @@ from skincal.taxels.result import Method
 from skincal.words.units import in_millimetres, in_minutes
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import TaxelPositions
 
 DRAW_PERIOD_S = 0.2  # Between two drawings while earlier points are being computed
 LINE_STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
@@ -234,7 +234,7 @@ class ErrorsPanel(Panel):
         """The horizontal axis."""
         return next(axis for axis, button in self.axis_buttons.items() if button.isChecked())
 
-    def add_reference(self, reference: Reference) -> None:
+    def add_reference(self, reference: TaxelPositions) -> None:
         self.course.offer(reference)
         self._list_sources()
 

@@ -14,7 +14,7 @@ from app.state.memo import is_same
 from app.state.view_state import ViewState
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference, TaxelPositions
+    from skincal.files.reference import TaxelPositions
     from skincal.session.guided_session import GuidedSession
     from skincal.session.part import Part
     from skincal.taxels.result import Method
@@ -89,7 +89,7 @@ class Panel(QScrollArea):
     def recolour(self) -> None:
         self.show_again()
 
-    def add_reference(self, reference: Reference) -> None:
+    def add_reference(self, reference: TaxelPositions) -> None:
         """Offer known positions of the taxels to compare with."""
 
     def restore(self, settings: QSettings) -> None:

@@ -37,7 +37,7 @@ from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from app.workers.processes import JobService, ProcessService, ReviewClient
-    from skincal.files.reference import Reference, TaxelPositions
+    from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
@@ -190,7 +190,7 @@ class Controller(QObject):
     reviewed = Signal(object)
     """`Review`: what landmark pokes say of the rig; None where there is none any more."""
     truth_found = Signal(object)
-    """`Reference`: where the taxels of a simulated rig are."""
+    """`TaxelPositions`: where the taxels of a simulated rig are."""
     recorded_elsewhere = Signal(object, str)
     """`Path` of a session that was to be opened, and a sentence: another process records it."""
     confirmation_due = Signal(object)
@@ -454,7 +454,7 @@ class Controller(QObject):
         if part is not None:
             self.compute(lambda: find_truth_of(recording.storage.folder, part), self._publish_truth)
 
-    def _publish_truth(self, truth: Reference | None) -> None:
+    def _publish_truth(self, truth: TaxelPositions | None) -> None:
         if truth is not None:
             self.truth_found.emit(truth)
 
@@ -668,7 +668,7 @@ class Controller(QObject):
         def write() -> tuple[Verdict, tuple[str, ...]]:
             from skincal.files.export import write_calibration
             from skincal.files.formats import ExportFormat
-            from skincal.session.checked import checked, verdicts_of
+            from skincal.session.results import checked, verdicts_of
 
             methods = session.methods if ExportFormat(format_).holds_all_methods else (method,)
             verdicts = verdicts_of(part, snapshot, methods, rig)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from app.session.opening import MESHES, OpenRequest, server_command
+from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
-LOG_SUFFIX = ".log"
 EXPECTED = "drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
@@ -29,7 +29,7 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
         It cannot be opened; the sentence says what to do with it.
     """
     try:
-        if len(paths) > 1 and all(map(_is_recording, paths)):
+        if len(paths) > 1 and all(map(is_recording, paths)):
             return DroppedRecording(tuple(paths))
         if len(paths) == 1:
             return _request_of(paths[0])
@@ -44,7 +44,7 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     kind = path.suffix.lower()
     if (path / SCENE_FOLDER / SCENE_FILE).is_file():
         return OpenRequest(session=path)
-    if _is_recording(path):
+    if is_recording(path):
         return DroppedRecording((path,))
     if path.is_dir():
         raise InputError(f"{path}: is not the folder of a session; {EXPECTED}")
@@ -55,14 +55,3 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     if kind in MESHES:
         return OpenRequest(mesh=path)
     raise InputError(f"{path}: is nothing that can be opened; {EXPECTED}")
-
-
-def _is_recording(path: Path) -> bool:
-    from skincal.files.importers.overview import TABLE_SUFFIXES, is_table
-    from skincal.files.importers.yarp_folder import DATA
-
-    if not path.is_dir():
-        return path.is_file() and (is_table(path) or path.suffix.lower() == LOG_SUFFIX)
-    # A port has a folder; no deeper, since it may be a whole disk that was dropped.
-    patterns = (DATA, f"*/{DATA}", f"*/*/{DATA}", *(f"*{suffix}" for suffix in TABLE_SUFFIXES))
-    return any(next(path.glob(pattern), None) is not None for pattern in patterns)

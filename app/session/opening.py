@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import TaxelPositions
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import LinkSpec
@@ -222,7 +222,7 @@ def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipe
     return part, pipeline
 
 
-def find_truth_of(folder: Path, part: Part) -> Reference | None:
+def find_truth_of(folder: Path, part: Part) -> TaxelPositions | None:
     """Return the truth that lies beside a recording; None where there is none."""
     from skincal.files.reference import find_truth
 

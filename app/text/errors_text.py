@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.files.reference import Origin, Reference
+from skincal.files.reference import Origin, TaxelPositions
 from skincal.geometry import axis_point, move_wrench
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
@@ -49,7 +49,7 @@ class Axis(Enum):
 AXIS_TITLES = {Axis.POKES: "accepted pokes", Axis.TIME: "minutes of poking", Axis.MODULES: "module"}
 
 
-def source_words(source: Reference | None) -> str:
+def source_words(source: TaxelPositions | None) -> str:
     """Name the reference of the errors; a plan is not called a truth."""
     if source is None:
         return "Expected error, without a reference"
@@ -60,7 +60,7 @@ def source_words(source: Reference | None) -> str:
     return f"Error against {source.name}"
 
 
-def quantity_words(source: Reference | None) -> str:
+def quantity_words(source: TaxelPositions | None) -> str:
     """Title of the vertical axis."""
     return "expected error, mm" if source is None else "error, mm"
 

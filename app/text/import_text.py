@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skincal.files.importers.overview import RecordingKind, RecordingPreview, StreamPreview
+from skincal.files.importers.preview import RecordingPreview, StreamPreview
 from skincal.model.errors import plain_text
 from skincal.model.readings import Stream
 from skincal.session.importing import Imported
@@ -12,7 +12,6 @@ from skincal.words.units import DASH, count, number, rate
 
 NAMES = {Stream.WRENCH: "Force/torque sensor", Stream.SKIN: "Skin", Stream.JOINTS: "Joints"}
 UNITS_OF = {Stream.WRENCH: "N, N m", Stream.SKIN: "raw", Stream.JOINTS: "\N{DEGREE SIGN}"}
-KINDS = {RecordingKind.YARP: "Logs of yarpdatadumper", RecordingKind.CSV: "CSV tables"}
 HEADINGS = ("Stream", "Rows", "Rate", "Lasts, s", "Values", "First row")
 LOOKING = "Looking at the recording \N{HORIZONTAL ELLIPSIS}"
 IMPORTING = "Importing \N{HORIZONTAL ELLIPSIS}"
@@ -25,7 +24,7 @@ NO_FOLDER = "Choose a folder for the session."
 def kind_words(preview: RecordingPreview) -> str:
     """Name the kind of a recording and its streams."""
     streams = ", ".join(NAMES[stream.stream].lower() for stream in preview.streams)
-    return f"{KINDS[preview.kind]}: {streams}." + ("" if preview.findings else " No problems with its times.")
+    return f"{preview.importer.title}: {streams}." + ("" if preview.findings else " No problems with its times.")
 
 
 def stream_row(stream: StreamPreview) -> tuple[str, ...]:

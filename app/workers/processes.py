@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
 
-    from skincal.files.importers.overview import RecordingFiles, RecordingPreview
+    from skincal.files.importers.preview import RecordingFiles, RecordingPreview
     from skincal.files.reference import TaxelPositions
     from skincal.session.importing import Imported, ImportRequest
     from skincal.taxels.result import Method
@@ -322,7 +322,7 @@ def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelP
 
 def look_job(files: RecordingFiles, wanted: Wanted) -> RecordingPreview:
     """Look at a recording of another program."""
-    from skincal.files.importers.overview import preview_recording
+    from skincal.files.importers.preview import preview_recording
 
     return preview_recording(files, wanted)
 

@@ -1,4 +1,4 @@
-"""The commands: `skincal solve | export | apply | compare | report | simulate | devices | watch | record | landmarks | ...`.
+"""The commands of `skincal`.
 
 Results go to stdout, as text or with `--json` as one JSON value; everything else goes to stderr. Exit codes: 0 done,
 2 the user's input is at fault (one sentence, no traceback), 1 ours.
@@ -11,6 +11,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from functools import cache
+from importlib import import_module
 
 import typer
 
@@ -44,20 +45,15 @@ def _options(
     pass
 
 
+COMMANDS = ("solve", "apply", "compare", "report", "devices", "landmarks", "record", "simulate", "study")
+"""Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
+
+
 @cache
 def _register() -> None:
     """Add the commands, once; a function, so that each module is imported after `app` exists."""
-    from skincal.cli import apply, calibrate, compare, listen, name_pokes, record, simulate, study, write_report
-
-    calibrate.add_to(app)
-    apply.add_to(app)
-    compare.add_to(app)
-    write_report.add_to(app)
-    listen.add_to(app)
-    name_pokes.add_to(app)
-    record.add_to(app)
-    simulate.add_to(app)
-    study.add_to(app)
+    for name in COMMANDS:
+        import_module(f"skincal.cli.{name}").add_to(app)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Correct, Json, LayoutFile, MethodOption, Part, Replay, calibration_of
+from skincal.cli.solve import Correct, Json, LayoutOption, MethodOption, Part, Replay, open_results
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
-
-if TYPE_CHECKING:
-    from skincal.robot.skin_manager import Positions
-    from skincal.taxels.result import Method
-
 
 DRY_RUN_NOTICE = "dry run: nothing was sent. A real run skips taxels whose position on the robot is already the same"
 
@@ -48,7 +43,7 @@ def apply(
     ] = None,
     timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds to wait for each answer.")] = 2.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print all that may be sent; nothing is opened.")] = False,
-    layout: LayoutFile = None,
+    layout: LayoutOption = None,
     correct: Correct = False,
     replay: Replay = False,
     as_json: Json = False,
@@ -59,11 +54,27 @@ def apply(
     positions are read first and kept in a file, by which this command brings them again, with what had none. At the first
     refusal it stops.
     """
-    from skincal.cli import report
-    from skincal.robot.skin_manager import apply_positions, check_port, command_text, result_text
+    from skincal.cli import output
+    from skincal.robot.skin_manager import (
+        apply_positions,
+        calibrated_positions,
+        check_port,
+        command_text,
+        file_positions,
+        result_text,
+    )
 
     check_port(to)
-    positions, verdict = _positions(source, (method, part), layout, (correct, replay))
+    verdict: str | None = None
+    if source.is_file():
+        if method is not None or layout is not None or correct or replay:
+            raise InputError(f"{source} is a file of positions; expected --part alone with it, since only a session is solved.")
+        positions = file_positions(source, part)
+    else:
+        results = open_results(source, replay, layout, correct)
+        chosen = results.choose_method(method)
+        positions = calibrated_positions(results.calibration(), chosen, part)
+        verdict = output.verdict_words(results.verdict(chosen))
     lines = [] if verdict is None else [f"{verdict}."]
     if dry_run:
         asked = [
@@ -72,7 +83,7 @@ def apply(
             for command in (positions.set_pose_command(channel), positions.set_confidence_command(channel))
         ]
         result = {"part": positions.part, "would_send": asked, "verdict": verdict}
-        report.print_result({**result, "text": [*lines, *asked, f"{len(positions.rows)} taxels; {DRY_RUN_NOTICE}"]}, as_json)
+        output.print_result(result, [*lines, *asked, f"{len(positions.rows)} taxels; {DRY_RUN_NOTICE}"], as_json)
         return
     kept = before or (source if source.is_dir() else source.parent) / f"before-{positions.part}.txt"
     if kept.exists() and kept.samefile(source):
@@ -82,24 +93,8 @@ def apply(
     answers = [{"asked": asked, "answered": answered} for asked, answered in applied.answers]
     result: dict[str, Any] = {"part": positions.part, "changed": applied.changed, "same": applied.same}
     result |= {"before": applied.backup, "verdict": verdict, "answers": answers}
-    report.print_result({**result, "text": [*lines, result_text(applied, positions.part)]}, as_json)
+    output.print_result(result, [*lines, result_text(applied, positions.part)], as_json)
 
 
 def _say(line: str) -> None:
     say(line, err=True)
-
-
-def _positions(
-    source: Path, of: tuple[Method | None, str | None], layout: Path | None, ways: tuple[bool, bool]
-) -> tuple[Positions, str | None]:
-    """Choose the positions to send and their verdict; `of` is method and part, `ways` is (correct, replay)."""
-    from skincal.robot.skin_manager import calibrated_positions, file_positions
-
-    method, part = of
-    correct, replay = ways
-    if not source.is_file():
-        _, calibration, chosen = calibration_of(source, replay, layout, correct, method)
-        return calibrated_positions(calibration, chosen, part), calibration.verdicts[chosen]
-    if method is not None or layout is not None or correct or replay:
-        raise InputError(f"{source} is a file of positions; expected --part alone with it, since only a session is solved.")
-    return file_positions(source, part), None

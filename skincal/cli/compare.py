@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Json
+from skincal.cli.solve import Json
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
@@ -28,14 +28,14 @@ def add_to(app: typer.Typer) -> None:
 
 def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_json: Json = False) -> None:
     """Compare two sets of places of the same taxels: mean and worst, common rigid motion, module by module."""
-    from skincal.cli import report
+    from skincal.cli import output
     from skincal.files.reference import compare_sets
     from skincal.session.named_places import find_places
 
     sets = find_places(first), find_places(second)
     channels, modules, found = compare_sets(*sets)
     result = comparison_result(sets, channels, modules, found)
-    report.print_result({**result, "text": _lines(result)}, as_json)
+    output.print_result(result, _lines(result), as_json)
 
 
 def comparison_result(

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
@@ -23,15 +23,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Json
+from skincal.cli.solve import Json
 from skincal.cli.terminal import say
+from skincal.files.importers.registry import IMPORTERS, Importer, RecordedPlace
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
-from skincal.model.readings import SILENT_S, Chunk, LinkEvent, LinkState, Stream, is_silent
+from skincal.model.readings import SILENT_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
-    from skincal.files.importers.recorded_lines import OpenRecording
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
     from skincal.robot.target_server import TargetServer
@@ -56,13 +56,9 @@ POKES_MOST = 100_000
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 OPENING_NS = 1_500_000_000
-"""ns. A link that says nothing for so long, such as a host whose name nobody answers, is reported as not open."""
-
-importing = typer.Typer(
-    help="Make a session from another program's recording.",
-    no_args_is_help=True,
-    epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
-)
+"""A link that is not open after this time, such as a host whose name nobody answers, is reported."""
+LINK_CHECK_NS = 250_000_000
+"""Time between two checks of the links."""
 
 
 def add_to(app: typer.Typer) -> None:
@@ -70,12 +66,15 @@ def add_to(app: typer.Typer) -> None:
     app.command(
         epilog="Example: skincal record --wrench /dev/ttyUSB0 --skin /dev/ttyACM0 --pose 1 --scene icub-forearm --out monday"
     )(record)
-    importing.command(
-        "yarp", epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday"
-    )(import_yarp)
-    importing.command(
-        "csv", epilog="Example: skincal import csv --wrench ft.csv --skin skin.csv --scene flat-patch --out monday"
-    )(import_csv)
+    importing = typer.Typer(
+        help="Make a session from another program's recording.",
+        no_args_is_help=True,
+        epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
+    )
+    for each in IMPORTERS:
+        example = f"Example: skincal import {each.name} --wrench ft --skin skin --pose 1 --scene icub-forearm --out monday"
+        purpose = f"Make a session of a recording: {each.title}."
+        importing.command(each.name, help=purpose, epilog=example)(_import_command(each))
     app.add_typer(importing, name="import")
 
 
@@ -241,11 +240,16 @@ def _loop(
     """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, one is given up, or enough."""
     seconds, pokes = until
     end = math.inf if seconds is None else time.monotonic() + seconds
-    reported = 0
+    reported, next_check_ns = 0, 0
     states: dict[str, LinkState] = {}
-    silence = Silence(readers, time.monotonic_ns())
+    reports = LinkReports(time.monotonic_ns())
     while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
-        for sentence in [*silence.sentences(time.monotonic_ns()), *_ask(robot)]:
+        now_ns = time.monotonic_ns()
+        sentences: list[str] = [] if robot is None else robot.step(now_ns)
+        if now_ns >= next_check_ns:
+            sentences += reports.new(pipeline.live(now_ns).links, states, now_ns)
+            next_check_ns = now_ns + LINK_CHECK_NS
+        for sentence in sentences:
             say(sentence, err=True)
         try:
             item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
@@ -258,8 +262,6 @@ def _loop(
         if isinstance(item, LinkEvent):
             say(f"{item.link}: {item.state.value}" + (f": {item.text}" if item.text else ""), err=True)
             states[item.link] = item.state
-        if not isinstance(item, OrderLine):
-            silence.hear(item)
         _handle_item(pipeline, item)
         pipeline.tick(item.host_ns)
         reported = _report_new_pokes(pipeline, reported)
@@ -267,53 +269,45 @@ def _loop(
             return
 
 
-def _ask(robot: RobotGuide | None) -> list[str]:
-    """Ask a robot for what the guide wants, if there is one; return sentences."""
-    return [] if robot is None else robot.step(time.monotonic_ns())
-
-
-class Silence:
-    """Messages about links that do not open, fall silent, or send again; each is given once.
+class LinkReports:
+    """Reports each problem of a link once, and when the link sends again.
 
     Parameters
     ----------
-    opening : names of the links that are being opened since `now_ns` of the host's monotonic clock
+    begin_ns : since when the links are being opened, host's monotonic clock
     """
 
-    def __init__(self, opening: Iterable[str] = (), now_ns: int = 0) -> None:
-        self._opening_ns = dict.fromkeys(opening, now_ns)
-        # Of each link that is open: when it opened or sent last.
-        self._heard_ns: dict[str, int] = {}
-        self._silent: set[str] = set()
-        self._again: list[str] = []
+    def __init__(self, begin_ns: int) -> None:
+        self._begin_ns = begin_ns
+        self._reported: dict[str, str] = {}
 
-    def hear(self, item: Chunk | LinkEvent) -> None:
-        """Take the next item of the queue."""
-        self._opening_ns.pop(item.link, None)
-        if isinstance(item, LinkEvent) and item.state is not LinkState.OPEN:
-            self._heard_ns.pop(item.link, None)
-            self._silent.discard(item.link)
-            return
-        self._heard_ns[item.link] = item.host_ns
-        if item.link in self._silent and isinstance(item, Chunk):
-            self._silent.discard(item.link)
-            self._again.append(f"{item.link}: sends again")
+    def new(self, links: Sequence[LinkHealth], events: Collection[str], now_ns: int) -> list[str]:
+        """Return the sentences that were not reported yet; `events` names the links whose state was reported before."""
+        new: list[str] = []
+        for link in links:
+            problem, before = self._problem(link, events, now_ns), self._reported.get(link.link, "")
+            if problem is None or problem == before:
+                continue
+            self._reported[link.link] = problem
+            if problem or link.state is LinkState.OPEN:
+                new.append(f"{link.link}: {problem or 'sends again'}")
+        return new
 
-    def sentences(self, now_ns: int) -> list[str]:
-        """Return the new messages at `now_ns` of the host's monotonic clock."""
-        said, self._again = self._again, []
-        late = [name for name, since_ns in self._opening_ns.items() if now_ns - since_ns >= OPENING_NS]
-        for name in late:
-            del self._opening_ns[name]
-            said.append(f"{name}: is not open yet, and gives no reason; check its address and the network. Trying on.")
-        for name, heard_ns in self._heard_ns.items():
-            if name not in self._silent and is_silent(heard_ns * 1e-9, now_ns * 1e-9):
-                self._silent.add(name)
-                said.append(
-                    f"{name}: is open but silent for {SILENT_S:g} s; check the device's power, its cable, its baud rate "
-                    "and that it was started."
-                )
-        return said
+    def _problem(self, link: LinkHealth, events: Collection[str], now_ns: int) -> str | None:
+        """Say what is wrong with a link; empty if nothing is, `None` if that is not clear yet."""
+        from skincal.words.link_words import link_verdict_words
+
+        if link.state is not LinkState.OPEN:
+            waits = link.link not in events and now_ns - self._begin_ns >= OPENING_NS
+            return "is not open yet, and gives no reason; check its address and the network. Trying on." if waits else ""
+        if link.verdict.answer is LinkAnswer.LISTENING:
+            return None
+        if link.verdict.answer is LinkAnswer.NO_ANSWER:
+            return (
+                f"is open but silent for {SILENT_S:g} s; check the device's power, its cable, its baud rate "
+                "and that it was started."
+            )
+        return "" if link.verdict.answer is LinkAnswer.GOOD else link_verdict_words(link.verdict)
 
 
 def _report_new_pokes(pipeline: Pipeline, reported: int) -> int:
@@ -355,78 +349,61 @@ def finish(
     KeptError
         Not everything could be recorded, or a link gave nothing that could be used.
     """
-    from skincal.cli import report
+    from skincal.cli import output
     from skincal.session.importing import KeptError
     from skincal.words.link_words import silent_links
     from skincal.words.poke_words import no_poke_sentence
 
     snapshot = pipeline.snapshot()
-    counts = report.poke_counts(snapshot)
+    counts = output.poke_counts(snapshot)
     live = pipeline.live(0)
-    losses = report.loss_counts(live.links, live.losses_unpaired)
-    methods = report.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
+    losses = output.loss_counts(live.links, live.losses_unpaired)
+    methods = output.method_summaries(snapshot.estimates, reference, pipeline.scene.skin.layout)
     silent = silent_links(live.links)
     unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)] if not (snapshot.pokes or silent) else []
-    found = [*unpoked, *findings, *report.link_notes(live.links)]
-    text = [*found, *report.poke_lines(counts), *(report.method_line(name, summary) for name, summary in methods.items())]
+    found = [*unpoked, *findings, *output.link_notes(live.links)]
+    text = [*found, *output.poke_lines(counts), *(output.method_line(name, summary) for name, summary in methods.items())]
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()
-    text += [*report.loss_lines(losses), *([f"session {out}"] if kept else [])]
+    text += [*output.loss_lines(live.links), *([f"session {out}"] if kept else [])]
     result: dict[str, Any] = {
         "session": out if kept else None,
         **counts,
         "methods": methods,
         **losses,
         "findings": found,
-        "text": text,
     }
-    report.print_result(result, as_json)
+    output.print_result(result, text, as_json)
     trouble = pipeline.journal_failure or silent
     if trouble:
         raise KeptError(trouble) if kept or pipeline.journal_failure else InputError(f"{trouble} No session was made.")
 
 
-def import_yarp(
-    wrench: Annotated[Path, typer.Option(help="yarpdatadumper folder of the force/torque port.")],
-    skin: Annotated[Path, typer.Option(help="yarpdatadumper folder of the skin port.")],
-    scene: SceneOption,
-    out: OutOption,
-    joints: Annotated[Path | None, typer.Option(help="yarpdatadumper folder of the arm's state port.")] = None,
-    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
-    as_json: Json = False,
-) -> None:
-    """Make a session from `yarpdatadumper` folders of one recording."""
-    from skincal.files.importers.yarp_folder import open_yarp
+def _import_command(importer: Importer) -> Callable[..., None]:
+    def command(
+        wrench: Path, skin: Path, scene: SceneOption, out: OutOption, joints: Path | None = None,
+        pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
+        as_json: Json = False,
+    ) -> None:  # fmt: skip
+        from skincal.session.importing import new_session, play_recording
 
-    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
-    _import(loaded, out, pose, as_json, open_yarp(wrench, skin, joints))
+        loaded = find_scene(scene)
+        _check_pose(loaded, pose, streamed=joints is not None)
+        paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
+        recording = importer.open_recording(places)
+        # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
+        gc.freeze()
+        with new_session(out, loaded, recording.links, _warn, copy=True) as pipeline:
+            play_recording(pipeline, recording, pose)
+            finish(pipeline, out, as_json, recording.findings, imported=True)
 
-
-def import_csv(
-    wrench: Annotated[Path, typer.Option(help="CSV file: time and fx fy fz mx my mz.")],
-    skin: Annotated[Path, typer.Option(help="CSV file: time and one column a channel.")],
-    scene: SceneOption,
-    out: OutOption,
-    joints: Annotated[Path | None, typer.Option(help="CSV file: time and one column a joint.")] = None,
-    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
-    as_json: Json = False,
-) -> None:
-    """Make a session from CSV files of one recording."""
-    from skincal.files.importers.csv_log import open_csv
-
-    _check_pose(loaded := find_scene(scene), pose, streamed=joints is not None)
-    _import(loaded, out, pose, as_json, open_csv(wrench, skin, joints))
-
-
-def _import(scene: Scene, out: Path, pose: str | None, as_json: bool, recording: OpenRecording) -> None:
-    from skincal.session.importing import new_session, play_recording
-
-    # What the modules brought lives as long as the command: looking through it for garbage takes a tenth of the time.
-    gc.freeze()
-    with new_session(out, scene, recording.links, _warn, copy=True) as pipeline:
-        play_recording(pipeline, recording, pose)
-        finish(pipeline, out, as_json, recording.findings, imported=True)
+    # Typer reads the options from the annotations: each importer describes its own files.
+    help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
+    command.__annotations__ |= {"wrench": Annotated[Path, help_of["wrench"]], "skin": Annotated[Path, help_of["skin"]]}
+    command.__annotations__["joints"] = Annotated[Path | None, help_of["joints"]]
+    return command
 
 
 def _warn(sentence: str) -> None:

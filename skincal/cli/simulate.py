@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Json
 from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
+from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
 from skincal.model.readings import Stream
@@ -132,7 +132,7 @@ def simulate(
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})
-        with _asked(hand, targets):
+        with _target_client(hand, targets):
             _run(server, hand, operator, pokes)
 
 
@@ -187,7 +187,7 @@ def _make_operator(
 
 
 @contextmanager
-def _asked(hand: Auto | Told, targets: str | None) -> Generator[None]:
+def _target_client(hand: Auto | Told, targets: str | None) -> Generator[None]:
     """Have a hand poke what is asked at a port, where one is named."""
     from skincal.robot.target_lines import NoTarget
     from skincal.robot.target_server import parse_port

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Json
+from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError
 from skincal.studies import STUDIES

@@ -6,34 +6,33 @@ import os
 import re
 import shutil
 import stat
-from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
 from skincal.model.errors import InputError
 
-_OF_SESSION = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
+_SESSION_FILE_RE = re.compile(r"segment-\d{4}\.(mcap|jsonl)|session\.lock")
 
 
 def write_atomically(path: Path, data: bytes) -> Path | None:
     """Write `data` to `path` with the rights of the older file; return the path of its copy, `None` if there was none.
 
-    It stays beside the new one with `.bak` after its name; where there is a `.bak` already, with `.bak-2`, and so on. The bytes
-    are on the disk before the name changes, so `path` is at every moment the old file or the new one.
+    The copy has `.bak` after its name, or `.bak-2` and so on if that is taken. The bytes are on the disk before the name
+    changes, so `path` is at every moment the old file or the new one.
 
-    Raises InputError: the folder is missing, the path is a folder, a link, a device or a recording of skincal's own, or the
-    disk refuses; an older file is as it was.
+    Raises InputError: the folder is missing, the path is a folder, a link, a device or part of a recorded session, or the disk
+    refuses; the older file is unchanged.
     """
     try:
-        _demand_ours(path)
+        _require_replaceable(path)
         return _replace(path, data)
     except (OSError, ValueError) as error:  # a name with a NUL is a ValueError
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{path}: cannot be written ({why}); free some space or choose another folder.") from None
 
 
-def _demand_ours(path: Path) -> None:
-    """Refuse what an export must not replace."""
+def _require_replaceable(path: Path) -> None:
+    """Raise InputError: the path is something that an export must not replace."""
     if path.is_dir():
         raise InputError(f"{path}: is a folder; expected the name of a file to write.")
     if not path.parent.is_dir():
@@ -42,9 +41,9 @@ def _demand_ours(path: Path) -> None:
         raise InputError(f"{path}: is a link; expected the name of a file to write, such as {path.name} in another folder.")
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is a device or a pipe; expected the name of a file to write.")
-    # By where they lie, too: the copy of a scene has the names that its files had.
+    # The copy of a scene keeps the names of its files.
     in_scene = path.parent.name == "scene" and (path.parent.parent / "segment-0001.mcap").exists()
-    if _OF_SESSION.fullmatch(path.name) or in_scene:
+    if _SESSION_FILE_RE.fullmatch(path.name) or in_scene:
         raise InputError(f"{path}: is part of a recorded session; choose another name.")
 
 
@@ -68,26 +67,16 @@ def _replace(path: Path, data: bytes) -> Path | None:
 
 
 def _keep_old(path: Path) -> Path:
-    """Give the old file a second name, `.bak`, without a moment in which `path` is missing; return it."""
+    """Copy the old file to the first free name with `.bak`; return it."""
     for number in count(1):
         backup = path.with_name(f"{path.name}.bak{f'-{number}' if number > 1 else ''}")
-        with suppress(FileExistsError):
-            try:
-                backup.hardlink_to(path)
-            except FileExistsError:
-                raise
-            except OSError:
-                # A file system without hard links, such as FAT: the second name costs a copy.
-                _copy_anew(path, backup)
-            return backup
-    raise AssertionError("there is a next number")
-
-
-def _copy_anew(path: Path, copy: Path) -> None:
-    """Copy a file to a name that is free; `FileExistsError` where it is not."""
-    with path.open("rb") as source, copy.open("xb") as target:
         try:
-            shutil.copyfileobj(source, target)
+            with path.open("rb") as source, backup.open("xb") as target:
+                shutil.copyfileobj(source, target)
+        except FileExistsError:
+            continue
         except OSError:
-            copy.unlink()
+            backup.unlink(missing_ok=True)
             raise
+        return backup
+    raise AssertionError("there is a next number")

@@ -20,27 +20,6 @@ from skincal.taxels.shared_errors import predicted_error
 from skincal.words.taxel_words import error_words
 
 
-@dataclass(frozen=True, slots=True)
-class LandmarkCheck:
-    """How well held-out landmark pokes are predicted with a correction of the rig, and without it."""
-
-    pokes: int
-    """How many landmark pokes it was tried with."""
-    before: float
-    """m: at what distance they pass their landmarks as the rig reports them, root mean square."""
-    after: float
-    """m: the same of held-out ones under a correction made without them."""
-    worth_using: bool
-    """Whether these are predicted so much better that the correction is offered."""
-
-
-def landmark_check(answer: RigAnswer) -> LandmarkCheck | None:
-    """Summarise the search for a correction; `None` if there were too few pokes."""
-    if answer.correction is None:
-        return None
-    return LandmarkCheck(len(answer.trust), answer.before, answer.after, answer.used)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """The result of a session, with what it was computed from; link frame, metres."""
@@ -64,8 +43,8 @@ class Calibration:
     """Of what the rig reports, applied in this order before the estimates were computed."""
     landmark_pokes: tuple[LandmarkPoke, ...] = ()
     """Pokes at known points of the part, as the rig reported them; those whose poke is in `excluded` did not count."""
-    landmark_check: LandmarkCheck | None = None
-    """Held-out check of a rig correction, used or not; `None` if none was searched."""
+    rig: RigAnswer | None = None
+    """Fitted rig correction, used or not, with its held-out check; `None` if it was not fitted."""
     closings: tuple[Closing, ...] = ()
     """Whether anything moved since the session began, each time that was checked; the last one counts."""
     verdicts: Mapping[Method, str] = field(default_factory=dict[Method, str])

@@ -17,7 +17,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -28,7 +28,7 @@ import numpy as np
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, PlacedTaxels, placed_taxels
 from skincal.files.formats import ExportFormat
-from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, parse_icub, skin_part
+from skincal.files.icub import ORIGIN_RADIUS, SKIN_PARTS, skin_part
 from skincal.geometry import FloatArray, IntArray, cross_matrix
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.mesh.load import MeshFinding, load_surface
@@ -39,6 +39,7 @@ from skincal.model.scene import ContactSettings, NoiseSettings, SurfaceSpec
 from skincal.model.skin import Layout, Module
 from skincal.rig.closing import Closing
 from skincal.rig.correction import UsedCorrection
+from skincal.rig.correction_fit import RigAnswer
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
@@ -277,7 +278,6 @@ LANDMARK_KEYS = {
     "poke": "poke", "name": "landmark", "place": "landmark_place_m", "force": "force_sensor_N", "moment": "moment_sensor_Nm",
     "link_from_sensor": "link_from_sensor_m", "pose": "pose",
 }  # fmt: skip
-CHECK_KEYS = {"pokes": "landmark_pokes", "before": "miss_before_m", "after": "miss_after_m", "worth_using": "worth_using"}
 ERROR_KEYS = {"mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m"}
 CLOSING_KEYS = {
     "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
@@ -296,7 +296,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
     """Format every method as JSON."""
     scene = calibration.scene
     layout = scene.skin.layout
-    check, closings = calibration.landmark_check, [_closing(closing) for closing in calibration.closings]
+    closings = [_closing(closing) for closing in calibration.closings]
     document = {
         "format": JSON_FORMAT,
         "skincal_version": calibration.version,
@@ -317,7 +317,7 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
         "corrections": [_correction(used) for used in calibration.corrections],
         "verdicts": {method.value: words for method, words in calibration.verdicts.items()},
         "predicted_errors": {method.value: _error(calibration, method) for method in calibration.verdicts},
-        "landmark_check": None if check is None else _written(check, CHECK_KEYS),
+        "landmark_check": _landmark_check(calibration.rig),
         "closing_check": closings[-1] if closings else None,
         "closing_checks_before": closings[:-1],
         "landmark_pokes": [_written(poke, LANDMARK_KEYS) for poke in calibration.landmark_pokes],
@@ -335,13 +335,16 @@ def json_text(calibration: Calibration, _method: Method | None = None) -> str:
 
 
 def _error(calibration: Calibration, method: Method) -> dict[str, float | None] | None:
-    """Return the predicted error of a method; None where it knows no taxel."""
     found = predicted_error(calibration.estimates_by(method))
-    return (
-        None
-        if found is None
-        else {**_written(found, ERROR_KEYS), "unchecked_rig_m": calibration.unmodelled_rig_error_m.get(method)}
-    )
+    unmodelled = calibration.unmodelled_rig_error_m.get(method)
+    return None if found is None else {**_written(found, ERROR_KEYS), "unchecked_rig_m": unmodelled}
+
+
+def _landmark_check(rig: RigAnswer | None) -> dict[str, Any] | None:
+    if rig is None or rig.correction is None:
+        return None
+    values = {"landmark_pokes": len(rig.trust), "miss_before_m": rig.before, "miss_after_m": rig.after, "worth_using": rig.used}
+    return {key: _plain(value) for key, value in values.items()}
 
 
 def _closing(closing: Closing) -> dict[str, Any]:
@@ -349,30 +352,22 @@ def _closing(closing: Closing) -> dict[str, Any]:
 
 
 def _dump(document: dict[str, Any]) -> str:
-    """Return JSON with one line a contact and an estimate: readable, and a third of the length of `indent=1`."""
-    contacts: list[Any] = document["contacts"]
-    groups: dict[str, list[Any]] = document["estimates"]
-    plain = {key: value for key, value in document.items() if key not in ("contacts", "estimates")}
-    estimates = ",\n".join(f"  {_compact(name)}: {_lines(items)}" for name, items in groups.items())
-    entries = [f" {_compact(key)}: {_compact(value)}" for key, value in plain.items()]
-    entries += [f' "contacts": {_lines(contacts)}', f' "estimates": {{\n{estimates}\n }}']
-    return "{\n" + ",\n".join(entries) + "\n}\n"
+    """Format JSON with a line for each key, contact and estimate: readable, and a third of the length of `indent=1`."""
 
+    def compact(value: object) -> str:
+        return json.dumps(value, allow_nan=False, ensure_ascii=False)
 
-def _lines(items: list[Any]) -> str:
-    return "[" + ",".join(f"\n   {_compact(item)}" for item in items) + "]"
+    def lines(items: list[Any]) -> str:
+        return "[" + ",".join(f"\n   {compact(item)}" for item in items) + "]"
 
-
-def _compact(value: object) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=False)
+    methods = ",\n".join(f"  {compact(name)}: {lines(items)}" for name, items in document["estimates"].items())
+    values = {key: compact(value) for key, value in document.items() if key not in ("contacts", "estimates")}
+    values |= {"contacts": lines(document["contacts"]), "estimates": f"{{\n{methods}\n }}"}
+    return "{\n" + ",\n".join(f" {compact(key)}: {value}" for key, value in values.items()) + "\n}\n"
 
 
 def _settings(settings: ContactSettings | NoiseSettings, units: Mapping[str, str]) -> dict[str, float]:
-    return {_with_unit(item.name, units): getattr(settings, item.name) for item in fields(settings)}
-
-
-def _with_unit(name: str, units: Mapping[str, str]) -> str:
-    return f"{name}_{units[name]}" if units[name] else name
+    return {f"{name}_{unit}".rstrip("_"): getattr(settings, name) for name, unit in units.items()}
 
 
 def _written(value: object, keys: Mapping[str, str]) -> dict[str, Any]:
@@ -426,99 +421,79 @@ def _estimate(calibration: Calibration, estimate: Estimate, gain: TaxelGain) -> 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """What the scene says about the part's shape."""
+class _Shape:
+    """Shape of the part, as the scene describes it."""
 
-    surface: Surface | None
-    # The layout as planned, where there is no surface.
-    laid: PlacedLayout | None
-    # Sentences on the mesh itself.
-    findings: tuple[str, ...] = ()
-    # Why a check could not be done, or says little.
+    surface: Surface | None = None
+    planned: PlacedLayout | None = None
+    """Without a surface alone."""
+    mesh_findings: tuple[str, ...] = ()
     troubles: tuple[str, ...] = ()
+    """Why the positions were not compared with it, or the comparison says little."""
 
 
 def write_calibration(
-    calibration: Calibration,
-    format: str,  # noqa: A002 - as the command's option
-    path: Path,
-    method: Method,
-    part: str | None = None,
+    calibration: Calibration, format_: ExportFormat | str, path: Path, method: Method, part: str | None = None
 ) -> tuple[str, ...]:
-    """Write a calibration file; an older one is kept as `.bak`; see `write_atomically`.
+    """Write a calibration file; an older one is kept as `.bak`, see `write_atomically`.
 
     Parameters
     ----------
-    format : name of an `ExportFormat`; a file of one method holds `method`
+    method : whose estimates a file of one method holds
     part : name of the skin part for the iCub file; see `skincal.files.icub.skin_part`
 
     Returns
     -------
-    Sentences: faults found (`skincal.files.export`), what is left out, an ending of another format, and where an older file is
-    kept. They do not stop the writing.
+    Sentences that do not stop the writing: faults, what is left out, the suffix of another format, and the older file's name.
 
-    Raises InputError: the format or method is unknown, or the file cannot be written.
+    Raises InputError: the session has no such estimates, or the file cannot be written.
     """
-    content, sentences = calibration_file(calibration, format, method, part)
+    wanted = ExportFormat(format_)
+    content, sentences = calibration_file(calibration, wanted, method, part)
     kept = write_atomically(path, content)
-    sentences += _other_ending(path, ExportFormat(format))
+    sentences += tuple(
+        f"{path.name} ends in {path.suffix} and holds the format {wanted.value}; expected the ending {wanted.suffix}: rename "
+        f"the file, or choose the format {other.value}."
+        for other in ExportFormat
+        if other.suffix == path.suffix.lower() != wanted.suffix
+    )
     return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
 
 
-def _other_ending(path: Path, written: ExportFormat) -> tuple[str, ...]:
-    """Warn if a file name has the suffix of another format; unknown suffixes are the operator's choice."""
-    ending, right = path.suffix.lower(), written.suffix
-    others = [each.value for each in ExportFormat if each.suffix == ending != right]
-    return tuple(
-        f"{path.name} ends in {path.suffix} and holds the format {written.value}; expected the ending {right}: rename the "
-        f"file, or choose the format {other}."
-        for other in others
-    )
-
-
 def calibration_file(
-    calibration: Calibration,
-    format: str,  # noqa: A002 - as above
-    method: Method,
-    part: str | None = None,
+    calibration: Calibration, format_: ExportFormat, method: Method, part: str | None = None
 ) -> tuple[bytes, tuple[str, ...]]:
     """Make a calibration file's bytes and its findings, as `write_calibration`, without writing."""
-    names = {each.value: each for each in ExportFormat}
-    if format not in names:
-        raise InputError(f"the format is {format!r}; expected one of {', '.join(names)}.")
-    wanted = names[format]
     # Refuses a method without estimates before the mesh is loaded.
     calibration.estimates_by(method)
-    shape = _part(calibration)
-    module, _, function = wanted.writer.partition(":")
+    shape = _shape_of(calibration)
+    module, _, function = format_.writer.partition(":")
     write = getattr(import_module(module), function)
-    written: str | bytes = write(replace(calibration, part=part, mesh_findings=shape.findings), method)
-    content = written.encode() if isinstance(written, str) else written
-    methods = tuple(calibration.estimates) if wanted.holds_all_methods else (method,)
+    written: str | bytes = write(replace(calibration, part=part, mesh_findings=shape.mesh_findings), method)
+    methods = tuple(calibration.estimates) if format_.holds_all_methods else (method,)
     sentences = [*(f"{correction_words(used)}." for used in calibration.corrections), *shape.troubles]
     for each in methods:
-        sentences += lint(calibration, each, _reference(calibration, each, shape))
+        sentences += lint(calibration, each, _expected_surface(calibration, each, shape))
         sentences += _left_out(calibration.estimates_by(each), each)
-    if wanted is ExportFormat.ICUB:
-        sentences += [*_icub_traps(calibration, method, part), *_read_back(calibration, method, content.decode("utf-8"))]
-    return content, tuple(sentences)
+    if format_ is ExportFormat.ICUB:
+        sentences += _icub_traps(calibration, method, part)
+    return written.encode() if isinstance(written, str) else written, tuple(sentences)
 
 
-def _part(calibration: Calibration) -> _Part:
+def _shape_of(calibration: Calibration) -> _Shape:
     """Load the part's shape; a missing mesh must not keep a calibration from being written."""
     scene = calibration.scene
     try:
         if scene.surface is None:
-            laid = None if scene.skin.layout is None else place_layout(scene.skin.layout, scene.skin.anchor, None)
-            return _Part(None, laid)
+            return _Shape(None, None if scene.skin.layout is None else place_layout(scene.skin.layout, scene.skin.anchor, None))
         path = scene.surface.path
         # A file that is missing has no time; `load_surface` says so.
-        surface, found = _load(scene.surface, path.stat().st_mtime_ns if path.exists() else 0)
+        surface, findings = _load(scene.surface, path.stat().st_mtime_ns if path.exists() else 0)
     except InputError as error:
-        return _Part(None, None, troubles=(f"the positions were not compared with the part's shape: {error}",))
-    same = surface.sha256 == calibration.mesh_sha256
-    trouble = f"{scene.surface.path}: the mesh changed since the estimates were computed; solve again."
-    return _Part(surface, None, tuple(finding.sentence for finding in found), () if same else (trouble,))
+        return _Shape(troubles=(f"the positions were not compared with the part's shape: {error}",))
+    changed = f"{scene.surface.path}: the mesh changed since the estimates were computed; solve again."
+    troubles = () if surface.sha256 == calibration.mesh_sha256 else (changed,)
+    return _Shape(surface, None, tuple(finding.sentence for finding in findings), troubles)
 
 
 @lru_cache(maxsize=1)
@@ -527,7 +502,7 @@ def _load(spec: SurfaceSpec, _version: int) -> tuple[Surface, tuple[MeshFinding,
     return load_surface(spec)
 
 
-def _reference(calibration: Calibration, method: Method, shape: _Part) -> ExpectedSurface | None:
+def _expected_surface(calibration: Calibration, method: Method, shape: _Shape) -> ExpectedSurface | None:
     """Choose the expected surface: the mesh, or else the planned layout."""
     taxels = placed_taxels(calibration.estimates_by(method))
     finite = np.isfinite(taxels.positions).all(axis=1)
@@ -537,13 +512,11 @@ def _reference(calibration: Calibration, method: Method, shape: _Part) -> Expect
             _, triangles = nearest_points(shape.surface, taxels.positions[finite])
             normals[finite] = shape.surface.normals[triangles]
         return ExpectedSurface(shape.surface.vertices, normals, "the surface")
-    if shape.laid is None:
+    known = None if shape.planned is None else np.isfinite(shape.planned.places).all(axis=1)
+    if shape.planned is None or known is None or not known.any():
         return None
-    places: FloatArray = shape.laid.places
-    known = np.isfinite(places).all(axis=1)
-    if not known.any():
-        return None
-    return ExpectedSurface(places[known], np.nan_to_num(shape.laid.normals[taxels.channels]), "the layout as planned")
+    normals = np.nan_to_num(shape.planned.normals[taxels.channels])
+    return ExpectedSurface(shape.planned.places[known], normals, "the layout as planned")
 
 
 def _left_out(estimates: tuple[Estimate, ...], method: Method) -> list[str]:
@@ -572,10 +545,3 @@ def _icub_traps(calibration: Calibration, method: Method, part: str | None) -> l
             "begin the scene's link name with it."
         )
     return sentences
-
-
-def _read_back(calibration: Calibration, method: Method, text: str) -> list[str]:
-    """Name positions that a reader loses from the text."""
-    placed = np.flatnonzero(parse_icub(text, "the file as written")[:, :3].any(axis=1))
-    lost = np.setdiff1d(placed_taxels(calibration.estimates_by(method)).channels, placed).tolist()
-    return [f"the file as written has no position for channel {channel}." for channel in lost]

@@ -1,14 +1,11 @@
-"""Known taxel positions (a simulation's truth, a CAD model, an earlier calibration) and the errors of estimates against them.
-
-What is read: a `truth.json`, a calibration's JSON and CSV, which hold the places of each method, and an iCub position file.
-"""
+"""Known taxel positions (simulated truth, CAD model, earlier calibration) and the errors of estimates against them."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -40,17 +37,6 @@ class Origin(Enum):
     """The scene's layout laid on the part: modules stretch and are glued askew, so it may lie a few millimetres off."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """Known taxel positions to compare estimates with."""
-
-    origin: Origin
-    name: str
-    """Of the file, or of the scene."""
-    places: Mapping[int, FloatArray]
-    """Channel to (3,) float, metres, link frame."""
-
-
 @dataclass(frozen=True, slots=True)
 class ErrorSummary:
     """Distance of estimates to their reference over the taxels that have both, metres."""
@@ -65,35 +51,32 @@ class ErrorSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaxelPositions:
-    """Places of taxels from one source, to be compared with another."""
+    """Taxel positions from one source, to compare others with."""
 
     name: str
     """Of the source, for the operator."""
     link: str
-    """The frame of the places; empty where the source names none."""
+    """The frame of the positions; empty if the source names none."""
     places: Mapping[int, FloatArray]
     """Channel to (3,) float, metres, in that frame."""
     modules: Mapping[int, int] = field(default_factory=dict[int, int])
-    """Channel to the id of its module; empty where the source names none."""
+    """Channel to the id of its module; empty if the source names none."""
     method: Method | None = None
     """Method that estimated the positions; `None` if the file names none."""
+    origin: Origin = Origin.FILE
 
 
 def read_reference(path: Path) -> dict[int, FloatArray]:
-    """Read known taxel places, (3,) float in metres by channel; of several methods those of the one that leads.
-
-    Raises InputError: as for `read_places`.
-    """
+    """Read known positions, (3,) float in metres by channel, as `read_places`."""
     return dict(read_places(path).places)
 
 
 def read_places(path: Path, method: Method | None = None) -> TaxelPositions:
-    """Read the places in a file: a `truth.json`, a calibration's JSON or CSV, or an iCub position file.
+    """Read positions from a `truth.json`, a calibration's JSON or CSV, or an iCub position file.
 
     Parameters
     ----------
-    method : whose places of a JSON or CSV that holds several; None for the method of the smallest predicted error, among those
-        that know nearly all taxels that any one knows
+    method : whose positions of a JSON or CSV that holds several; `None` for the leading method (`leading_by`)
 
     Raises
     ------
@@ -101,13 +84,12 @@ def read_places(path: Path, method: Method | None = None) -> TaxelPositions:
         The file cannot be read, is none of these, or has no such method.
     """
     sets = read_place_sets(path)
-    if method is not None:
-        chosen = next((each for each in sets if each.method is method), None)
-        if chosen is None:
-            known = ", ".join(each.method.value for each in sets if each.method is not None)
-            raise InputError(f"{path}: has no places of the {method.value} method; it has {known or 'those of no method'}.")
-        return chosen
-    return sets[0]
+    chosen = next((each for each in sets if method in (None, each.method)), None)
+    if chosen is None:
+        known = ", ".join(each.method.value for each in sets if each.method is not None)
+        asked = "" if method is None else method.value
+        raise InputError(f"{path}: has no places of the {asked} method; it has {known or 'those of no method'}.")
+    return chosen
 
 
 def compare_sets(first: TaxelPositions, second: TaxelPositions) -> tuple[IntArray, IntArray, Repeatability]:
@@ -137,14 +119,14 @@ def _rows(places: Mapping[int, FloatArray], channels: IntArray) -> FloatArray:
     return np.array([places.get(channel, unknown) for channel in channels.tolist()], dtype=float).reshape(-1, 3)
 
 
-def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> Reference:
-    """Read known taxel places (`read_places`) and check that they are of the scene's `link` and `channels`.
+def load_reference(path: Path, link: str, channels: Collection[int], origin: Origin = Origin.FILE) -> TaxelPositions:
+    """Read known positions (`read_places`) and check that they are of the scene's `link` and `channels`.
 
     Raises InputError: as for `read_places`; also if the file is of another link or knows none of the channels.
     """
     read = read_places(path)
     require_same_part(read, path, link, channels)
-    return Reference(origin, path.name, read.places)
+    return replace(read, name=path.name, origin=origin)
 
 
 def require_same_part(found: TaxelPositions, path: Path, link: str, channels: Collection[int]) -> None:
@@ -156,22 +138,19 @@ def require_same_part(found: TaxelPositions, path: Path, link: str, channels: Co
         raise InputError(f"{path}: it knows none of this skin's {len(channels)} taxels; choose the file of this part.")
 
 
-def find_truth(folder: Path, link: str, channels: Collection[int]) -> Reference | None:
-    """Return the truth that lies in a session's folder; None where there is none.
-
-    Raises InputError: as for `load_reference`.
-    """
+def find_truth(folder: Path, link: str, channels: Collection[int]) -> TaxelPositions | None:
+    """Read the truth in a session's folder, as `load_reference`; `None` if there is none."""
     path = folder / TRUTH_NAME
     return load_reference(path, link, channels, Origin.TRUTH) if path.is_file() else None
 
 
-def plan_reference(name: str, places: FloatArray) -> Reference | None:
-    """Return a scene's laid layout as a reference; None where it places no taxel.
+def plan_reference(name: str, places: FloatArray) -> TaxelPositions | None:
+    """Convert the planned positions of a scene's layout; `None` if it places no taxel.
 
-    `places` are (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no place.
+    `places` are (width, 3) float, metres, link frame; NaN where a channel is no taxel or has no position.
     """
     known = {int(channel): places[channel] for channel in np.flatnonzero(np.isfinite(places).all(axis=1))}
-    return Reference(Origin.PLAN, name, known) if known else None
+    return TaxelPositions(name, "", known, origin=Origin.PLAN) if known else None
 
 
 def read_place_sets(path: Path) -> tuple[TaxelPositions, ...]:
@@ -214,7 +193,6 @@ def _json_sets(path: Path) -> tuple[TaxelPositions, ...]:
 
 
 def _csv_sets(path: Path) -> tuple[TaxelPositions, ...]:
-    """Return the sets of a calibration's CSV, which tells no predicted error but its largest part, the sd."""
     rows: list[_Row] = []
     with io.StringIO(read_regular(path, MAX_JSON_BYTES).decode("utf-8"), newline="") as file:
         for row in csv.DictReader(file):

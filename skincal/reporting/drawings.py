@@ -19,20 +19,20 @@ from skincal.reporting.session_facts import SessionFacts
 from skincal.session.error_history import MEAN, P95
 from skincal.taxels.result import Method, State
 
-SIDES = ("front", "right", "back", "left")
+VIEW_NAMES = ("front", "right", "back", "left")
 """Names of the four views; the front is where most of the skin looks."""
-SCALE = "viridis_r"
+ERROR_COLOUR_MAP = "viridis_r"
 """Bright for exact, dark for wrong: it reads in grey, and to people with any colour vision."""
 DOTS_PER_INCH = 160
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Where the light comes from, in the frame of a view: x right, y up, z to the viewer."""
-FACING = 0.0
+MIN_FACING_COSINE = 0.0
 """Least cosine of a taxel's normal with the way to the viewer at which it is drawn in a view."""
 
 
-MAP_POINTS = 330.0
+MAP_SIZE_POINTS = 330.0
 """Points of the paper that the map's longer side has, about."""
-SIDEWAYS = 0.1
+MIN_SIDEWAYS_SHARE = 0.1
 """Least share of the normals' sum that lies across the way up, to say where the front is."""
 
 
@@ -41,7 +41,7 @@ def draw_sides(facts: SessionFacts) -> bytes:
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(1, 4)
-        for name, frame, axes in zip(SIDES, side_frames(facts), panels, strict=True):
+        for name, frame, axes in zip(VIEW_NAMES, side_frames(facts), panels, strict=True):
             _draw_side(axes, facts, frame)
             axes.set_title(name)
         _same_box(panels)
@@ -56,14 +56,14 @@ def side_frames(facts: SessionFacts) -> tuple[FloatArray, ...]:
     Up is the link's axis along which the part is longest, the front where most of the skin looks, and the views follow each
     other around.
     """
-    surface = facts.part.surface
+    surface = facts.results.part.surface
     points = _positions(facts) if surface is None else surface.vertices
     extents = np.ptp(points, axis=0) if len(points) else np.ones(3)
     up, aside = np.eye(3)[extents.argmax()], np.eye(3)[extents.argmin()]
     out = _normals(facts).sum(axis=0)
     flat = out - (out @ up) * up
     # Where skin looks up all along, or nothing is known of it, the thinnest side is as good.
-    front = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > SIDEWAYS * np.linalg.norm(out) else aside
+    front = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > MIN_SIDEWAYS_SHARE * np.linalg.norm(out) else aside
     right = np.cross(up, front)
     return tuple(
         np.stack([np.cross(up, towards), up, towards])
@@ -81,7 +81,7 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
         outlines: list[FloatArray] = [module.outline * 1e3 for module in layout.modules]
         axes.add_collection(PolyCollection(outlines, facecolors="#F4F4F4", edgecolors=GREY, linewidths=0.7))
         places = layout.places * 1e3
-        scale = MAP_POINTS / np.ptp(np.concatenate(outlines), axis=0).max()
+        scale = MAP_SIZE_POINTS / np.ptp(np.concatenate(outlines), axis=0).max()
         # A dot is half as wide as the way to the next, a number a sixth of its module.
         size = float(np.clip((0.5 * layout.spacing * 1e3 * scale) ** 2, 2.5, 45.0))
         _dots(axes, facts, {channel: places[channel] for channel in layout.channels.tolist()}, size)
@@ -124,7 +124,7 @@ def draw_course(facts: SessionFacts) -> bytes:
 
 
 def error_name(facts: SessionFacts) -> str:
-    """Return what `SessionFacts.errors` are."""
+    """Name the errors in `SessionFacts.errors`."""
     return "predicted error" if facts.truth is None else "error against the truth"
 
 
@@ -149,9 +149,9 @@ def _draw_costs(axes: Axes, facts: SessionFacts) -> None:
 
 def _draw_side(axes: Axes, facts: SessionFacts, frame: FloatArray) -> None:
     """Draw the part as it is seen along a view: near triangles over far ones, then the taxels of this side."""
-    if facts.part.surface is not None:
-        _draw_surface(axes, facts.part.surface, frame)
-    seen = _normals(facts) @ frame[2] > FACING
+    if facts.results.part.surface is not None:
+        _draw_surface(axes, facts.results.part.surface, frame)
+    seen = _normals(facts) @ frame[2] > MIN_FACING_COSINE
     positions = _positions(facts) @ frame[:2].T * 1e3
     channels = [estimate.channel for estimate in facts.estimates if estimate.position is not None]
     _dots(axes, facts, {c: place for c, place, there in zip(channels, positions, seen, strict=True) if there}, 12.0)
@@ -183,7 +183,7 @@ def _dots(axes: Axes, facts: SessionFacts, places: Mapping[int, FloatArray], siz
     rest = [channel for channel in places if channel not in facts.errors and channel not in dead]
     for channels, look in (
         (rest, {"facecolors": "white", "edgecolors": GREY}), (dead, {"marker": "x", "color": BLACK, "linewidths": 1.0}),
-        (known, {"c": [facts.errors[c] * 1e3 for c in known], "cmap": SCALE, **_limits(facts), "edgecolors": BLACK}),
+        (known, {"c": [facts.errors[c] * 1e3 for c in known], "cmap": ERROR_COLOUR_MAP, **_limits(facts), "edgecolors": BLACK}),
     ):  # fmt: skip
         if channels:
             at = np.array([places[channel] for channel in channels])
@@ -201,7 +201,7 @@ def _colour_bar(figure: Figure, panels: Any, facts: SessionFacts) -> None:
     from matplotlib.colors import Normalize
 
     if facts.errors:
-        colours: Any = ScalarMappable(Normalize(**_limits(facts)), SCALE)
+        colours: Any = ScalarMappable(Normalize(**_limits(facts)), ERROR_COLOUR_MAP)
         figure.colorbar(
             colours, ax=panels, orientation="horizontal", shrink=0.4, aspect=40, extend="max", label=f"{error_name(facts)} (mm)"
         )

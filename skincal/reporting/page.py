@@ -1,7 +1,7 @@
-"""A report's page: what is known of a session in words, tables and pictures, in one HTML file that needs no other.
+"""Format a report as one HTML file with all its pictures.
 
-Every number is a value of `SessionFacts`; here it gets its unit. Names come from files and devices of strangers, so the
-template escapes all text, and the page forbids a browser to run or to fetch anything.
+Names come from untrusted files and devices, so the template escapes all text, and the page forbids a browser to run or to fetch
+anything.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from skincal.files.atomic import write_atomically
 from skincal.files.export import CONTACT_UNITS, NOISE_UNITS
 from skincal.guide.progress import GuideSettings
 from skincal.model.errors import list_channels, plural
-from skincal.reporting.drawings import SIDES, draw_course, draw_map, draw_sides, error_name
+from skincal.reporting.drawings import VIEW_NAMES, draw_course, draw_map, draw_sides, error_name
 from skincal.reporting.session_facts import MethodFacts, SessionFacts, gather_facts
 from skincal.rig.correction import RIG
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS
@@ -34,53 +34,51 @@ from skincal.words.verdict_words import agreement_words, check_words, closing_wo
 DASH = "\N{EN DASH}"
 _UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2060-\u2069\ud800-\udfff\ufeff]")
 _NUMERIC = re.compile(rf"-?[\d.]+|{DASH}")
-AGREES, AGAINST, OPEN = "agrees", "speaks against it", "not checked"
-"""What a check says of the verdict."""
+AGREES, AGAINST, OPEN = "agrees", "contradicts", "not checked"
+"""Results of a check of the verdict; the template colours the first two."""
 CHECKS = ("Test pokes", "Landmarks", "Final check")
-"""The verdict's figures that are rows of its evidence."""
+"""Figures of the verdict that are rows of its evidence."""
 RANGES_MOST = 40
-"""Ranges of channels in a cell: of more, how many there are."""
+"""More ranges of channels in a cell are counted."""
 GUIDE_UNITS = {
     "wanted": "m", "module_wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad",
     "tolerance": "rad", "unknown": "m", "hand_speed": "m/s",
 }  # fmt: skip
-"""Units of the guide's settings; a plain number where none stands, seconds where the name ends in `_s`."""
+"""Units of the guide's settings; others are plain numbers, or seconds if the name ends in `_s`."""
 SHOWN_UNITS = {"Nm": "N m"}
-"""How a unit of the exported keys is written for a reader."""
+"""Units that are shown in another way than in the exported keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportTable:
-    """A table of a section; rows may be marked by what their last cell says."""
+    """A table of a section."""
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     caption: str = ""
     small: bool = False
-    """Whether it is long, and so set in small type."""
+    """Set a long table in small type."""
     judged: bool = False
-    """Whether the last column holds verdicts, which are coloured."""
+    """Colour the verdicts in the last column."""
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Of each column, whether it stands at its right: numbers and dashes, and not what the rows are named by."""
+        """Whether each column holds numbers and dashes alone, and is not the first; these are set to the right."""
         columns = enumerate(zip(*self.rows, strict=True))
         return tuple(index > 0 and set(column) != {DASH} and all(map(_NUMERIC.fullmatch, column)) for index, column in columns)
 
 
 @dataclass(frozen=True, slots=True)
 class ReportPicture:
-    """A picture of a section, in the page itself."""
+    """A picture of a section, as a `data:` address, and its description."""
 
     source: str
-    """A `data:` address."""
     words: str
-    """What is seen, for who does not see it."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReportSection:
-    """A part of the page under a heading."""
+    """A section of the page with its heading."""
 
     title: str
     sentences: Sequence[str] = ()
@@ -89,12 +87,11 @@ class ReportSection:
 
 
 def write_report(folder: Path, path: Path, method: Method | None = None, *, correct: bool = False) -> str:
-    """Write the report of a recorded session; return its verdict. An older file stays beside it with `.bak` after its name.
+    """Write the report of a recorded session; return its verdict. An older file is kept as `.bak`.
 
     Parameters
     ----------
-    method : whose estimates are shown; None for the one that leads
-    correct : whether the corrections that landmark pokes offer are used
+    method, correct : as for `gather_facts`
 
     Raises
     ------
@@ -107,8 +104,8 @@ def write_report(folder: Path, path: Path, method: Method | None = None, *, corr
 
 
 def report_page(facts: SessionFacts) -> str:
-    """Return the page."""
-    # Only now: the commands' help needs no template.
+    """Format the page as HTML."""
+    # The commands' help needs no template.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -119,7 +116,7 @@ def report_page(facts: SessionFacts) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    scene = facts.part.scene
+    scene = facts.results.part.scene
     return environment.get_template("report.html.jinja").render(
         title=f"{scene.name} {DASH} {facts.name}",
         made=f"{facts.made:%Y-%m-%d %H:%M} UTC",
@@ -129,27 +126,13 @@ def report_page(facts: SessionFacts) -> str:
         version=facts.versions["skincal"],
         verdict=verdict_sentence(facts.verdict),
         enough=facts.verdict.enough and not facts.verdict.doubted,
-        sections=tuple(_sections(facts)),
+        sections=[make(facts) for make in SECTIONS],
     )
 
 
 def _visible(value: object) -> object:
-    """Return text without characters that are not seen, and may turn the order of all that follow."""
+    """Replace invisible characters, which may reverse the order of those that follow."""
     return _UNSEEN.sub("\N{REPLACEMENT CHARACTER}", value) if isinstance(value, str) else value
-
-
-def _sections(facts: SessionFacts) -> Iterator[ReportSection]:
-    yield _verdict(facts)
-    yield _part(facts)
-    yield _map(facts)
-    yield _errors(facts)
-    yield _rig(facts)
-    yield _pokes(facts)
-    yield _lint(facts)
-    yield _devices(facts)
-    yield _settings(facts)
-    yield _taxels(facts)
-    yield _versions(facts)
 
 
 # ---- the verdict and what it rests on ----
@@ -159,85 +142,82 @@ def _verdict(facts: SessionFacts) -> ReportSection:
     left = facts.verdict.left
     tables = [
         ReportTable(("", ""), [row for row in figures(facts.verdict) if row[0] not in CHECKS]),
-        ReportTable(
-            ("What was looked at", "What was found", "Verdict"), list(_evidence(facts)), "What it rests on", judged=True
-        ),
+        ReportTable(("Check", "Result", "Verdict"), list(_evidence(facts)), "Evidence", judged=True),
     ]
     if left:
-        rows = _by_words((left_words(each), each.channel) for each in left)
-        headings = ("Why they are not done", "Taxels", "Channels")
-        tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not done"))
+        rows = _group_channels((left_words(each), each.channel) for each in left)
+        headings = ("Reason", "Taxels", "Channels")
+        tables.append(ReportTable(headings, rows, f"{plural(len(left), 'taxel')} not finished"))
     return ReportSection("Verdict and evidence", tables=tables)
 
 
-def _by_words(said: Iterable[tuple[str, int]]) -> list[tuple[str, str, str]]:
-    """Return rows of what is said of channels, of how many, and of which."""
+def _group_channels(pairs: Iterable[tuple[str, int]]) -> list[tuple[str, str, str]]:
+    """Group channels by their sentence; return rows of sentence, number and channels."""
     of: dict[str, list[int]] = {}
-    for words, channel in said:
+    for words, channel in pairs:
         of.setdefault(words, []).append(channel)
     return [(words, str(len(some)), list_channels(some, RANGES_MOST)) for words, some in of.items()]
 
 
 def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
-    """Yield what was checked, what was found, and what it says; also what could not be checked."""
+    """Yield each check with its result and its verdict, also those that were not possible."""
     check, landmarks = facts.verdict.check, facts.verdict.landmarks
     said = AGREES if check.agrees else AGAINST
     yield "Held-out pokes", check_words(facts.verdict), said if check.tells or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", agreement_words(landmarks), said
     closings = facts.verdict.closings
-    yield "Closing check", closing_words(closings), AGAINST if facts.verdict.moved else AGREES if closings else OPEN
-    yield _frame_evidence(facts)
-    yield _module_evidence(facts)
+    yield "Final check", closing_words(closings), AGAINST if facts.verdict.moved else AGREES if closings else OPEN
+    frame = facts.results.frame
+    if frame is None:
+        yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
+    else:
+        yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
+    yield "Modules as planned", *_module_evidence(facts)
     yield (
         "Exported file",
-        "what was remarked stands below" if facts.lint else "nothing to remark",
+        "see the remarks below" if facts.lint else "no remarks",
         (plural(len(facts.lint), "remark") if facts.lint else AGREES),
     )
     lead = next(each for each in facts.methods if each.method is facts.method)
     if lead.error is None:
         yield "Truth", "not known: only a simulated rig tells where its taxels are", OPEN
     else:
-        yield "Truth", f"simulated: taxels are {_mm(lead.error.mean)} off in the mean, {_mm(lead.error.max)} at most", "known"
+        error = f"{_mm_text(lead.error.mean)} mean error, {_mm_text(lead.error.max)} largest"
+        yield "Truth", f"simulated: {error}", "known"
     yield (
         "Recording",
-        " ".join(facts.findings) or "read without damage",
-        (plural(len(facts.findings), "remark") if facts.findings else AGREES),
+        " ".join(facts.results.part.findings) or "read without damage",
+        (plural(len(facts.results.part.findings), "remark") if facts.results.part.findings else AGREES),
     )
 
 
-def _frame_evidence(facts: SessionFacts) -> tuple[str, str, str]:
-    if facts.frame is None:
-        return "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
-    return "Sensor's frame", frame_sentence(facts.frame), AGREES if facts.frame.right else AGAINST
-
-
-def _module_evidence(facts: SessionFacts) -> tuple[str, str, str]:
-    what = "Modules as planned"
-    if facts.mend is None:
-        return what, "not checked: the scene has no layout", OPEN
-    if facts.mend.misfits:
-        return what, " ".join(misfit_sentence(misfit) for misfit in facts.mend.misfits), AGAINST
-    if not facts.judged:
-        return what, "too little is known of every module", OPEN
-    return what, f"none of {plural(facts.judged, 'module')} looks mirrored, turned or swapped", AGREES
+def _module_evidence(facts: SessionFacts) -> tuple[str, str]:
+    repair, judged = facts.results.layout_repair, facts.results.modules_judged
+    if repair is None:
+        return "not checked: the scene has no layout", OPEN
+    if repair.misfits:
+        return " ".join(misfit_sentence(misfit) for misfit in repair.misfits), AGAINST
+    if not judged:
+        return "too little is known of every module", OPEN
+    return f"none of {plural(judged, 'module')} looks mirrored, turned or swapped", AGREES
 
 
 # ---- pictures and errors ----
 
 
 def _part(facts: SessionFacts) -> ReportSection:
-    words = f"The part from four sides ({', '.join(SIDES)}), its taxels coloured by {error_name(facts)}."
+    words = f"The part from four sides ({', '.join(VIEW_NAMES)}), its taxels coloured by {error_name(facts)}."
     note = "Each view shows the taxels of its side. Dark is wrong; the darkest are the worst twentieth."
     return ReportSection("The part", (note,), (_picture(draw_sides(facts), "png", words),))
 
 
 def _map(facts: SessionFacts) -> ReportSection:
-    layout = facts.part.scene.skin.layout
+    layout = facts.results.part.scene.skin.layout
     if layout is None:
         return ReportSection("Map", ("The scene has no layout, so there is no map.",))
     words = f"The layout unrolled, its modules with their numbers, taxels coloured by {error_name(facts)}."
-    note = "Rings are taxels whose place is not known, crosses those that are not used."
+    note = "Rings are taxels without a position, crosses those that are not used."
     return ReportSection("Map", (note,), (_picture(draw_map(facts, layout), "svg", words),))
 
 
@@ -247,7 +227,7 @@ def _errors(facts: SessionFacts) -> ReportSection:
     tables = [ReportTable(METHOD_HEADINGS, [_method_row(each) for each in facts.methods], "Methods; lengths in mm")]
     if len(facts.module_spreads):
         tables.append(ReportTable(MODULE_HEADINGS, list(_module_rows(facts)), f"Modules; {error_name(facts)}, mm"))
-    said = f"Errors are {against}; the table of taxels stands at the end. Time is that spent poking, without long pauses."
+    said = f"Errors are {against}; the table of taxels is at the end. Time is poking time, without long pauses."
     known = any((spreads[:, 0, TAXELS] > 0).any() for spreads in facts.series.spreads.values())
     pictures = (_picture(draw_course(facts), "svg", words),) if known else ()
     return ReportSection("Errors", (said if known else "No taxel is known yet.",), pictures, tables)
@@ -264,15 +244,15 @@ def _method_row(each: MethodFacts) -> tuple[str, ...]:
     states = ", ".join(f"{count} {name}" for name, count in each.states.items())
     predicted = (None,) * 4 if each.predicted is None else astuple(each.predicted)
     error = (None,) * 4 if each.error is None else (each.error.mean, each.error.sd, each.error.p95, each.error.max)
-    lengths = (_bare(length) for length in (*predicted, *error))
+    lengths = (_mm_cell(length) for length in (*predicted, *error))
     return each.method.value, states, *lengths, _number(each.spacing), f"{each.solve_s * 1e3:.1f}"
 
 
 def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
-    layout = facts.part.scene.skin.layout
+    layout = facts.results.part.scene.skin.layout
     modules = () if layout is None else layout.modules
     for module, spread in sorted(zip(modules, facts.module_spreads, strict=True), key=lambda pair: pair[0].id):
-        lengths = (_bare(float(spread[column])) for column in (MEAN, P95, MAX))
+        lengths = (_mm_cell(float(spread[column])) for column in (MEAN, P95, MAX))
         known = 0 if math.isnan(spread[TAXELS]) else int(spread[TAXELS])
         yield str(module.id), f"{known} of {len(module.channels)}", *lengths
 
@@ -280,15 +260,15 @@ def _module_rows(facts: SessionFacts) -> Iterator[tuple[str, ...]]:
 def _taxels(facts: SessionFacts) -> ReportSection:
     pairs = list(zip(facts.estimates, facts.gains, strict=True))
     rows = [_taxel_row(facts, estimate, gain) for estimate, gain in pairs if estimate.position is not None]
-    tables = [ReportTable(TAXEL_HEADINGS, rows, f"{plural(len(rows), 'taxel')} with a place", small=True)] if rows else []
+    tables = [ReportTable(TAXEL_HEADINGS, rows, f"{plural(len(rows), 'taxel')} with a position", small=True)] if rows else []
     unknown = [estimate for estimate in facts.estimates if estimate.position is None]
     if unknown:
-        why = _by_words((_state_words(estimate), estimate.channel) for estimate in unknown)
-        caption = f"{plural(len(unknown), 'taxel')} without a place"
+        why = _group_channels((_state_words(estimate), estimate.channel) for estimate in unknown)
+        caption = f"{plural(len(unknown), 'taxel')} without a position"
         tables.append(ReportTable(("State and reason", "Taxels", "Channels"), why, caption))
     note = (
-        "Places are in the link's frame. The sd is along the direction that is known worst; the gain is the answer over the "
-        "force along the normal, with its sd over the pokes in which the taxel answered most."
+        "Positions are in the link's frame. The sd is along the least certain direction. The gain is the response over "
+        "the force along the normal, with its sd over the pokes in which the taxel answered most."
     )
     return ReportSection("Taxels", (note,), tables=tables)
 
@@ -306,14 +286,14 @@ TAXEL_HEADINGS = (
 
 def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tuple[str, ...]:
     place = (None,) * 3 if estimate.position is None else estimate.position.tolist()
-    layout, channel = facts.part.scene.skin.layout, estimate.channel
+    layout, channel = facts.results.part.scene.skin.layout, estimate.channel
     index = -1 if layout is None else int(layout.module_of[channel])
     module = DASH if layout is None or index < 0 else str(layout.modules[index].id)
     true = facts.errors.get(channel) if facts.truth is not None else None
-    lengths = (_bare(length) for length in (true, estimate.rms, estimate.sd))
+    lengths = (_mm_cell(length) for length in (true, estimate.rms, estimate.sd))
     return (
         module, str(channel), *lengths, str(estimate.contacts),
-        *(_bare(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
+        *(_mm_cell(each) for each in place), _number(gain.mean), _number(gain.spread), str(gain.pokes),
     )  # fmt: skip
 
 
@@ -321,36 +301,37 @@ def _taxel_row(facts: SessionFacts, estimate: Estimate, gain: TaxelGain) -> tupl
 
 
 def _rig(facts: SessionFacts) -> ReportSection:
-    used = facts.snapshot.decisions.corrections
-    said = [] if facts.frame is None else [frame_sentence(facts.frame)]
+    used = facts.results.snapshot.decisions.corrections
+    said = [] if facts.results.frame is None else [frame_sentence(facts.results.frame)]
     said += [correction_sentence(each) for each in used.values()]
-    said += [] if facts.rig is None else rig_sentences(facts.rig)[1 if RIG in used else 0 :]
+    said += [] if facts.results.rig is None else rig_sentences(facts.results.rig)[1 if RIG in used else 0 :]
     poked, off = sum(len(misses) for misses in facts.misses.values()), facts.verdict.unchecked
     said += [] if off is None else [unchecked_sentence(off, poked)]
-    said += distance_sentences(facts.snapshot.tried_distances)
+    said += distance_sentences(facts.results.snapshot.tried_distances)
     rows = [
-        (mark.name, *(_bare(float(each)) for each in mark.place), str(len(facts.misses[mark.name])), _misses(facts, mark.name))
-        for mark in facts.snapshot.decisions.landmarks
+        (
+            mark.name,
+            *(_mm_cell(float(each)) for each in mark.place),
+            str(len(facts.misses[mark.name])),
+            ", ".join(f"{miss * 1e3:.1f}" for miss in facts.misses[mark.name]) or DASH,
+        )
+        for mark in facts.results.snapshot.decisions.landmarks
     ]
-    headings = ("Landmark", "x, mm", "y, mm", "z, mm", "Pokes", "They pass it at, mm")
-    tables = (ReportTable(headings, rows, "Landmarks, as the rig reports their pokes"),) if rows else ()
+    headings = ("Landmark", "x, mm", "y, mm", "z, mm", "Pokes", "Misses, mm")
+    tables = (ReportTable(headings, rows, "Landmarks, with pokes as reported by the rig"),) if rows else ()
     said += [] if rows else ["The scene names no landmarks."]
     return ReportSection("Rig and landmarks", said, tables=tables)
 
 
-def _misses(facts: SessionFacts, name: str) -> str:
-    return ", ".join(f"{miss * 1e3:.1f}" for miss in facts.misses[name]) or DASH
-
-
 def _pokes(facts: SessionFacts) -> ReportSection:
-    records, named = facts.snapshot.pokes, facts.snapshot.at_landmarks
+    records, named = facts.results.snapshot.pokes, facts.results.snapshot.at_landmarks
     out = [str(record.outcome.poke) for record in records if record.excluded]
     counts = (
-        f"{plural(len(records), 'poke')}: {len(facts.snapshot.contacts)} count, {len(named)} at landmarks, "
+        f"{plural(len(records), 'poke')}: {len(facts.results.snapshot.contacts)} count, {len(named)} at landmarks, "
         f"{sum(map(len, facts.rejected.values()))} rejected, {len(out)} taken out by the operator."
     )
     said = [counts, *([f"Taken out: poke {', '.join(out)}."] if out else [])]
-    said += [f"Channel {channel} is not used: {why}." for channel, why in facts.snapshot.dead.items()]
+    said += [f"Channel {channel} is not used: {why}." for channel, why in facts.results.snapshot.dead.items()]
     rows = [
         (REASON_WORDS[reason], str(len(found)), ", ".join(str(each.poke) for each in found))
         for reason, found in facts.rejected.items()
@@ -361,31 +342,31 @@ def _pokes(facts: SessionFacts) -> ReportSection:
 
 def _lint(facts: SessionFacts) -> ReportSection:
     head = f"The iCub position file of the {facts.method.value} method, checked as it would be written:"
-    mend = () if facts.mend is None else left_sentences(facts.mend)
-    return ReportSection("The exported file", (head, *(facts.lint or ("Nothing to remark.",)), *mend))
+    mend = () if facts.results.layout_repair is None else left_sentences(facts.results.layout_repair)
+    return ReportSection("The exported file", (head, *(facts.lint or ("No remarks.",)), *mend))
 
 
 def _devices(facts: SessionFacts) -> ReportSection:
-    totals = {link.link: link for link in facts.totals.links}
+    totals = {link.link: link for link in facts.results.pipeline.totals().links}
     rows: list[tuple[str, ...]] = []
-    for link in facts.links:
+    for link in facts.results.pipeline.links:
         of, carries = totals.get(link.name), ", ".join(stream.value for stream in link.carries)
         lost = "" if of is None else ", ".join(f"{count} {loss.value}" for loss, count in of.losses.items() if count)
         told = ("", "0") if of is None else (of.format, str(of.readings))
         beside = "" if of is None else beside_words(of.beside)
         rows.append((link.name, link.address, carries, *told, lost or "none", beside or DASH))
-    unpaired = facts.totals.unpaired
+    unpaired = facts.results.pipeline.totals().unpaired
     said = f"{plural(unpaired, 'skin frame')} found no wrench." if unpaired else "Every skin frame found its wrench."
-    headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Beside them")
+    headings = ("Link", "Address", "Carries", "Format", "Readings", "Lost", "Other readings")
     return ReportSection("Devices", (said,), tables=(ReportTable(headings, rows),))
 
 
 def _settings(facts: SessionFacts) -> ReportSection:
-    scene = facts.part.scene
+    scene = facts.results.part.scene
     arm = "none" if scene.arm is None else ", ".join(scene.arm.poses) or "streamed"
-    surface, layout = facts.part.surface, scene.skin.layout
+    surface, layout = facts.results.part.surface, scene.skin.layout
     what = [
-        ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all places", scene.link),
+        ("Scene", scene.name), ("Scene file", scene.path.name), ("Frame of all positions", scene.link),
         ("Channels of a skin frame", str(scene.skin.channels)),
         ("Modules", "no layout" if layout is None else str(len(layout.modules))), ("Arm poses", arm),
         ("Mesh", "none" if scene.surface is None else scene.surface.path.name),
@@ -393,12 +374,12 @@ def _settings(facts: SessionFacts) -> ReportSection:
         ("SHA-256 of the mesh", "none" if surface is None else surface.sha256),
     ]  # fmt: skip
     tables = [ReportTable(("", ""), what, "Scene")]
-    changed = facts.snapshot.decisions.thresholds != scene.contacts
+    changed = facts.results.snapshot.decisions.thresholds != scene.contacts
     thresholds = "Thresholds of a poke" + (", as they were changed in the session" if changed else "")
     for caption, settings, units in (
-        (thresholds, facts.snapshot.decisions.thresholds, CONTACT_UNITS),
-        ("Noise that is reckoned with", scene.noise, NOISE_UNITS),
-        ("What the guide wants", GuideSettings(), GUIDE_UNITS),
+        (thresholds, facts.results.snapshot.decisions.thresholds, CONTACT_UNITS),
+        ("Assumed noise", scene.noise, NOISE_UNITS),
+        ("Limits of the guide", GuideSettings(), GUIDE_UNITS),
     ):  # fmt: skip
         tables.append(ReportTable(("Setting", "Value", "Unit"), list(_setting_rows(settings, units)), caption))
     return ReportSection("Settings", ("SI units, as in the scene file.",), tables=tables)
@@ -414,16 +395,22 @@ def _versions(facts: SessionFacts) -> ReportSection:
     return ReportSection("Versions", tables=(ReportTable(("", ""), list(facts.versions.items())),))
 
 
+SECTIONS = (
+    _verdict, _part, _map, _errors, _rig, _pokes, _lint, _devices, _settings, _taxels, _versions,
+)  # fmt: skip
+"""In the order of the page."""
+
+
 def _picture(data: bytes, kind: str, words: str) -> ReportPicture:
     mime = {"png": "image/png", "svg": "image/svg+xml"}[kind]
     return ReportPicture(f"data:{mime};base64,{b64encode(data).decode('ascii')}", words)
 
 
-def _mm(metres: float) -> str:
+def _mm_text(metres: float) -> str:
     return f"{metres * 1e3:.2f} mm"
 
 
-def _bare(metres: float | None) -> str:
+def _mm_cell(metres: float | None) -> str:
     """Return a length as a number of millimetres; a dash where it is not known."""
     return _number(None if metres is None else metres * 1e3)
 

@@ -1,4 +1,4 @@
-"""What a report tells of a session: values of the core, gathered once; the page only puts them into words and lines."""
+"""Collects all data of a report. `page.py` formats it."""
 
 from __future__ import annotations
 
@@ -15,27 +15,20 @@ import numpy as np
 
 from skincal import __version__
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.files.calibration import Calibration
 from skincal.files.export import calibration_file
 from skincal.files.formats import ExportFormat
-from skincal.files.reference import ErrorSummary, Reference, error_summary, find_truth
+from skincal.files.reference import ErrorSummary, TaxelPositions, error_summary, find_truth
 from skincal.geometry import FloatArray
 from skincal.guide.verdict import Verdict
-from skincal.journal.documents import Totals
-from skincal.methods import estimate_taxels, leading_method
-from skincal.model.errors import InputError
-from skincal.modules.health import LayoutRepair, count_judged_modules, repair_layout, spacing_ratio
-from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import FrameDiagnosis
-from skincal.session.checked import use_offered, verdicts_of
+from skincal.methods import estimate_taxels
+from skincal.modules.health import spacing_ratio
 from skincal.session.error_history import ErrorCourse, ErrorSeries, spreads_of
-from skincal.session.part import Part, lay_part
+from skincal.session.part import Part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
-from skincal.session.review import ReviewRequest, diagnose_rig
+from skincal.session.results import SessionResults, use_offered
 from skincal.session.session import Session
 from skincal.session.snapshot import Snapshot
-from skincal.streams.links import LinkSpec
 from skincal.taxels.gains import TaxelGain
 from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError, predicted_error
@@ -63,57 +56,51 @@ class MethodFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionFacts:
-    """A session as it stands, by one method."""
+    """Everything that a report shows of a session, by one method."""
 
     name: str
-    """Of its folder."""
+    """Name of its folder."""
     made: datetime
-    """When this was gathered, UTC."""
-    part: Part
-    snapshot: Snapshot
+    """Time of the report, UTC."""
+    results: SessionResults
     method: Method
-    """Whose estimates are shown: the one asked for, else the one that leads."""
+    """Whose estimates are shown: the one that is asked for, else the leading one."""
     methods: tuple[MethodFacts, ...]
-    estimates: tuple[Estimate, ...]
-    """Of `method`."""
     errors: Mapping[int, float]
-    """m, by channel, of the taxels that are known: their distance to the truth where that is known, else predicted."""
+    """m, by channel, of the estimated taxels: distance to the truth if it is known, else predicted error."""
     module_spreads: FloatArray
     """(modules, 4) float: of `errors`, see `spreads_of`; no rows without a layout."""
     gains: tuple[TaxelGain, ...]
-    """In the order of `estimates`."""
-    truth: Reference | None
-    """A simulated rig's; None of a real one."""
+    """In the order of the estimates."""
+    truth: TaxelPositions | None
+    """True positions of a simulated rig; `None` for a real one."""
     series: ErrorSeries
-    """How `errors` fell over the session, by every method."""
-    verdict: Verdict
-    frame: FrameDiagnosis | None
-    """What landmark pokes say of the sensor's frame; None from too few."""
-    rig: RigAnswer | None
-    """What they say of the rig; None without any."""
+    """`errors` over the session, by every method."""
     misses: Mapping[str, tuple[float, ...]]
-    """m, by landmark: how far its pokes pass it as the rig reports them."""
-    mend: LayoutRepair | None
-    """Modules that do not lie as planned; None without a layout."""
-    judged: int
-    """Modules of which enough is known for that."""
+    """m, by landmark: distances of its pokes, as the rig reports them."""
     rejected: Mapping[Reason, tuple[Rejection, ...]]
-    """Pokes on the skin that do not count, by reason, the most frequent first."""
-    links: tuple[LinkSpec, ...]
-    totals: Totals
+    """Rejected pokes that are not at landmarks, by reason, the most frequent first."""
     lint: tuple[str, ...]
-    """What was found in the iCub position file as it would be written."""
-    findings: tuple[str, ...]
-    """On the recording and on the mesh."""
+    """Findings in the iCub position file, as it would be written."""
     versions: Mapping[str, str]
+
+    @property
+    def estimates(self) -> tuple[Estimate, ...]:
+        """Estimates of `method`."""
+        return self.results.snapshot.estimates[self.method]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict on `method`."""
+        return self.results.verdict(self.method)
 
 
 def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = False) -> SessionFacts:
-    """Load a recorded session and gather what a report tells; nothing in the folder changes.
+    """Load a recorded session and gather what a report shows; nothing in the folder changes.
 
     Parameters
     ----------
-    method : whose estimates are shown; None for the one that leads
+    method : whose estimates are shown; `None` for the leading one
     correct : whether the corrections that landmark pokes offer are used (`use_offered`)
 
     Raises
@@ -124,45 +111,30 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
     pipeline = load(folder)
     if correct:
         use_offered(pipeline.session)
-    session, snapshot = pipeline.session, pipeline.snapshot()
-    chosen = method or leading_method(snapshot.estimates) or session.methods[-1]
-    if chosen not in snapshot.estimates:
-        raise InputError(f"{folder}: has no {chosen.value} method; expected {', '.join(m.value for m in session.methods)}.")
-    part = lay_part(pipeline.scene, session.surface, pipeline.findings)
-    truth = find_truth(folder, pipeline.scene.link, part.channels.tolist())
-    estimates, calibration = snapshot.estimates[chosen], session.calibration()
-    errors = errors_of(estimates, truth)
-    frame, rig = diagnose_rig(ReviewRequest.of(session)) if session.landmark_pokes else (None, None)
-    mend, judged = _modules(session, snapshot)
+    results = SessionResults(pipeline)
+    session, snapshot, chosen = results.session, results.snapshot, results.choose_method(method)
+    truth = find_truth(folder, pipeline.scene.link, results.part.channels.tolist())
+    calibration, errors = session.calibration(), errors_of(snapshot.estimates[chosen], truth)
+    names = [mark.name for mark in session.decisions.landmarks]
     return SessionFacts(
         name=folder.resolve().name,
         made=datetime.now(UTC),
-        part=part,
-        snapshot=snapshot,
+        results=results,
         method=chosen,
         methods=tuple(_method_facts(session, snapshot, each, truth) for each in session.methods),
-        estimates=estimates,
         errors=errors,
         module_spreads=_module_spreads(pipeline, errors),
         gains=calibration.gains(chosen),
         truth=truth,
-        series=_series(part, snapshot, truth),
-        verdict=verdicts_of(part, snapshot, (chosen,), rig)[chosen],
-        frame=frame,
-        rig=rig,
-        misses=_misses(session),
-        mend=mend,
-        judged=judged,
+        series=_series(results.part, snapshot, truth),
+        misses={name: tuple(poke.miss for poke in session.landmark_pokes if poke.name == name) for name in names},
         rejected=_rejected(snapshot),
-        links=pipeline.links,
-        totals=pipeline.totals(),
-        lint=_lint(calibration, chosen),
-        findings=pipeline.findings,
+        lint=calibration_file(calibration, ExportFormat.ICUB, chosen)[1],
         versions=_versions(),
     )
 
 
-def errors_of(estimates: tuple[Estimate, ...], truth: Reference | None) -> dict[int, float]:
+def errors_of(estimates: tuple[Estimate, ...], truth: TaxelPositions | None) -> dict[int, float]:
     """Return the error of each taxel that is known, metres by channel: against the truth, or without one the predicted."""
     if truth is None:
         return {estimate.channel: estimate.rms for estimate in estimates if estimate.rms is not None}
@@ -173,7 +145,7 @@ def errors_of(estimates: tuple[Estimate, ...], truth: Reference | None) -> dict[
     }
 
 
-def _method_facts(session: Session, snapshot: Snapshot, method: Method, truth: Reference | None) -> MethodFacts:
+def _method_facts(session: Session, snapshot: Snapshot, method: Method, truth: TaxelPositions | None) -> MethodFacts:
     estimates, layout = snapshot.estimates[method], session.scene.skin.layout
     names = [estimate.state.value for estimate in estimates]
     begun = time.process_time()
@@ -199,25 +171,11 @@ def _module_spreads(pipeline: Pipeline, errors: Mapping[int, float]) -> FloatArr
     return spreads_of(np.array(list(errors.values())), layout.module_of[channels], len(layout.modules))
 
 
-def _series(part: Part, snapshot: Snapshot, truth: Reference | None) -> ErrorSeries:
+def _series(part: Part, snapshot: Snapshot, truth: TaxelPositions | None) -> ErrorSeries:
     course = ErrorCourse(part.scene, part.surface, None if truth is None else truth.places)
     course.update(snapshot)
     course.add_points(*course.work())
     return course.series()
-
-
-def _misses(session: Session) -> dict[str, tuple[float, ...]]:
-    pokes = session.landmark_pokes
-    return {mark.name: tuple(poke.miss for poke in pokes if poke.name == mark.name) for mark in session.decisions.landmarks}
-
-
-def _modules(session: Session, snapshot: Snapshot) -> tuple[LayoutRepair | None, int]:
-    """Return which modules do not lie as planned, by the surface method where there is one, and how many were judged."""
-    if session.module_model is None:
-        return None, 0
-    of = snapshot.estimates.get(Method.SURFACE) or snapshot.estimates[Method.FREE]
-    estimates = {estimate.channel: estimate for estimate in of}
-    return repair_layout(session.module_model, estimates), count_judged_modules(session.module_model, estimates)
 
 
 def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:
@@ -226,10 +184,6 @@ def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:
     every = [outcome for outcome in outcomes if isinstance(outcome, Rejection)]
     of = {reason: tuple(each for each in every if each.reason is reason) for reason in Reason}
     return dict(sorted(((reason, found) for reason, found in of.items() if found), key=lambda item: -len(item[1])))
-
-
-def _lint(calibration: Calibration, method: Method) -> tuple[str, ...]:
-    return calibration_file(calibration, ExportFormat.ICUB.value, method)[1]
 
 
 def _versions() -> dict[str, str]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.files.reference import Reference
+from skincal.files.reference import TaxelPositions
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.actions import Exclude, Restore
 from skincal.model.scene import Scene
@@ -232,7 +232,7 @@ class ErrorFollower:
 
     def __init__(self, part: Part, run: Run) -> None:
         self._part, self._run = part, run
-        self.sources: list[Reference | None] = [None] if part.plan is None else [part.plan, None]
+        self.sources: list[TaxelPositions | None] = [None] if part.plan is None else [part.plan, None]
         """Positions to compare estimates with; `None` for the predicted error."""
         self.source = self.sources[0]
         self.version = 0
@@ -247,7 +247,7 @@ class ErrorFollower:
         known = None if self.source is None else self.source.places
         return ErrorCourse(self._part.scene, self._part.surface, known)
 
-    def offer(self, reference: Reference) -> None:
+    def offer(self, reference: TaxelPositions) -> None:
         """Add a source, in place of another of its origin, and compare with it."""
         self.sources = [reference, *(other for other in self.sources if other is None or other.origin is not reference.origin)]
         self.choose(0)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skincal.contacts.outcome import Contact
-from skincal.files.importers.overview import RecordingFiles
-from skincal.files.importers.recorded_lines import START_NS, OpenRecording
+from skincal.files.importers.preview import RecordingFiles
+from skincal.files.importers.timeline import START_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
 from skincal.model.actions import SetPose

@@ -18,7 +18,7 @@ from skincal.model.errors import InputError, plain_text
 from skincal.model.scene import UNITS, Scene, SurfaceSpec, load_scene
 
 if TYPE_CHECKING:
-    from skincal.files.reference import Reference
+    from skincal.files.reference import TaxelPositions
     from skincal.guide.surface_search import SurfaceSearch
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
@@ -52,7 +52,7 @@ class Part:
     """(n,) channels that can be taxels: those of the layout, or all."""
     findings: tuple[str, ...]
     """Sentences about the mesh and the anchors on it."""
-    plan: Reference | None = None
+    plan: TaxelPositions | None = None
     """Planned positions of the taxels; `None` if the layout is not laid."""
     cover: SurfaceSearch | None = None
     """Places to search for taxels that no layout places; `None` without a surface or with a laid layout."""

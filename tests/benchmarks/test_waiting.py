@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import skincal
-from skincal.files.importers.yarp_folder import read_yarp
 from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.readings import Stream
@@ -26,6 +25,7 @@ from skincal.simulate.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.studies.runtime import solved_session
 from skincal.taxels.result import PER_TAXEL
+from tests.skincal.import_support import read_recording
 
 EPOCH_S = 1_700_000_000.0
 """When the log begins."""
@@ -83,7 +83,7 @@ def test_an_import_costs_5_5_times_what_reading_its_numbers_does(forearm, tmp_pa
     write_log(forearm, tmp_path)
     places = [tmp_path / stream.value for stream in (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)]
     begin = time.process_time()
-    links, chunks, _ = read_yarp(places[0], places[1], places[2])
+    links, chunks, _ = read_recording("yarp", *places)
     writer = create_session(tmp_path / "session", forearm.scene, links, copy=True)
     pipeline = Pipeline(forearm.scene, links, forearm.surface, writer)
     for chunk in pipeline.ahead(chunks):

@@ -21,7 +21,6 @@ from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.netft import RECORDS
 from skincal.devices.registry import parse_device
 from skincal.files.icub import read_icub
-from skincal.files.importers.csv_log import read_csv
 from skincal.files.reference import read_reference
 from skincal.journal.documents import lines_path
 from skincal.journal.writer import create_session
@@ -35,6 +34,7 @@ from skincal.session.replay import load, replay
 from skincal.simulate.makers import MAKERS, NameTalk, PageTalk, PlainTalk, RtdeTalk, YarpTalk
 from skincal.streams import opening
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder
+from tests.skincal.import_support import read_recording
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 INPUTS = int(os.environ.get("SKINCAL_FUZZ", "300"))
@@ -207,7 +207,7 @@ def file_reader(read, *suffixed):
 
 
 def read_all_csv(path):
-    _, chunks, _ = read_csv(path, path)
+    _, chunks, _ = read_recording("csv", path, path)
     for _ in chunks:
         pass
 

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from skincal.model.readings import Sample
+from skincal.files.importers.registry import IMPORTERS, RecordedPlace
+from skincal.model.readings import Chunk, Sample, Stream
+from skincal.streams.links import LinkSpec
 
 EPOCH = 1_420_000_000.0
+
+
+def read_recording(
+    kind: str, wrench: Path, skin: Path, joints: Path | None = None
+) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
+    """Links, chunks and findings of a recording."""
+    importer = next(each for each in IMPORTERS if each.name == kind)
+    places = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+    opened = importer.open_recording({stream: RecordedPlace(path) for stream, path in places.items() if path is not None})
+    return opened.links, opened.chunks(), opened.findings
 
 
 def write_log(folder: Path, times: Sequence[float], rows: Sequence[np.ndarray]) -> Path:

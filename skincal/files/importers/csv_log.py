@@ -23,12 +23,12 @@ that a decoder reads. The session's journal holds these lines, not the rows.
 from __future__ import annotations
 
 import contextlib
+import csv
 import math
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from functools import partial
+from functools import lru_cache, partial
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -36,24 +36,25 @@ from pathlib import Path
 import numpy as np
 
 from skincal.devices.decoding import STAMP_MAX_S
-from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
+from skincal.files.importers.registry import RecordedPlace, StreamGuess
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular
-from skincal.model.readings import Chunk, Stream
+from skincal.model.readings import Stream
 from skincal.streams.links import LinkSpec
 
 MAX_LINE_CHARS = 4 << 20
-"""Letters of a row: 100,000 channels have a quarter."""
+"""100,000 channels have a quarter of it."""
 SHOWN_CHARS = 40
-"""Letters of a field that a sentence shows."""
+"""Characters of a field that a sentence shows."""
 BLOCK_ROWS = 64
-"""Rows that are read at a time."""
-TEXTS_MAX = 1 << 12
+MAX_CACHED_FIELDS = 1 << 12
+"""Raw values of a skin repeat, so their text is kept."""
 MAX_ROW_INTERVAL_S = 0.2
-"""s from row to row. A tool holds still for 0.3 s in a poke: rows further apart, of a time without a unit, are not seconds."""
+"""A tool holds still for 0.3 s in a poke: rows further apart, if their time has no unit, are not seconds."""
 COLUMN_SEPARATORS = {";": "semicolon", "\t": "tab", ",": "comma"}
-"""What may part the columns, by its name: the first of these that is in the first line."""
+"""The first of these in the first line separates the columns, else spaces do."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 WRENCH_AXES = ("fx", "fy", "fz", "mx", "my", "mz")
 UNIX_NS = (1e18, 5e18)
@@ -62,74 +63,14 @@ _TIME_COLUMN_RE = re.compile(
     r"(?:t|[%_]*time|datetime|rosbagtimestamp|(?:.*[./])?(?:stamp|timestamp))(?:[ _]*[\[(]?(s|ms|us|ns)[\])]?)?"
 )
 _COUNTER_COLUMN_RE = re.compile(r"(?:(?:.*[./])?header[./])?seq|index|counter|frame")
-_DATE_RE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(?:[.,](\d{1,12}))?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
-# What ROS sends with values.
+_DATE_RE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d{1,12})?(Z|[+-]\d\d(?::?\d\d)?)?", re.IGNORECASE)
 _HEADER_FIELD_RE = re.compile(r"(?:.*[./])?(?:header|layout)[./].*")
 _WRENCH_AXIS_RE = re.compile(
     r"(?:.*[./])?(?:wrench_)?([fmt]|force|torque|moment)[._/ ]?([xyz])(?:[ _]*[\[(]?(n|nm|nmm|n\.m|n\*m|n\.mm)[\])]?)?"
 )
 _NUMBERED_COLUMN_RE = re.compile(r"(?:.*[./])?\D*(\d+)\]?")
-_QUOTED_FIELD_RE = re.compile(r'"[^"]*"')
 _JOINT_COLUMN_RE = re.compile(r".*[ _]*[\[(]?(deg|rad)[\])]?")
 _NEWTON_MILLIMETRES = ("nmm", "n.mm")
-
-
-@dataclass(frozen=True, slots=True)
-class _Columns:
-    """Columns of a table: fields of time and values, and their conversion to seconds and log values."""
-
-    # Fields of a row.
-    width: int
-    time: int
-    to_s: float
-    number: int | None
-    values: tuple[int, ...]
-    factors: tuple[float, ...]
-    finding: str = ""
-    dates: bool = False
-    """The times are dates, all with a zone or all without."""
-
-
-class _Dates(dict[tuple[str, str, str], float | None]):
-    """Seconds since 1970 of dates with a time of day, all with a zone or all without; the newest whole seconds are kept."""
-
-    def __init__(self, *, zoned: bool) -> None:
-        self._zoned = zoned
-
-    def seconds(self, field: str) -> float | None:
-        """Return the time of a field; None where it is no such date."""
-        found = _DATE_RE.fullmatch(field)
-        if found is None:
-            return None
-        day, clock, fraction, zone = found.groups(default="")
-        whole = self[day, clock, zone] if bool(zone) == self._zoned else None
-        return whole if whole is None or not fraction else whole + int(fraction) / 10 ** len(fraction)
-
-    def __missing__(self, key: tuple[str, str, str]) -> float | None:
-        day, clock, zone = key
-        if len(self) >= TEXTS_MAX:
-            self.clear()
-        try:
-            self[key] = datetime.fromisoformat(f"{day}T{clock}{zone.upper() or 'Z'}").astimezone(UTC).timestamp()
-        except (ValueError, OverflowError):  # the 30th of February
-            self[key] = None
-        return self[key]
-
-
-class _Texts(dict[str, str]):
-    """Text of a field times `factor`, with a cache: raw values of a skin repeat."""
-
-    def __init__(self, factor: float) -> None:
-        self._factor = factor
-
-    def __missing__(self, field: str) -> str:
-        value = _to_float(field)
-        # Text that is no number is passed on, so that the decoder counts it.
-        text = repr(value * self._factor) if value is not None else field.replace(" ", "?") or "nan"
-        if len(self) >= TEXTS_MAX:
-            self.clear()
-        self[field] = text
-        return text
 
 
 class _Table:
@@ -139,200 +80,169 @@ class _Table:
     """
 
     def __init__(self, stream: Stream, path: Path) -> None:
-        first = next(_rows(path, "\n"), None)
-        header = _commented_header(path)
-        if header and first is not None:
-            first = [header]
-        if first is None:
-            raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
-        if "\ufffd" in first[0] or not first[0].replace("\t", " ").isprintable():
-            raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
         self.stream, self.path = stream, path
-        unquoted = _QUOTED_FIELD_RE.sub("", first[0])
-        self._separator = next((mark for mark in COLUMN_SEPARATORS if mark in unquoted), None)
+        header = _commented_header(path)
+        first = header or next(_rows(path, "\n"), [""])[0]
+        if not first:
+            raise InputError(f"{path}: the file is empty; expected rows of a time and values, with or without a header.")
+        if "\ufffd" in first or not first.replace("\t", " ").isprintable():
+            raise InputError(f"{path}: is no text; expected rows of a time and values, with or without a header.")
+        self._separator = _separator_of(first)
         row = _fields(header, self._separator) if header else next(_rows(path, self._separator))
-        self._skips_header = not header
-        self.named = any(_to_float(field) is None and _DATE_RE.fullmatch(field) is None for field in row if field)
-        """It has a header."""
+        self.named = any(_time_kind(field) == "" for field in row if field)
+        """Whether it has a header."""
+        self._skips_row = self.named and not header
+        self.width = len(row)
+        self._time, self._number = 0, None
+        unit = None
         if self.named:
-            self.columns = _named_columns(stream, [name.lower() for name in row], path)
+            names = [name.lower() for name in row]
+            self._time, unit, self._number, others = _special_columns(names, path)
+            self.values, factors = _VALUE_COLUMNS[stream](names, others, path)
+            column = f"the time column {names[self._time]!r}"
         else:
-            self.columns = _columns_by_place(stream, len(row), path)
-        self._time_of: Callable[[str], float | None] = _to_float
-        if (date := _DATE_RE.fullmatch(self.first_time)) is not None:
-            self._take_dates(row, zoned=date.group(4) is not None)
-        elif self.columns.finding:
-            self._find_nanoseconds(row)
-        known = {factor: _Texts(factor) for factor in self.columns.factors}
-        self._texts = [known[factor] for factor in self.columns.factors]
+            _check_width(stream, self.width, path)
+            self.values, column = list(range(1, self.width)), "no header: the first column"
+            factors = [1.0] * len(self.values)
+        texts = {factor: lru_cache(MAX_CACHED_FIELDS)(partial(_scaled_text, factor)) for factor in factors}
+        self._texts = [texts[factor] for factor in factors]
+        first_row = next(self._rows(self._time + 1), list[str]())
+        self.first_time = first_row[self._time] if self._time < len(first_row) else ""
+        """Time field of the first row; empty if there is none."""
+        self._seconds_of, self.finding = self._detect_time(unit, column)
         self.skipped = 0
-        """Rows of the last reading that have no time and so no place."""
+        """Rows without a time in the last reading."""
 
-    def _take_dates(self, names: list[str], *, zoned: bool) -> None:
-        time = self.columns.time
-        column = f"the time column {names[time].lower()!r}" if self.named else "no header: the first column"
-        finding = "" if zoned else f"{column} holds dates without a zone and was read as UTC."
-        self.columns = replace(self.columns, to_s=1.0, finding=finding, dates=True)
-        self._time_of = _Dates(zoned=zoned).seconds
-
-    def _find_nanoseconds(self, names: list[str]) -> None:
-        """Where the time names no unit: take nanoseconds for what they are."""
-        time, first = self.columns.time, self.first_time
-        stamp = _to_float(first)
-        if stamp is not None and UNIX_NS[0] <= stamp <= UNIX_NS[1]:
-            column = (
-                f"the time column {names[time].lower()!r} names no unit and" if self.named else "no header: the first column"
+    def _detect_time(self, unit: str | None, column: str) -> tuple[Callable[[str], float | None], str]:
+        """Choose the parser of the times, to seconds, by the first of them; say what was assumed."""
+        kind, number = _time_kind(self.first_time), _to_float(self.first_time)
+        self.dated, self.unit_assumed = kind.startswith("date"), False
+        if self.dated:
+            finding = "" if kind == "date with a zone" else f"{column} holds dates without a zone and was read as UTC."
+            return partial(_date_seconds, kind), finding
+        no_unit = " names no unit and" if self.named else ""
+        if unit is None and number is not None and UNIX_NS[0] <= number <= UNIX_NS[1]:
+            return partial(_number_seconds, TIME_UNITS["ns"]), (
+                f"{column}{no_unit} was read as nanoseconds since 1970, as its values are."
             )
-            finding = f"{column} was read as nanoseconds since 1970, as its values are."
-            self.columns = replace(self.columns, to_s=TIME_UNITS["ns"], finding=finding)
-
-    @property
-    def first_time(self) -> str:
-        """What stands for a time in the first row; empty where there is no row, or no such field."""
-        time = self.columns.time
-        row = next(self._rows(time + 1), None)
-        return row[time] if row is not None and time < len(row) else ""
+        self.unit_assumed = unit is None
+        no_unit, degrees = (
+            (" names no unit and", "") if self.named else ("", ", joints degrees" * (self.stream is Stream.JOINTS))
+        )
+        finding = f"{column}{no_unit} was read as seconds{degrees}." if unit is None else ""
+        return partial(_number_seconds, TIME_UNITS[unit or "s"]), finding
 
     @property
     def link(self) -> LinkSpec:
         return LinkSpec(self.stream.value, f"file:{self.path}", (self.stream,), "csv")
 
     def stamps(self) -> Iterator[FloatArray]:
-        """Give the times of the rows; count the rows that have none."""
-        self.skipped = 0
-        # Of a row nothing is read behind its time.
-        rows = self._rows(self.columns.time + 1)
+        """Give the times of the rows in blocks; count the rows that have none."""
+        # Nothing after the time is read.
+        rows = self._rows(self._time + 1)
         while block := list(islice(rows, BLOCK_ROWS)):
             stamps = [seconds for row in block if (seconds := self._seconds(row)) is not None]
             if len(stamps) < len(block):
                 self.skipped += len(block) - len(stamps)
                 self._check_kind(block)
-            if stamps:
-                yield np.array(stamps)
+            yield np.array(stamps)
 
     def _check_kind(self, rows: list[list[str]]) -> None:
-        """Raise InputError: some of these rows have a time, but of another kind than the first row of the file."""
+        """Raise InputError: some of these rows have a time of another kind than the first row of the file."""
         first = self.first_time
         for row in rows:
-            other = row[self.columns.time] if self.columns.time < len(row) else ""
+            other = row[self._time] if self._time < len(row) else ""
             if _time_kind(other) not in ("", _time_kind(first)):
                 raise InputError(
                     f"{self.path}: its times are {first[:SHOWN_CHARS]!r} and {other[:SHOWN_CHARS]!r}; expected one kind in the "
                     "whole column: numbers, dates with a zone, or dates without one. Export them anew."
                 )
 
-    def lines(self) -> Iterator[RecordedLines]:
-        """Give the rows that have a time."""
+    def lines(self) -> Iterator[list[bytes]]:
+        """Give the rows that have a time as log lines, in blocks."""
         rows = enumerate(self._rows())
         while block := list(islice(rows, BLOCK_ROWS)):
-            lines = [(seconds, self._line(*each, seconds)) for each in block if (seconds := self._seconds(each[1])) is not None]
-            if lines:
-                stamps, data = zip(*lines, strict=True)
-                yield RecordedLines(np.array(stamps), data)
+            yield [self._line(*each, seconds) for each in block if (seconds := self._seconds(each[1])) is not None]
 
     def _rows(self, splits: int = -1) -> Iterator[list[str]]:
-        rows = _rows(self.path, self._separator, splits)
-        if self.named and self._skips_header:
-            next(rows, None)
-        return rows
+        return islice(_rows(self.path, self._separator, splits), int(self._skips_row), None)
 
     def _seconds(self, row: list[str]) -> float | None:
-        columns = self.columns
-        stamp = self._time_of(row[columns.time]) if columns.time < len(row) else None
-        return None if stamp is None or not abs(stamp * columns.to_s) <= STAMP_MAX_S else stamp * columns.to_s
+        seconds = self._seconds_of(row[self._time]) if self._time < len(row) else None
+        return None if seconds is None or not abs(seconds) <= STAMP_MAX_S else seconds
 
     def _line(self, index: int, row: list[str], seconds: float) -> bytes:
-        """Return a row as a log line. A row of another width keeps it, so that it is counted."""
-        columns = self.columns
-        number = _to_float(row[columns.number]) if columns.number is not None and columns.number < len(row) else None
-        if len(row) == columns.width:
-            values = [texts[row[at]] for texts, at in zip(self._texts, columns.values, strict=True)]
+        """Format a row as a log line. A row of another width keeps it, so that it is counted."""
+        number = _to_float(row[self._number]) if self._number is not None and self._number < len(row) else None
+        if len(row) == self.width:
+            values = [text(row[at]) for text, at in zip(self._texts, self.values, strict=True)]
         else:
-            values = [texts[row[at]] if at < len(row) else "" for texts, at in zip(self._texts, columns.values, strict=True)]
-            values += ["nan"] * (len(row) - columns.width)
+            values = [text(row[at]) if at < len(row) else "" for text, at in zip(self._texts, self.values, strict=True)]
+            values += ["nan"] * (len(row) - self.width)
         line = f"{index if number is None or not math.isfinite(number) else int(number)} {seconds:.9f} {' '.join(values)}\n"
         return line.encode("ascii", "replace")
 
 
-def read_csv(
-    wrench: Path, skin: Path, joints: Path | None = None
-) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
-    """Read the CSV files of one recording: links, chunks of whole lines merged by time, and sentences on what was found.
-
-    Raises InputError: as for `open_csv`.
-    """
-    opened = open_csv(wrench, skin, joints)
-    return opened.links, opened.chunks(), opened.findings
-
-
-def open_csv(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecording:
+def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
     """Read the CSV files of one recording through.
 
     Raises InputError: a file cannot be read, has no row, lacks a column or a unit, or the files are of different times.
     """
-    places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
-    tables = [_Table(stream, path) for stream, path in places.items()]
+    tables = [_Table(stream, place.path) for stream, place in places.items()]
     findings: list[str] = []
-    timelines: list[RecordedTimes] = []
+    timelines: list[Timeline] = []
     for table in tables:
         name = table.stream.value
-        timeline = RecordedTimes(name, table.stamps())
-        if not timeline.lines:
-            seen = f"seen {table.first_time[:SHOWN_CHARS]!r} as the time; " if table.first_time else ""
-            raise InputError(
-                f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
-                "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
-            )
-        _check_unit(table, timeline)
-        _check_dates(table, timeline)
+        timeline = Timeline(name, table.stamps())
+        _check_times(table, timeline)
         timelines.append(timeline)
         findings += timeline.sentences()
-        if table.columns.finding:
-            findings.append(f"{name}: {table.columns.finding}")
+        if table.finding:
+            findings.append(f"{name}: {table.finding}")
         if table.skipped:
             findings.append(f"{name}: {plural(table.skipped, 'row')} without a time: left out.")
     check_overlap(timelines)
-    links, sources = (table.link for table in tables), (table.lines for table in tables)
-    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+    return OpenRecording(
+        tuple(table.link for table in tables), tuple(timelines), tuple(table.lines for table in tables), tuple(findings)
+    )
 
 
-def _check_dates(table: _Table, timeline: RecordedTimes) -> None:
-    """Raise InputError: the times are dates without fractions of a second."""
-    if table.columns.dates and timeline.lines > 1 and not timeline.interval:
+def _check_times(table: _Table, timeline: Timeline) -> None:
+    """Raise InputError: there are no times, they lack fractions of a second, or they are hardly seconds."""
+    if not timeline.lines:
+        seen = f"seen {table.first_time[:SHOWN_CHARS]!r} as the time; " if table.first_time else ""
+        raise InputError(
+            f"{table.path}: no row with a time was found; {seen}expected a number or a date (2024-05-01T12:00:00.5Z), "
+            "and values. Numbers that are not seconds need their unit in the column's name: t_ms, t_ns."
+        )
+    if table.dated and timeline.lines > 1 and not timeline.interval:
         raise InputError(
             f"{table.path}: most of its rows have the same time as the row before, such as {table.first_time[:SHOWN_CHARS]!r}. "
             "Export times with fractions of a second."
         )
-
-
-def _check_unit(table: _Table, timeline: RecordedTimes) -> None:
-    """Raise InputError: the time names no unit, and readings would come too slowly if it were seconds."""
-    columns = table.columns
-    if (
-        columns.finding
-        and not columns.dates
-        and columns.to_s == TIME_UNITS["s"]
-        and table.stream is not Stream.JOINTS
-        and timeline.interval > MAX_ROW_INTERVAL_S
-    ):
+    if table.unit_assumed and table.stream is not Stream.JOINTS and timeline.interval > MAX_ROW_INTERVAL_S:
         raise InputError(
             f"{table.path}: its rows lie {timeline.interval:.4g} s apart, since its time names no unit and was read as "
             f"seconds; expected no more than {MAX_ROW_INTERVAL_S:g} s: name the time's column t_ms, t_us or t_ns."
         )
 
 
-def guess_csv(path: Path) -> tuple[Stream | None, int]:
-    """Guess a file's stream from its columns, `None` if they do not tell, and count the values of a row.
+def guess_streams(path: Path) -> list[StreamGuess]:
+    """Guess the stream of a file from its columns.
 
     Raises InputError: it cannot be read, or no column is the time.
     """
     table = _Table(Stream.SKIN, path)
-    for stream in (Stream.WRENCH, Stream.JOINTS):
+    found = Stream.SKIN if table.named else None
+    for stream in (Stream.JOINTS, Stream.WRENCH) if table.named else ():
         with contextlib.suppress(InputError):
-            found = _Table(stream, path)
-            if found.named:
-                return stream, len(found.columns.values)
-    return Stream.SKIN if table.named else None, len(table.columns.values)
+            table, found = _Table(stream, path), stream
+    return [StreamGuess(RecordedPlace(path), found, len(table.values))]
+
+
+def _separator_of(line: str) -> str | None:
+    unquoted = re.sub(r'"[^"]*"', "", line)
+    return next((mark for mark in COLUMN_SEPARATORS if mark in unquoted), None)
 
 
 def _commented_header(path: Path) -> str:
@@ -340,7 +250,7 @@ def _commented_header(path: Path) -> str:
     with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
         line = file.readline(MAX_LINE_CHARS).strip()
         text = line.lstrip("# ")
-        names = _fields(text, next((mark for mark in COLUMN_SEPARATORS if mark in text), None))
+        names = _fields(text, _separator_of(text))
         if line.startswith("#") and len(names) > 1 and any(_TIME_COLUMN_RE.fullmatch(name.lower()) for name in names):
             return text
     return ""
@@ -348,13 +258,10 @@ def _commented_header(path: Path) -> str:
 
 def _fields(line: str, separator: str | None, splits: int = -1) -> list[str]:
     """Split a line into its fields. A separator within double quotes belongs to its field."""
-    if '"' in line and separator is not None:
-        quoted = _QUOTED_FIELD_RE.findall(line)
-        fields = _QUOTED_FIELD_RE.sub("\0", line).split(separator, splits)
-        found = iter(quoted)
-        fields = [re.sub("\0", lambda _: next(found), field) for field in fields]
-    else:
-        fields = line.split(separator, splits)
+    fields = line.split(separator, splits)
+    if '"' in line and separator not in (None, "\n"):
+        with contextlib.suppress(csv.Error):
+            fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     return [field.strip(" \t\"'") for field in fields]
 
 
@@ -373,11 +280,8 @@ def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[
                 # A tab at an end stands beside an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
-                    yield (
-                        _fields(line, separator, splits)
-                        if any(mark in line for mark in marks)
-                        else line.split(separator, splits)
-                    )
+                    quoted = any(mark in line for mark in marks)
+                    yield _fields(line, separator, splits) if quoted else line.split(separator, splits)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path.") from None
 
@@ -392,40 +296,55 @@ def _to_float(field: str) -> float | None:
         return None
 
 
+def _scaled_text(factor: float, field: str) -> str:
+    """Format a number times `factor`. Text that is no number is passed on, so that the decoder counts it."""
+    value = _to_float(field)
+    return repr(value * factor) if value is not None else field.replace(" ", "?") or "nan"
+
+
+def _number_seconds(unit_s: float, field: str) -> float | None:
+    value = _to_float(field)
+    return None if value is None else value * unit_s
+
+
+def _date_seconds(kind: str, field: str) -> float | None:
+    """Convert a date with a time of day to seconds since 1970; `None` if it is no date of this kind."""
+    if _time_kind(field) != kind:
+        return None
+    try:
+        moment = datetime.fromisoformat(field.upper())
+        return moment.replace(tzinfo=moment.tzinfo or UTC).timestamp()
+    except (ValueError, OverflowError):  # the 30th of February
+        return None
+
+
 def _time_kind(field: str) -> str:
     """Classify the time in a field; empty if it is no time."""
     date = _DATE_RE.fullmatch(field)
     if date is None:
         return "" if _to_float(field) is None else "number"
-    return "date with a zone" if date.group(4) else "date without one"
+    return "date with a zone" if date.group(1) else "date without one"
 
 
-def _columns_by_place(stream: Stream, width: int, path: Path) -> _Columns:
+def _check_width(stream: Stream, width: int, path: Path) -> None:
     if width < 2 or (stream is Stream.WRENCH and width != 7):
         expected = "time fx fy fz mx my mz" if stream is Stream.WRENCH else "the time and at least one value"
         raise InputError(f"{path}: has {plural(width, 'column')} and no header; expected {expected}.")
-    values = tuple(range(1, width))
-    degrees = ", joints degrees" if stream is Stream.JOINTS else ""
-    return _Columns(
-        width, 0, 1.0, None, values, (1.0,) * len(values), f"no header: the first column was read as seconds{degrees}."
-    )
 
 
-def _named_columns(stream: Stream, names: list[str], path: Path) -> _Columns:
-    time = next((index for index, name in enumerate(names) if _TIME_COLUMN_RE.fullmatch(name)), None)
-    if time is None:
+def _special_columns(names: Sequence[str], path: Path) -> tuple[int, str | None, int | None, list[int]]:
+    """Find the time's column and unit, the counter's column, and the columns of values."""
+    times = ((index, found[1]) for index, name in enumerate(names) if (found := _TIME_COLUMN_RE.fullmatch(name)))
+    time, unit = next(times, (-1, None))
+    if time < 0:
         seen = ", ".join(names[:8])
         raise InputError(f"{path}: no column is the time; seen {seen}; expected one named t_s, t_ms, t_us or t_ns.")
-    found = _TIME_COLUMN_RE.fullmatch(names[time])
-    unit = found.group(1) if found else None
     number = next((index for index, name in enumerate(names) if _COUNTER_COLUMN_RE.fullmatch(name)), None)
     others = [k for k, name in enumerate(names) if name and k not in (time, number) and not _HEADER_FIELD_RE.fullmatch(name)]
-    values, factors = _VALUE_COLUMNS[stream](names, others, path)
-    finding = "" if unit else f"the time column {names[time]!r} names no unit and was read as seconds."
-    return _Columns(len(names), time, TIME_UNITS[unit or "s"], number, values, factors, finding)
+    return time, unit, number, others
 
 
-def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+def _wrench_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
     at: dict[str, int] = {}
     factor: dict[str, float] = {}
     for index in others:
@@ -439,27 +358,25 @@ def _wrench_columns(names: list[str], others: list[int], path: Path) -> tuple[tu
                 )
             at[axis] = index
             factor[axis] = 1e-3 if found.group(3) in _NEWTON_MILLIMETRES else 1.0
-    lacking = [axis for axis in WRENCH_AXES if axis not in at]
-    if lacking:
+    missing = [axis for axis in WRENCH_AXES if axis not in at]
+    if missing:
         raise InputError(
-            f"{path}: columns {', '.join(lacking)} are missing; seen {', '.join(names[:8])}; expected fx fy fz mx my mz, in N "
+            f"{path}: columns {', '.join(missing)} are missing; seen {', '.join(names[:8])}; expected fx fy fz mx my mz, in N "
             "and N m: name them so."
         )
-    return tuple(at[axis] for axis in WRENCH_AXES), tuple(factor[axis] for axis in WRENCH_AXES)
+    return [at[axis] for axis in WRENCH_AXES], [factor[axis] for axis in WRENCH_AXES]
 
 
-def _skin_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+def _skin_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
     if not others:
         raise InputError(f"{path}: no column besides the time; expected one a channel, such as t0, t1, ...")
-    numbers = {
-        index: int(found.group(1)) for index in others if (found := _NUMBERED_COLUMN_RE.fullmatch(names[index])) is not None
-    }
+    numbers = {index: int(found[1]) for index in others if (found := _NUMBERED_COLUMN_RE.fullmatch(names[index]))}
     if len(set(numbers.values())) == len(others):
         others = sorted(others, key=numbers.__getitem__)
-    return tuple(others), (1.0,) * len(others)
+    return others, [1.0] * len(others)
 
 
-def _joint_columns(names: list[str], others: list[int], path: Path) -> tuple[tuple[int, ...], tuple[float, ...]]:
+def _joint_columns(names: Sequence[str], others: list[int], path: Path) -> tuple[list[int], list[float]]:
     factors: list[float] = []
     for index in others:
         found = _JOINT_COLUMN_RE.fullmatch(names[index])
@@ -468,7 +385,7 @@ def _joint_columns(names: list[str], others: list[int], path: Path) -> tuple[tup
         factors.append(1.0 if found.group(1) == "deg" else math.degrees(1.0))
     if not others:
         raise InputError(f"{path}: no column besides the time; expected one a joint, such as j0_deg, j1_deg, ...")
-    return tuple(others), tuple(factors)
+    return others, factors
 
 
 _VALUE_COLUMNS = {Stream.WRENCH: _wrench_columns, Stream.SKIN: _skin_columns, Stream.JOINTS: _joint_columns}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from itertools import chain, islice
@@ -21,11 +21,12 @@ import numpy as np
 
 from skincal.devices.bottles import MEASURES_LISTS, MEASURES_WRENCH
 from skincal.devices.decoding import WRENCH_WIDTH
-from skincal.files.importers.recorded_lines import OpenRecording, RecordedLines, RecordedTimes, check_overlap
+from skincal.files.importers.registry import RecordedPlace, StreamGuess
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.given import open_regular, read_regular
-from skincal.model.readings import Chunk, Stream
+from skincal.model.readings import Stream
 from skincal.streams.decoders.yarp_log import (
     LINE_MAX,
     BottleError,
@@ -77,22 +78,20 @@ class _Log:
     def link(self) -> LinkSpec:
         return LinkSpec(self.name, f"file:{self.path}", (self.stream,), self.decoder)
 
-    def lines(self) -> Iterator[RecordedLines]:
-        """Give the records with the times at which this program would have received them.
+    def lines(self) -> Iterator[list[bytes]]:
+        """Give the records in blocks.
 
         A line that is no record has no time: it travels before the next record, so that the decoder counts it.
         """
         before = b""
         for block in _whole_lines(self.path):
-            times = split_stamps(block, self.stamps)
-            if times is not None:
-                yield RecordedLines(times[:, -1], [before + block[0], *block[1:]])
+            if split_stamps(block, self.stamps) is not None:
+                yield [before + block[0], *block[1:]]
                 before = b""
                 continue
             for data in block:
-                line = split_line(data, self.stamps)
-                if line is not None:
-                    yield RecordedLines(np.array(line.stamps[-1:]), [before + data])
+                if split_line(data, self.stamps) is not None:
+                    yield [before + data]
                     before = b""
                 elif len(before) < LINE_MAX and not is_header(data):
                     before += data
@@ -116,57 +115,44 @@ class _Contents:
     widths: Counter[int] = field(default_factory=Counter[int])
 
 
-def read_yarp(
-    wrench: Path, skin: Path, joints: Path | None = None
-) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
-    """Read the logs of one recording: links, chunks merged by time, and sentences on what was found.
-
-    A chunk holds whole lines, its `host_ns` from the receiver's stamp of the last of them, or from the only one.
-
-    Raises InputError: as for `open_yarp`.
-    """
-    opened = open_yarp(wrench, skin, joints)
-    return opened.links, opened.chunks(), opened.findings
-
-
-def open_yarp(wrench: Path, skin: Path, joints: Path | None = None) -> OpenRecording:
-    """Read the logs of one recording through.
-
-    `wrench`, `skin` and `joints` are folders of `yarpdatadumper`, or their `data.log`; the links are named like them.
+def open_recording(places: Mapping[Stream, RecordedPlace]) -> OpenRecording:
+    """Read the logs of one recording through: folders of `yarpdatadumper`, or their `data.log`.
 
     Raises InputError: a folder has no log, a file is not such a log, holds no record, or the logs are of different times.
     """
-    places = {Stream.WRENCH: wrench, Stream.SKIN: skin} | ({} if joints is None else {Stream.JOINTS: joints})
-    logs = [_open_log(stream, place) for stream, place in places.items()]
+    logs = [_open_log(stream, place.path) for stream, place in places.items()]
     findings: list[str] = []
-    timelines: list[RecordedTimes] = []
+    timelines: list[Timeline] = []
     for index, log in enumerate(logs):
         timeline, contents = _read_through(log)
         if contents.untimed:
             logs[index] = replace(log, decoder=BY_RECEIVER)
-        sentences = _content_findings(log, contents, timeline.lines)
         timelines.append(timeline)
-        findings += [*log.findings, *timeline.sentences(), *sentences]
+        findings += [*log.findings, *timeline.sentences(), *_content_findings(log, contents, timeline.lines)]
     check_overlap(timelines)
     findings += _clock_findings(logs)
-    links, sources = (log.link for log in logs), (log.lines for log in logs)
-    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+    return OpenRecording(tuple(log.link for log in logs), tuple(timelines), tuple(log.lines for log in logs), tuple(findings))
 
 
-def guess_yarp(place: Path) -> tuple[Stream | None, int]:
-    """Guess a log's stream from its first record, `None` if it does not tell, and count its values.
+def guess_streams(path: Path) -> list[StreamGuess]:
+    """Guess a log's stream from its first record.
 
     Raises InputError: as for `find_log`, or the log has no record.
     """
-    path, _ = find_log(place)
-    stamps, _, _ = _grammar(path)
-    for data in islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES):
-        line = split_line(data, stamps)
-        if line is not None and line.payload.strip():
+    log, _ = find_log(path)
+    stamps, _, _ = _grammar(log)
+    for line in _first_lines(log, stamps):
+        if line.payload.strip():
             if _count_sensors(line.payload):
-                return Stream.WRENCH, WRENCH_WIDTH
-            return None, len(line.payload.replace(b"(", b" ").replace(b")", b" ").split())
-    raise InputError(f"{path}: its first lines hold no record; expected a log that yarpdatadumper wrote.")
+                return [StreamGuess(RecordedPlace(path), Stream.WRENCH, WRENCH_WIDTH)]
+            width = len(line.payload.replace(b"(", b" ").replace(b")", b" ").split())
+            return [StreamGuess(RecordedPlace(path), None, width)]
+    raise InputError(f"{log}: its first lines hold no record; expected a log that yarpdatadumper wrote.")
+
+
+def _first_lines(path: Path, stamps: int) -> list[LogLine]:
+    first = islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES)
+    return [line for data in first if (line := split_line(data, stamps)) is not None]
 
 
 def _open_log(stream: Stream, place: Path) -> _Log:
@@ -222,10 +208,9 @@ def _grammar(path: Path) -> tuple[int, str, list[str]]:
         if len(clocks) in FORMAT_BY_STAMPS and set(clocks) <= {"tx", "rx"}:
             return len(clocks), clocks[-1], []
         raise InputError(f"{path.with_name(INFO)}: Stamp is {found.group(1)!r}; expected tx, rx or tx+rx.")
-    first = islice(chain.from_iterable(_whole_lines(path)), GRAMMAR_LINES)
-    head = [line for data in first if (line := split_line(data, 2)) is not None]
-    # No Stamp line: where most of the first lines have a second time, all lines have.
-    two = sum(_is_second_stamp(line) for line in head) * 2 > len(head) > 0
+    head = _first_lines(path, 2)
+    # No Stamp line: if most of the first lines have a second time, all lines have.
+    two = sum(_has_two_stamps(line) for line in head) * 2 > len(head) > 0
     return (2, "rx", []) if two else (1, "", [])
 
 
@@ -237,7 +222,7 @@ def _read_info(path: Path) -> str:
         return ""
 
 
-def _is_second_stamp(line: LogLine) -> bool:
+def _has_two_stamps(line: LogLine) -> bool:
     tx, rx = line.stamps
     return rx > EPOCH_MIN and (tx == 0 or abs(rx - tx) < STAMPS_APART)
 
@@ -276,10 +261,10 @@ def _ends_open(path: Path) -> bool:
         return size > 0 and file.read(1) != b"\n"
 
 
-def _read_through(log: _Log) -> tuple[RecordedTimes, _Contents]:
+def _read_through(log: _Log) -> tuple[Timeline, _Contents]:
     """Read a log once: its timeline, and what it holds."""
     contents = _Contents(levels=set() if log.stream is Stream.SKIN else None)
-    timeline = RecordedTimes(log.name, _stamps(log, contents))
+    timeline = Timeline(log.name, _stamps(log, contents))
     if not timeline.lines:
         seen = f"has {plural(contents.unreadable, 'line')}, none of them of the form <number> <time> <values>"
         seen = seen if contents.unreadable else "is empty"
@@ -306,13 +291,13 @@ def _stamps(log: _Log, contents: _Contents) -> Iterator[FloatArray]:
             line = split_line(data, log.stamps)
             if line is not None:
                 contents.untimed += line.stamps[0] == 0
-                _look(line.payload, contents)
+                _count_line(line.payload, contents)
                 yield np.array(line.stamps[-1:])
             elif not is_header(data):
                 contents.unreadable += 1
 
 
-def _look(payload: bytes, contents: _Contents) -> None:
+def _count_line(payload: bytes, contents: _Contents) -> None:
     """Note what a line carries, without reading more of it than is needed."""
     words = payload.split()
     if not words:

@@ -18,7 +18,7 @@ from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
 from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, NO_RECORDING, imported_words, stream_row
 from app.text_size import STEPS
-from skincal.files.importers.overview import StreamPreview
+from skincal.files.importers.preview import StreamPreview
 from skincal.model.readings import Stream
 from skincal.session.importing import Imported
 from skincal.session.replay import load

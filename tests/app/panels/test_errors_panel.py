@@ -16,7 +16,7 @@ from app.session.opening import OpenRequest
 from app.text.errors_text import Axis, axis_words, newest_words, quantity_words, source_words
 from app.theme import DARK, LIGHT
 from app.workers.device_process import DeviceProcess
-from skincal.files.reference import TRUTH_NAME, Origin, Reference, error_summary, read_reference
+from skincal.files.reference import TRUTH_NAME, Origin, TaxelPositions, error_summary, read_reference
 from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
@@ -47,8 +47,8 @@ from tests.skincal.poke_script import error_series
 BOTH = (Method.FREE, Method.SURFACE)
 
 
-def reference(origin: Origin, name: str = "truth.json", at=(0.0, 0.0, 0.0)) -> Reference:
-    return Reference(origin, name, {channel: np.array(at) for channel in range(24)})
+def reference(origin: Origin, name: str = "truth.json", at=(0.0, 0.0, 0.0)) -> TaxelPositions:
+    return TaxelPositions(name, "", {channel: np.array(at) for channel in range(24)}, origin=origin)
 
 
 PLANNED = part(laid=None, plan=reference(Origin.PLAN, "part"))

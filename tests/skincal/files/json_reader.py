@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.files.calibration import LandmarkCheck
 from skincal.files.export import (
-    CHECK_KEYS,
     CONTACT_KEYS,
     CONTACT_UNITS,
     ESTIMATE_KEYS,
@@ -49,7 +47,7 @@ class CalibrationFile:
     estimates: Mapping[Method, tuple[Estimate, ...]]
     corrections: tuple[UsedCorrection, ...]
     landmark_pokes: tuple[LandmarkPoke, ...]
-    landmark_check: LandmarkCheck | None
+    landmark_check: Mapping[str, Any] | None
 
     @property
     def used_contacts(self) -> tuple[Contact, ...]:
@@ -64,7 +62,7 @@ def read_json(path: Path) -> CalibrationFile:
     """Read a calibration's JSON back, bit for bit."""
     document = json.loads(path.read_text(encoding="utf-8"))
     assert document["format"] == JSON_FORMAT
-    mesh, check = document["mesh"] or {"sha256": None, "findings": []}, document["landmark_check"]
+    mesh = document["mesh"] or {"sha256": None, "findings": []}
     return CalibrationFile(
         frame=document["frame"],
         scene_text=document["scene"]["text"],
@@ -83,7 +81,7 @@ def read_json(path: Path) -> CalibrationFile:
         },
         corrections=tuple(_correction(values) for values in document["corrections"]),
         landmark_pokes=tuple(LandmarkPoke(**_fields(values, LANDMARK_KEYS)) for values in document["landmark_pokes"]),
-        landmark_check=None if check is None else LandmarkCheck(**_fields(check, CHECK_KEYS)),
+        landmark_check=document["landmark_check"],
     )
 
 

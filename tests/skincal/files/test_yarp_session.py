@@ -9,7 +9,6 @@ import pytest
 from skincal.contacts.outcome import Contact
 from skincal.files.export import write_calibration
 from skincal.files.icub import read_icub
-from skincal.files.importers.yarp_folder import read_yarp
 from skincal.mesh.load import load_surface
 from skincal.session.pipeline import Pipeline
 from skincal.taxels.result import PER_TAXEL, Method
@@ -17,6 +16,7 @@ from tests.approved import approved
 from tests.skincal.estimate_support import solve
 from tests.skincal.files.files_support import CHANNELS, Part, make_part
 from tests.skincal.files.json_reader import read_json
+from tests.skincal.import_support import read_recording
 
 EPOCH = 1_420_000_000.0
 TAXELS = (0, 1, 2, 3)
@@ -63,7 +63,7 @@ def write_logs(part: Part, folder: Path, skin_off: Callable[[float], float] = la
 @pytest.fixture(scope="module")
 def played(tmp_path_factory) -> tuple[Part, Pipeline]:
     part = make_part(tmp_path_factory.mktemp("part"))
-    links, chunks, findings = read_yarp(*write_logs(part, tmp_path_factory.mktemp("logs")))
+    links, chunks, findings = read_recording("yarp", *write_logs(part, tmp_path_factory.mktemp("logs")))
     assert len(findings) == 2
     assert part.scene.surface is not None
     pipeline = Pipeline(part.scene, links, load_surface(part.scene.surface)[0])
@@ -83,7 +83,7 @@ def test_every_poke_of_the_log_is_a_contact(played):
 @pytest.mark.parametrize("off", [5.0, -5.0])
 def test_a_clock_that_is_wrong_for_a_second_costs_no_poke(tmp_path, off):
     part = make_part(tmp_path / "part")
-    links, chunks, _ = read_yarp(*write_logs(part, tmp_path, lambda time: off * (6.1 <= time < 7.1)))
+    links, chunks, _ = read_recording("yarp", *write_logs(part, tmp_path, lambda time: off * (6.1 <= time < 7.1)))
     pipeline = Pipeline(part.scene, links, None)
     for chunk in chunks:
         pipeline.feed(chunk)

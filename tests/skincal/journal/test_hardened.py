@@ -22,9 +22,9 @@ from skincal.journal.mcap_file import is_closed
 from skincal.journal.reader import SessionLog, recover_session
 from skincal.journal.writer import create_session
 from skincal.model.errors import InputError, plain_text
-from skincal.session.checked import checked_calibration
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
+from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.journal.journal_support import contacts_of, files_of, record, records_of, refuse
@@ -344,9 +344,10 @@ def test_no_name_of_a_journal_brings_a_control_character_into_a_file(session, tm
     landmark = {"type": "action", "host_ns": 1, "do": "add_landmark", "name": NAMED, "x": 0.0, "y": 0.0, "z": 0.1}
     poke = {"type": "taken", "host_ns": 1, "outcomes": [CONTACT | {"pose": NAMED, "poke": k} for k in (1, 2, 3)]}
     with_documents(session, *(json.dumps(document).encode() for document in (landmark, poke)))
-    session = load(session).session
+    pipeline = load(session)
+    session = pipeline.session
     assert (session.contacts[0].pose, session.decisions.landmarks[-1].name) == (NAMED, NAMED)
-    write_calibration(checked_calibration(session, rig=None), format_, tmp_path / "out", Method.FREE)
+    write_calibration(SessionResults(pipeline).calibration(), format_, tmp_path / "out", Method.FREE)
     written = (tmp_path / "out").read_text(encoding="utf-8").replace("\r\n", "\n")
     assert all(plain_text(line) == line for line in written.split("\n"))
 

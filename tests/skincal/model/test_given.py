@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from skincal.files.icub import read_icub
-from skincal.files.importers.csv_log import read_csv
 from skincal.files.reference import read_reference
 from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
@@ -17,6 +16,7 @@ from skincal.model.errors import MAX_SENTENCE_CHARS, InputError, plain_text
 from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import read_layout
 from skincal.streams.links import LinkError, LinkSpec, open_link
+from tests.skincal.import_support import read_recording
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in folders")
 
@@ -52,7 +52,7 @@ def mesh_of(path):
         ("a.stl", mesh_of),
         ("a.json", read_reference),
         ("a.txt", read_icub),
-        ("a.csv", lambda path: read_csv(path, path)),
+        ("a.csv", lambda path: read_recording("csv", path, path)),
     ],
 )
 def test_a_pipe_and_a_device_are_not_read(tmp_path, name, read):

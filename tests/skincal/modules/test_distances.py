@@ -259,7 +259,7 @@ import sys
 from skincal.mesh.load import load_surface
 from skincal.model.scene import load_scene, resource
 from skincal.session.session import Session
-import skincal.cli.calibrate, skincal.words.layout_words
+import skincal.cli.solve, skincal.words.layout_words
 scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
 Session(scene, load_surface(scene.surface)[0]).snapshot()
 sys.exit("skincal.modules.distances" in sys.modules)

@@ -8,7 +8,6 @@ import pytest
 
 from skincal.cli import main
 from skincal.contacts.outcome import Contact, PressPhase, Progress
-from skincal.files.calibration import LandmarkCheck, landmark_check
 from skincal.files.export import write_calibration
 from skincal.geometry import axis_point, move_wrench
 from skincal.journal.documents import DetectorResult
@@ -362,10 +361,12 @@ def test_what_a_correction_is_found_from_is_exported_and_finds_it_again(bad, tmp
     found = correct_rig(session.rig_request())
     session.act(correct_action(RIG, found.correction, found.before, found.after, 21))
     session.act(Exclude(session.contacts[0].poke))
-    calibration = replace(session.calibration(), landmark_check=landmark_check(found))
+    calibration = replace(session.calibration(), rig=found)
     write_calibration(calibration, "json", tmp_path / "c.json", Method.MODULES)
     file = read_json(tmp_path / "c.json")
-    assert file.landmark_check == LandmarkCheck(21, found.before, found.after, True)
+    assert file.landmark_check == {
+        "landmark_pokes": 21, "miss_before_m": found.before, "miss_after_m": found.after, "worth_using": True,
+    }  # fmt: skip
     assert len(file.landmark_pokes) == 21
     reported = session.outcome(file.landmark_pokes[0].poke)
     assert np.array_equal(file.landmark_pokes[0].force, reported.force), "as the rig reported it"
@@ -414,8 +415,8 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     assert min(apart.values()) > 0.2
     file = read_json(tmp_path / "calibration.json")
     assert len(file.corrections) == 1
-    assert file.landmark_check.worth_using
-    assert file.landmark_check.after < file.landmark_check.before
+    assert file.landmark_check["worth_using"]
+    assert file.landmark_check["miss_after_m"] < file.landmark_check["miss_before_m"]
     assert main(["export", str(recorded), "--correct", "--format", "icub", "--out", str(tmp_path / "p.txt")]) == 0
     assert approved("rig.corrected_clause", pokes=21) in (tmp_path / "p.txt").read_text(encoding="utf-8")
     assert main(["solve", str(recorded)]) == 0

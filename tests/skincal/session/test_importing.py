@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 
 from skincal.cli import main
 from skincal.contacts.detector import ContactDetector
-from skincal.files.importers.overview import guess_streams
+from skincal.files.importers.preview import guess_streams
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
@@ -94,8 +94,8 @@ def spoilt(place):
 def test_what_is_decoded_many_at_a_time_is_what_is_decoded_one_by_one(request_of, spoil):
     request = request_of()
     if spoil:
-        spoilt(request.files.wrench)
-        spoilt(request.files.skin)
+        spoilt(request.files.wrench.path)
+        spoilt(request.files.skin.path)
     scene, recording = load_scene(request.scene), request.files.open()
     many, alone = (Pipeline(scene, recording.links, None) for _ in range(2))
     for chunk in many.ahead(recording.chunks()):
@@ -117,7 +117,7 @@ def test_an_import_works_on_many_readings_at_a_time(request_of, monkeypatch):
     read = yarp_log.read_table
     monkeypatch.setattr(yarp_log, "read_table", lambda text: parsed.append(text.count(b"\n")) or read(text))
     import_recording(request)
-    readings = sum((place / "data.log").read_text().count("\n") for place in (request.files.wrench, request.files.skin))
+    readings = sum((place.path / "data.log").read_text().count("\n") for place in (request.files.wrench, request.files.skin))
     # No line is parsed twice, but for those from which the usual step of the numbers is learnt.
     assert readings <= sum(parsed) < 1.5 * readings
     counts = Counter()

@@ -459,3 +459,14 @@ def test_serial_is_imported_only_when_a_port_is_opened():
 
     code = "import sys, skincal.streams.intake, skincal.streams.links; sys.exit('serial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[3]).returncode == 0
+
+
+def test_one_address_for_several_streams_is_one_board():
+    wrench, skin, joints = Stream.WRENCH, Stream.SKIN, Stream.JOINTS
+    for addresses, expected in (
+        (("a", "a", "a"), [("board", (wrench, skin, joints))]),
+        (("a", "b", "b"), [("wrench", (wrench,)), ("board", (skin, joints))]),
+        (("a", "b", None), [("wrench", (wrench,)), ("skin", (skin,))]),
+    ):
+        links = describe_links(dict(zip((wrench, skin, joints), addresses, strict=True)))
+        assert [(link.name, link.carries) for link in links] == expected

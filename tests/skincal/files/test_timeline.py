@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.files.importers.recorded_lines import (
+from skincal.files.importers.timeline import (
+    CHUNK_MAX_LINES,
     START_NS,
-    TOGETHER_LINES,
-    RecordedLines,
-    RecordedTimes,
+    Timeline,
     check_overlap,
-    merged,
+    merged_chunks,
     share_clock_jumps,
 )
 from skincal.model.errors import InputError
@@ -21,25 +20,23 @@ BLOCK = 7
 
 
 def timed(name, stamps):
-    return RecordedTimes(name, (np.array(stamps[at : at + BLOCK]) for at in range(0, len(stamps), BLOCK)))
+    return Timeline(name, (np.array(stamps[at : at + BLOCK]) for at in range(0, len(stamps), BLOCK)))
 
 
 def lines(stamps):
     data = [f"{index}\n".encode() for index in range(len(stamps))]
-    return lambda: (
-        RecordedLines(np.array(stamps[at : at + BLOCK]), data[at : at + BLOCK]) for at in range(0, len(stamps), BLOCK)
-    )
+    return lambda: (data[at : at + BLOCK] for at in range(0, len(stamps), BLOCK))
 
 
 def play(**files):
     """Every line alone."""
-    with patch("skincal.files.importers.recorded_lines.TOGETHER_LINES", 1):
+    with patch("skincal.files.importers.timeline.CHUNK_MAX_LINES", 1):
         return together(alone=files, **files)
 
 
 def together(alone=(), **files):
     timelines = [timed(name, stamps) for name, stamps in files.items()]
-    return list(merged(timelines, [lines(stamps) for stamps in files.values()], alone))
+    return list(merged_chunks(timelines, [lines(stamps) for stamps in files.values()], alone))
 
 
 def test_files_are_merged_by_time_and_the_first_wins_a_tie():
@@ -123,13 +120,13 @@ def test_neighbouring_lines_travel_at_the_time_of_the_last_and_a_clock_starts_wi
     wrench = [k * 0.01 for k in range(20)] + [3.0, 3.01, 3.02]
     chunks = together(wrench=wrench, joints=[0.0, 0.015, 0.025], alone=["joints"])
     assert [(chunk.link, round(chunk.host_ns - START_NS, -3) // 1_000_000, len(chunk.data.split())) for chunk in chunks] == [
-        ("wrench", 0, 1), ("joints", 0, 1), ("joints", 25, 2), ("wrench", 110, 11), ("wrench", 190, 8),
+        ("wrench", 0, 1), ("joints", 0, 1), ("joints", 25, 2), ("wrench", 90, 9), ("wrench", 190, 10),
         ("wrench", 3000, 1), ("wrench", 3020, 2),
     ]  # fmt: skip
 
 
 def test_stamps_that_do_not_move_do_not_gather_without_end():
-    assert max(len(chunk.data.split()) for chunk in together(wrench=[1.0] * 1000)) == TOGETHER_LINES
+    assert max(len(chunk.data.split()) for chunk in together(wrench=[1.0] * 1000)) == CHUNK_MAX_LINES
 
 
 @pytest.mark.parametrize("wrong", [9_420_000_900.5, 3.0, -1e9, 12.0])
@@ -138,7 +135,7 @@ def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
     stamps = [5.0 + k * 0.01 for k in range(100)]
     broken = [wrong + k * 0.01 if 40 <= k < 40 + lines_wrong else stamp for k, stamp in enumerate(stamps)]
     found = timed("wrench", broken)
-    assert (found.astray, found.jumps, found.gaps) == (set(range(40, 40 + lines_wrong)), {}, 0)
+    assert (found.outliers, found.jumps, found.gaps) == (set(range(40, 40 + lines_wrong)), {}, 0)
     assert (found.first, found.last) == (stamps[0], stamps[-1])
     assert any(f"{lines_wrong} stamp" in sentence for sentence in found.sentences())
     times = np.array([chunk.host_ns - START_NS for chunk in play(wrench=broken)]) * 1e-9
@@ -149,7 +146,7 @@ def test_stamps_written_wrong_shift_nothing(wrong, lines_wrong):
 
 def test_a_last_stamp_years_later_is_wrong_and_a_clock_that_stays_years_later_is_refused():
     found = timed("wrench", [1.0, 1.01, 1.02, 9e8])
-    assert (found.last, found.astray, found.gaps) == (1.02, {3}, 0)
+    assert (found.last, found.outliers, found.gaps) == (1.02, {3}, 0)
     with pytest.raises(
         InputError, match=approved_pattern("recording.over_years", link="wrench", first="1.000", last="900000000.050")
     ):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.calibrate import Json
 from skincal.cli.record import stopping
+from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Stream
@@ -68,7 +68,7 @@ class Watched:
         self.states: set[LinkState] = set()
         """What became of it so far."""
 
-    def take(self, item: Chunk | LinkEvent) -> None:
+    def feed(self, item: Chunk | LinkEvent) -> None:
         """Take what the reader brought."""
         if isinstance(item, LinkEvent):
             self._monitor.on_event(item)
@@ -152,7 +152,7 @@ def watch(
         with stopping() as stop:
             due_s = time.monotonic() + min(SAY_S, seconds or SAY_S)
             while not stop.is_set() and time.monotonic() < end_s and (reader.running or not items.empty()):
-                _take(watched, items, due_s)
+                _feed_until(watched, items, due_s)
                 due_s += SAY_S
                 figures = watched.figures()
                 say(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
@@ -162,7 +162,7 @@ def watch(
         raise InputError(f"{link} could not be opened, as said above; `skincal devices` lists what is here.")
 
 
-def _take(watched: Watched, items: ChunkQueue, due_s: float) -> None:
+def _feed_until(watched: Watched, items: ChunkQueue, due_s: float) -> None:
     """Take what comes until `due_s` of the monotonic clock; say what becomes of the link."""
     while (left_s := due_s - time.monotonic()) > 0:
         try:
@@ -171,7 +171,7 @@ def _take(watched: Watched, items: ChunkQueue, due_s: float) -> None:
             return
         if isinstance(item, LinkEvent):
             say(item.state.value + (f": {item.text}" if item.text else ""), err=True)
-        watched.take(item)
+        watched.feed(item)
 
 
 def devices(as_json: Json = False) -> None:
@@ -216,10 +216,10 @@ def _on_port(name: str, description: str) -> dict[str, str]:
         while time.monotonic() < end_s:
             data = link.read(0.1)
             came += len(data)
-            watched.take(Chunk("link", time.monotonic_ns(), data))
+            watched.feed(Chunk("link", time.monotonic_ns(), data))
             if isinstance(link, BaudSearchLink) and link.tried != tried:
                 tried = link.tried
-                watched.take(LinkEvent("link", time.monotonic_ns(), LinkState.OPEN, tried=tried))
+                watched.feed(LinkEvent("link", time.monotonic_ns(), LinkState.OPEN, tried=tried))
     except LinkError as failure:
         return {"address": name, "what": f"{description}: {failure}"}
     finally:

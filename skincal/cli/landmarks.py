@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 from typer.core import TyperCommand
 
-from skincal.cli.calibrate import Json, SessionArgument
+from skincal.cli.solve import Json, SessionArgument
 from skincal.model.errors import InputError, plural
 from skincal.model.given import MAX_TEXT_BYTES, read_regular
 
@@ -21,13 +21,12 @@ if TYPE_CHECKING:
     from skincal.model.actions import Action, AddLandmark, AtLandmark
     from skincal.session.landmark_pokes import NearestLandmark
     from skincal.session.session import Session
-    from skincal.session.undo import HistoryEntry
 
 NO_LANDMARK = "-"
 """Stands for no landmark, as an empty name does."""
 TABLE_HEADERS = (["poke", "landmark"], ["start_s", "end_s", "landmark"])
-Names: TypeAlias = dict[int, str]
-"""Number of a poke to the landmark that it was at; empty for none."""
+Pair: TypeAlias = tuple[int, str]
+"""Number of a poke, and the name of its landmark; empty for none."""
 NewLandmark: TypeAlias = tuple[str, float, float, float]
 
 
@@ -87,72 +86,63 @@ def landmarks(
     undo: Annotated[bool, typer.Option("--undo", help="Take back what the last call wrote.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Say which poke of a session was at which landmark, for `--correct` of `solve`, `export` and `report`.
+    """Name the landmarks of recorded pokes, for `--correct` of `solve`, `export` and `report`.
 
-    Without options the pokes are listed with what is known of them. What is said is written into the session at once.
+    Without options all pokes are listed. The names are written into the session at once.
     """
-    from skincal.cli import report
+    from skincal.cli import output
     from skincal.session.replay import load
 
     given = {"--at": at, "--csv": csv_file, "--order": order, "--find": find, "--add": add}
-    named = [option for option, value in given.items() if value]
-    _check_options(session, named, undo=undo)
+    options = [option for option, value in given.items() if value]
+    _check_options(session, options, undo=undo)
     pipeline = load(session)
-    known, begin_s = pipeline.session, _begin_s(session)
-    text: list[str] = []
+    loaded, begin_s = pipeline.session, _begin_s(session)
+    changes: list[str] = []
     if undo:
-        text = _take_back(session, known)
-    elif named:
-        names = _said(known, begin_s, at or [], csv_file, order)
-        text = _write(session, known, names, find=find, add=add)
-    rows = _rows(known, begin_s)
-    text = text or [_landmark_line(known), *map(_row_line, rows)]
+        changes = _undo_last_call(session, loaded)
+    elif options:
+        pairs = [_parse_pair(pair) for pair in at or ()]
+        pairs += [] if csv_file is None else _parse_table(loaded, begin_s, csv_file)
+        pairs += [] if order is None else _parse_order(loaded, order)
+        changes = _write(session, loaded, pairs, find=find, add=add)
+    rows = _rows(loaded, begin_s)
     result = {
         "session": session,
-        "landmarks": [{"name": mark.name, "place_mm": (mark.place * 1e3).tolist()} for mark in known.decisions.landmarks],
+        "landmarks": [{"name": mark.name, "place_mm": (mark.place * 1e3).tolist()} for mark in loaded.decisions.landmarks],
         "pokes": rows,
-        "said": text if undo or named else [],
+        "said": changes,
         "findings": list(pipeline.findings),
     }
-    report.print_result({**result, "text": [*text, *pipeline.findings]}, as_json)
+    text = changes or [_landmark_line(loaded), *map(_row_line, rows)]
+    output.print_result(result, [*text, *pipeline.findings], as_json)
 
 
-def _check_options(session: Path, named: Sequence[str], *, undo: bool) -> None:
-    """Refuse options that exclude each other, and changes to a session that is being recorded."""
+def _check_options(session: Path, options: Sequence[str], *, undo: bool) -> None:
+    """Raise InputError: options exclude each other, or would change a session that is being recorded."""
     from skincal.journal.lock import describe_lock_holder
 
-    if undo and named:
-        raise InputError(f"--undo and {named[0]} exclude each other; call `skincal landmarks` once for each.")
-    if (undo or named) and (who := describe_lock_holder(session)):
+    if undo and options:
+        raise InputError(f"--undo and {options[0]} exclude each other; call `skincal landmarks` once for each.")
+    if (undo or options) and (who := describe_lock_holder(session)):
         raise InputError(f"{session}: is being recorded by {who}; end that recording first.")
 
 
-# ---- options to landmarks of pokes ----
+# ---- options to pairs of poke and landmark ----
 
 
-def _said(known: Session, begin_s: float, at: Sequence[str], csv_file: Path | None, order: str | None) -> list[Names]:
-    """Parse the options to a landmark by poke. Raises InputError: one cannot be read or does not fit the pokes."""
-    said = [_of_pair(pair) for pair in at]
-    if csv_file is not None:
-        said += _of_csv(known, begin_s, csv_file)
-    if order is not None:
-        said.append(_in_order(known, order))
-    return said
-
-
-def _of_pair(pair: str) -> Names:
+def _parse_pair(pair: str) -> Pair:
     poke, equals, name = pair.partition("=")
-    return {_number(poke if equals else "", f"--at {pair}"): name.strip()}
+    return _parse_number(poke if equals else "", f"--at {pair}"), name.strip()
 
 
-def _number(text: str, where: str) -> int:
+def _parse_number(text: str, where: str) -> int:
     if not text.strip().isdecimal():
         raise InputError(f'{where}: expected the number of a poke and a landmark, such as --at 12="wrist, top".')
     return int(text)
 
 
-def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
-    """Parse each row of a file to a poke and its landmark."""
+def _parse_table(session: Session, begin_s: float, path: Path) -> list[Pair]:
     from skincal.files.importers.csv_log import COLUMN_SEPARATORS
 
     try:
@@ -169,7 +159,7 @@ def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
         raise InputError(
             f"{path}: begins with {seen}; expected the line {' or '.join(','.join(names) for names in TABLE_HEADERS)}."
         )
-    names: list[Names] = []
+    pairs: list[Pair] = []
     for number, row in lines[1:]:
         where = f"{path}, line {number}"
         if len(row) != len(header):
@@ -177,87 +167,99 @@ def _of_csv(known: Session, begin_s: float, path: Path) -> list[Names]:
                 f"{where}: has {plural(len(row), 'field')}; expected {len(header)}: a name with a {COLUMN_SEPARATORS[mark]} "
                 "in quotes."
             )
-        names.append({_number(row[0], where): row[1]} if len(header) == 2 else _between(known, begin_s, row, where))
-    return names
+        name = row[-1]
+        pokes = [_parse_number(row[0], where)] if len(header) == 2 else _pokes_between(session, begin_s, row, where)
+        pairs += [(poke, name) for poke in pokes]
+    return pairs
 
 
-def _between(known: Session, begin_s: float, row: Sequence[str], where: str) -> Names:
-    """Return the pokes from one time to another that can be at a landmark."""
+def _pokes_between(session: Session, begin_s: float, row: Sequence[str], where: str) -> list[int]:
+    """List the pokes from one time to another that can be at a landmark."""
     from skincal.session.landmark_pokes import can_be_at_landmark
 
     try:
-        # A comma is the decimal point where semicolons part the columns.
+        # A comma is the decimal point if semicolons separate the columns.
         start_s, end_s = (float(field.replace(",", ".")) for field in row[:2])
     except ValueError:
         raise InputError(f"{where}: {row[0]} to {row[1]} are no times; expected seconds since the recording began.") from None
-    within = [poke for poke in _outcomes(known) if start_s <= (poke.start_s + poke.end_s) / 2 - begin_s <= end_s]
-    names = {poke.poke: row[2] for poke in within if can_be_at_landmark(poke)}
-    if not names:
+    within = [poke for poke in _outcomes(session) if start_s <= (poke.start_s + poke.end_s) / 2 - begin_s <= end_s]
+    found = [poke.poke for poke in within if can_be_at_landmark(poke)]
+    if not found:
         raise InputError(
             f"{where}: no poke from {start_s:g} to {end_s:g} s can be at a landmark; without options all are listed."
         )
-    return names
+    return found
 
 
-def _in_order(known: Session, order: str) -> Names:
-    """Return the pokes that no taxel answered, or those of them before the first that one answered, with their landmarks."""
-    from skincal.contacts.outcome import Contact, Rejection
-    from skincal.session.landmark_pokes import can_be_at_landmark
+def _parse_order(session: Session, order: str) -> list[Pair]:
+    """Assign the names to the pokes that no taxel answered, or to those of them before the first answered one."""
+    from skincal.contacts.outcome import Contact
 
     names = [name.strip() for name in order.split(";")]
-    first = next((poke.poke for poke in _outcomes(known) if isinstance(poke, Contact)), known.last_poke + 1)
-    silent = [poke.poke for poke in _outcomes(known) if isinstance(poke, Rejection) and can_be_at_landmark(poke)]
-    before = [poke for poke in silent if poke < first]
-    for pokes in (silent, before):
+    first = next((poke.poke for poke in _outcomes(session) if isinstance(poke, Contact)), session.last_poke + 1)
+    unanswered = _unanswered(session)
+    before = [poke for poke in unanswered if poke < first]
+    for pokes in (unanswered, before):
         if len(pokes) == len(names):
-            return dict(zip(pokes, ["" if name == NO_LANDMARK else name for name in names], strict=True))
+            return list(zip(pokes, ["" if name == NO_LANDMARK else name for name in names], strict=True))
     raise InputError(
-        f"--order names {plural(len(names), 'landmark')}, but no taxel answered {plural(len(silent), 'poke')}, {len(before)} "
-        f"of them before the first that one answered; expected a landmark for each, or {NO_LANDMARK} for a poke at none."
+        f"--order names {plural(len(names), 'landmark')}, but no taxel answered {plural(len(unanswered), 'poke')}, "
+        f"{len(before)} of them before the first that one answered; expected a landmark for each, or {NO_LANDMARK} for a poke "
+        "at none."
     )
 
 
-# ---- what is written ----
+def _unanswered(session: Session) -> list[int]:
+    """List the pokes that no taxel answered and that can be at a landmark."""
+    from skincal.contacts.outcome import Rejection
+    from skincal.session.landmark_pokes import can_be_at_landmark
+
+    return [poke.poke for poke in _outcomes(session) if isinstance(poke, Rejection) and can_be_at_landmark(poke)]
 
 
-def _write(folder: Path, known: Session, said: Iterable[Names], *, find: bool, add: NewLandmark | None) -> list[str]:
-    """Write what was said, and what is found from the axes, into a session; return it in lines.
+# ---- changes of the session ----
 
-    Parameters
-    ----------
-    known : the session, loaded: each action is tried on it first, and nothing is written where one is refused
+
+def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool, add: NewLandmark | None) -> list[str]:
+    """Write the pairs, and with `find` those found from the force axes, into a session; return the changes as lines.
+
+    Each action is tried on the loaded `session` first; nothing is written if one is refused.
     """
     from skincal.model.actions import AddLandmark, AtLandmark
 
     actions: list[AddLandmark | AtLandmark] = []
     if add is not None:
         actions.append(AddLandmark(add[0], *(length * 1e-3 for length in add[1:])))
-        known.act(actions[0])
-    names: Names = {}
-    for poke, name in (pair for part in said for pair in part.items()):
+        session.act(actions[0])
+    names: dict[int, str] = {}
+    for poke, name in pairs:
         if names.setdefault(poke, name) != name:
             both = f"{names[poke] or 'none'} and at {name or 'none'}"
             raise InputError(f"Poke {poke} is said to be at {both}; leave out one of them.")
-    nearest, before = _nearest(known), known.snapshot().at_landmarks
+    nearest, before = _nearest(session), session.snapshot().at_landmarks
     unsure: list[str] = []
     if find:
         names |= {poke: near.name for poke, near in nearest.items() if near.sure and poke not in {**names, **before}}
-        unsure = _unsure_lines(known, nearest, {**names, **before})
-    changed = {poke: name for poke, name in sorted(names.items()) if before.get(poke, "") != name}
-    for poke, name in changed.items():
-        actions.append(AtLandmark(poke, name))
-        known.act(actions[-1])
+        unsure = [
+            f"poke {poke}: not sure, {_near_words(nearest.get(poke))}"
+            for poke in _unanswered(session)
+            if poke not in {**names, **before}
+        ]
+    for poke, name in sorted(names.items()):
+        if before.get(poke, "") != name:
+            actions.append(AtLandmark(poke, name))
+            session.act(actions[-1])
     if actions:
         _append(folder, actions)
-    return [*_written_lines(folder, known, actions), *unsure]
+    return [*_written_lines(folder, session, actions), *unsure]
 
 
 def _append(folder: Path, actions: Iterable[Action]) -> None:
-    """Write actions into a session, in a segment of their own, all at one moment: by that `_last_call` knows them together."""
+    """Write actions into a new segment of a session, with one time stamp, by which `_undo_last_call` finds them."""
     from skincal.session.replay import resume
 
     pipeline = resume(folder)
-    # Of the new segment's time: what lies before it has no time of day, and then no moment of its own.
+    # A time within the new segment: earlier ones have no time of day.
     now_ns = time.monotonic_ns()
     try:
         for action in actions:
@@ -268,10 +270,12 @@ def _append(folder: Path, actions: Iterable[Action]) -> None:
         raise InputError(pipeline.journal_failure)
 
 
-def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark | AtLandmark]) -> list[str]:
+def _written_lines(folder: Path, session: Session, actions: Iterable[AddLandmark | AtLandmark]) -> list[str]:
     from skincal.model.actions import AddLandmark
+    from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
 
-    misses = {poke.poke: poke.miss for poke in known.landmark_pokes}
+    pokes = session.landmark_pokes
+    misses = {poke.poke: poke.miss for poke in pokes}
     lines: list[str] = []
     for action in actions:
         if isinstance(action, AddLandmark):
@@ -279,78 +283,53 @@ def _written_lines(folder: Path, known: Session, actions: Iterable[AddLandmark |
         else:
             passed = f", which its axis passes at {misses[action.poke] * 1e3:.1f} mm" if action.poke in misses else ""
             lines.append(f"wrote poke {action.poke} at {action.name or 'no landmark'}{passed}")
-    nothing = ["nothing new, nothing was written"] if known.decisions.landmarks else [_landmark_line(known)]
-    return [*(lines or nothing), f"{plural(len(known.landmark_pokes), 'poke')} at landmarks; {_use_words(folder, known)}"]
+    nothing = ["nothing new, nothing was written"] if session.decisions.landmarks else [_landmark_line(session)]
+    points = max(MIN_LANDMARKS - len({poke.name for poke in pokes}), 0)
+    more = max(MIN_LANDMARK_POKES - len(pokes), points)
+    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and pokes else ""
+    use = f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
+    use = use if more else f"`skincal solve {folder} --correct` uses them"
+    return [*(lines or nothing), f"{plural(len(pokes), 'poke')} at landmarks; {use}"]
 
 
-def _use_words(folder: Path, known: Session) -> str:
-    """Say which commands use the landmark pokes, or how many a rig correction still needs."""
-    from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS
-
-    points = max(MIN_LANDMARKS - len({poke.name for poke in known.landmark_pokes}), 0)
-    more = max(MIN_LANDMARK_POKES - len(known.landmark_pokes), points)
-    if not more:
-        return f"`skincal solve {folder} --correct` uses them"
-    others = f", {points} of them at {'another' if points == 1 else 'others'}" if points and known.landmark_pokes else ""
-    return f"a correction of the rig needs {MIN_LANDMARK_POKES} at {MIN_LANDMARKS} landmarks: {more} more{others}"
-
-
-def _unsure_lines(known: Session, nearest: dict[int, NearestLandmark], named: Names) -> list[str]:
-    """Return a line for each poke that no taxel answered and that is at no landmark for sure."""
-    from skincal.contacts.outcome import Rejection
-    from skincal.session.landmark_pokes import can_be_at_landmark
-
-    silent = [poke.poke for poke in _outcomes(known) if isinstance(poke, Rejection) and can_be_at_landmark(poke)]
-    return [f"poke {poke}: not sure, {_near_words(nearest.get(poke))}" for poke in silent if poke not in named]
-
-
-def _take_back(folder: Path, known: Session) -> list[str]:
-    """Undo what the last call wrote; return it in lines."""
-    from skincal.model.actions import Undo
-
-    count = _last_call(known.history.entries)
-    if not count:
-        raise InputError(
-            f"{folder}: what was done last is {known.snapshot().can_undo or 'nothing'}, not a landmark; nothing to take back."
-        )
-    lines: list[str] = []
-    for _ in range(count):
-        lines.append(f"took back {known.snapshot().can_undo}")
-        known.act(Undo())
-    _append(folder, [Undo()] * count)
-    return lines
-
-
-def _last_call(history: Sequence[HistoryEntry]) -> int:
-    """Count the last entries of a session's history that name landmarks and share one time stamp."""
-    from skincal.model.actions import AddLandmark, AtLandmark
+def _undo_last_call(folder: Path, session: Session) -> list[str]:
+    """Undo the landmark actions of the last call, which share one time stamp; return the changes as lines."""
+    from skincal.model.actions import AddLandmark, AtLandmark, Undo
     from skincal.session.undo import ActionEntry
 
     moment, count = None, 0
-    for entry in reversed(history):
+    for entry in reversed(session.history.entries):
         if not isinstance(entry, ActionEntry) or not isinstance(entry.action, AddLandmark | AtLandmark):
             break
         if moment not in (None, entry.at_s):
             break
         moment, count = entry.at_s, count + 1
-    return count
+    if not count:
+        last = session.snapshot().can_undo or "nothing"
+        raise InputError(f"{folder}: what was done last is {last}, not a landmark; nothing to take back.")
+    lines: list[str] = []
+    for _ in range(count):
+        lines.append(f"took back {session.snapshot().can_undo}")
+        session.act(Undo())
+    _append(folder, [Undo()] * count)
+    return lines
 
 
 # ---- listing of pokes ----
 
 
-def _outcomes(known: Session) -> Iterator[Outcome]:
+def _outcomes(session: Session) -> Iterator[Outcome]:
     """Give every poke that was not taken out, in order."""
-    excluded = known.decisions.excluded
-    yield from known.frame_corrected(
-        record.outcome.poke for record in known.snapshot().pokes if record.outcome.poke not in excluded
+    excluded = session.decisions.excluded
+    yield from session.frame_corrected(
+        record.outcome.poke for record in session.snapshot().pokes if record.outcome.poke not in excluded
     )
 
 
-def _nearest(known: Session) -> dict[int, NearestLandmark]:
+def _nearest(session: Session) -> dict[int, NearestLandmark]:
     from skincal.session.landmark_pokes import nearest_landmarks
 
-    return nearest_landmarks(_outcomes(known), known.decisions.landmarks, known.surface)
+    return nearest_landmarks(_outcomes(session), session.decisions.landmarks, session.surface)
 
 
 def _begin_s(folder: Path) -> float:
@@ -362,12 +341,12 @@ def _begin_s(folder: Path) -> float:
     return 0.0 if first is None else first.host_ns * 1e-9
 
 
-def _rows(known: Session, begin_s: float) -> list[dict[str, Any]]:
+def _rows(session: Session, begin_s: float) -> list[dict[str, Any]]:
     """Convert each poke, its landmark and its rejection to JSON."""
     from skincal.contacts.outcome import Contact
 
-    nearest, names = _nearest(known), known.snapshot().at_landmarks
-    misses = {poke.poke: poke.miss * 1e3 for poke in known.landmark_pokes}
+    nearest, names = _nearest(session), session.snapshot().at_landmarks
+    misses = {poke.poke: poke.miss * 1e3 for poke in session.landmark_pokes}
     return [
         {
             "poke": poke.poke,
@@ -380,7 +359,7 @@ def _rows(known: Session, begin_s: float) -> list[dict[str, Any]]:
             "miss_mm": misses.get(poke.poke),
             "nearest": _near_json(nearest.get(poke.poke)),
         }
-        for poke in _outcomes(known)
+        for poke in _outcomes(session)
     ]
 
 
@@ -398,9 +377,9 @@ def _near_words(near: NearestLandmark | None) -> str:
     return f"its axis passes {near.name} at {near.miss * 1e3:.0f} mm{beside}"
 
 
-def _landmark_line(known: Session) -> str:
+def _landmark_line(session: Session) -> str:
     places = [
-        f"{mark.name} ({', '.join(f'{length * 1e3:.1f}' for length in mark.place)})" for mark in known.decisions.landmarks
+        f"{mark.name} ({', '.join(f'{length * 1e3:.1f}' for length in mark.place)})" for mark in session.decisions.landmarks
     ]
     return f"landmarks, mm: {'; '.join(places)}" if places else "the scene has no landmarks; --add NAME X Y Z names one"
 

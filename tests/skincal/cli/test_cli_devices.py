@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 import numpy as np
 import pytest
 
-from skincal.cli import listen, main
+from skincal.cli import devices, main
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import plain_text
 from skincal.model.readings import Chunk, Stream
@@ -94,7 +94,7 @@ def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
             outlet.write(bytes(range(128, 168)))
 
     with closing(outlet), meanwhile(send):
-        monkeypatch.setattr(listen, "_ports", lambda: [(outlet.address, "USB serial")])
+        monkeypatch.setattr(devices, "_ports", lambda: [(outlet.address, "USB serial")])
         assert main(["devices"]) == 0
     assert approved("links.no_reading_tried", tried="115200, 460800, 19200")[:-1] in capsys.readouterr().out
 
@@ -122,8 +122,8 @@ def hostile(monkeypatch):
         raise LinkError(FailureKind.ADDRESS, ORDER)
 
     monkeypatch.setattr(links, "open_link", refuse)
-    monkeypatch.setattr(listen, "_ports", lambda: [(f"/dev/tty{ORDER}", f"by {ORDER}")])
-    monkeypatch.setattr(listen, "_yarp_ports", lambda: ([(f"/{ORDER}", ("host", 1))], ORDER))
+    monkeypatch.setattr(devices, "_ports", lambda: [(f"/dev/tty{ORDER}", f"by {ORDER}")])
+    monkeypatch.setattr(devices, "_yarp_ports", lambda: ([(f"/{ORDER}", ("host", 1))], ORDER))
 
 
 @pytest.mark.parametrize("words", [
@@ -143,9 +143,9 @@ def test_no_word_of_a_device_is_an_order_to_the_terminal(words, capsys, tmp_path
 
 @needs_pty
 def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatch):
-    monkeypatch.setattr(listen, "LISTEN_S", 1.0)
+    monkeypatch.setattr(devices, "LISTEN_S", 1.0)
     with sending("bota", Stream.WRENCH) as address:
-        monkeypatch.setattr(listen, "_ports", lambda: [(address, "USB serial"), ("/dev/nothing-there", "gone")])
+        monkeypatch.setattr(devices, "_ports", lambda: [(address, "USB serial"), ("/dev/nothing-there", "gone")])
         begun = time.monotonic()
         assert main(["devices"]) == 0
         assert time.monotonic() - begun < 10
@@ -156,7 +156,7 @@ def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatc
 
 
 def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(listen, "_ports", list)
+    monkeypatch.setattr(devices, "_ports", list)
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     with sending("yarp", Stream.SKIN) as address:
         host, port = address.removeprefix("yarp://").partition("/")[0].split(":")
@@ -168,7 +168,7 @@ def test_devices_lists_the_ports_of_a_yarp_network(capsys, monkeypatch, tmp_path
 
 
 def test_devices_says_that_nothing_is_plugged_in_and_that_there_is_no_yarp(capsys, monkeypatch, tmp_path):
-    monkeypatch.setattr(listen, "_ports", list)
+    monkeypatch.setattr(devices, "_ports", list)
     monkeypatch.setenv("YARP_CONFIG_HOME", str(tmp_path))
     (tmp_path / "yarp.conf").write_text("127.0.0.1 1 yarp\n", encoding="utf-8")
     assert main(["devices"]) == 0

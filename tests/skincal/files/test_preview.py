@@ -4,7 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skincal.files.importers.overview import RecordingFiles, RecordingKind, guess_streams, preview_recording
+from skincal.files.importers.preview import RecordingFiles, guess_streams, preview_recording
+from skincal.files.importers.registry import RecordedPlace
 from skincal.geometry import Arm, DhLink
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -16,35 +17,39 @@ from tests.skincal.poke_script import PERIOD_S, Script, small_scene, some_pokes
 SAMPLES = some_pokes(small_scene(), 3).samples
 
 
+def files_of(wrench=None, skin=None, joints=None):
+    return RecordingFiles(*(None if path is None else RecordedPlace(path) for path in (wrench, skin, joints)))
+
+
 def test_a_folder_of_ports_is_told_apart(tmp_path):
     folder = write_yarp(tmp_path / "log", SAMPLES, joints=5)
     found = guess_streams([folder])
-    assert found == RecordingFiles(folder / "left_ft", folder / "left_forearm_skin", folder / "left_arm")
-    assert found.kind is RecordingKind.YARP
+    assert found == files_of(folder / "left_ft", folder / "left_forearm_skin", folder / "left_arm")
+    assert found.importer.name == "yarp"
     # One port of it, the logs themselves, and a folder above lead to the same.
     assert guess_streams([folder / "left_ft"]) == found
     assert guess_streams([tmp_path]) == found
     logs = [folder / name / "data.log" for name in ("left_arm", "left_ft", "left_forearm_skin")]
-    assert guess_streams(logs) == RecordingFiles(logs[1], logs[2], logs[0])
+    assert guess_streams(logs) == files_of(logs[1], logs[2], logs[0])
 
 
 def test_tables_are_told_apart_by_their_columns(tmp_path):
     folder = write_csv(tmp_path, SAMPLES)
     (folder / "c.csv").write_text("t_s,first_deg,second_rad\n0,1,2\n")
     found = guess_streams([folder])
-    assert found == RecordingFiles(folder / "a.csv", folder / "b.csv", folder / "c.csv")
-    assert found.kind is RecordingKind.CSV
-    assert guess_streams([folder / "b.csv", folder / "a.csv"]) == RecordingFiles(folder / "a.csv", folder / "b.csv")
+    assert found == files_of(folder / "a.csv", folder / "b.csv", folder / "c.csv")
+    assert found.importer.name == "csv"
+    assert guess_streams([folder / "b.csv", folder / "a.csv"]) == files_of(folder / "a.csv", folder / "b.csv")
 
 
 def test_without_a_header_the_number_of_columns_and_the_name_say_it(tmp_path):
     for name, width in (("one.csv", 6), ("two.csv", 24), ("three.csv", 7), ("joints.tsv", 6)):
         (tmp_path / name).write_text("\t".join(["0"] * (1 + width)) + "\n")
-    assert guess_streams([tmp_path]) == RecordingFiles(tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "three.csv")
+    assert guess_streams([tmp_path]) == files_of(tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "three.csv")
     log = write_log(tmp_path / "y" / "loadcell", [0.0, 0.1], [np.arange(6.0)] * 2)
-    assert guess_streams([log]).wrench == log
+    assert guess_streams([log]).wrench.path == log
     state = write_log(tmp_path / "z" / "joint_state", [0.0, 0.1], [np.arange(6.0)] * 2)
-    assert guess_streams([state]) == RecordingFiles(joints=state)
+    assert guess_streams([state]) == files_of(joints=state)
 
 
 def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
@@ -52,7 +57,7 @@ def test_the_skin_of_a_folder_with_many_ports_is_found(tmp_path):
         (tmp_path / f"a{index:02d}.csv").write_text("t_s,first_deg,second_rad\n0,1,2\n")
     folder = write_csv(tmp_path, SAMPLES)
     (folder / "b.csv").rename(folder / "zz_skin.csv")
-    assert guess_streams([folder]).skin == folder / "zz_skin.csv"
+    assert guess_streams([folder]).skin.path == folder / "zz_skin.csv"
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
@@ -66,8 +71,8 @@ def test_what_is_no_recording_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("files", "sentence"),
     [
-        (RecordingFiles(skin=Path("b")), "overview.no_wrench"),
-        (RecordingFiles(Path("a"), joints=Path("c")), "overview.no_skin"),
+        (files_of(skin=Path("b")), "overview.no_wrench"),
+        (files_of(Path("a"), joints=Path("c")), "overview.no_skin"),
     ],
 )
 def test_both_devices_are_needed(files, sentence):
@@ -79,7 +84,7 @@ def test_both_devices_are_needed(files, sentence):
 
 def test_two_kinds_do_not_go_together():
     with pytest.raises(InputError, match="one kind"):
-        RecordingFiles(Path("a.csv"), Path("b")).open()
+        files_of(Path("a.csv"), Path("b")).open()
 
 
 def test_a_look_says_what_is_there(tmp_path):

@@ -11,10 +11,10 @@ from skincal.cli import main
 from skincal.model.actions import Action, AddLandmark, AskPoke, SetPose, SkipLandmark, SkipPoke
 from skincal.model.scene import resource
 from skincal.reporting.session_facts import gather_facts
-from skincal.session.checked import verdicts_of
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.replay import replay, resume
+from skincal.session.results import verdicts_of
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import verdict_sentence
 from tests.approved import approved

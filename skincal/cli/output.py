@@ -1,0 +1,164 @@
+"""Summaries of a session that several commands print, as text and as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from skincal.cli.terminal import say
+from skincal.contacts.outcome import Contact, Rejection
+from skincal.files.reference import error_summary
+from skincal.geometry import FloatArray
+from skincal.guide.verdict import Verdict
+from skincal.journal.documents import LinkTotals
+from skincal.model.readings import LinkHealth, LinkState
+from skincal.model.skin import Layout
+from skincal.modules.health import spacing_ratio
+from skincal.session.results import SessionResults
+from skincal.session.snapshot import Snapshot
+from skincal.taxels.result import Estimate, Method, State
+from skincal.taxels.shared_errors import PredictedError, predicted_error
+from skincal.words.link_words import beside_words
+from skincal.words.taxel_words import predicted_words, unchecked_sentence
+from skincal.words.verdict_words import verdict_sentence
+
+
+def print_result(result: Mapping[str, Any], text: Sequence[str], as_json: bool) -> None:
+    """Print a command's result on stdout, as JSON or as lines of text."""
+    for line in [json.dumps(result, allow_nan=False, default=os.fspath)] if as_json else text:
+        say(line)
+
+
+def verdict_words(verdict: Verdict) -> str:
+    """Say what a session has reached, without a full stop."""
+    return verdict_sentence(verdict).rstrip(".")
+
+
+def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[str]:
+    """Say how far errors of sensor and arm may shift the taxels (m rms) that the predicted error leaves out."""
+    return [] if unchecked is None else [unchecked_sentence(unchecked, len(results.session.landmark_pokes))]
+
+
+def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
+    """Count pokes by what became of them."""
+    records, named = snapshot.pokes, snapshot.at_landmarks
+    # A poke at a landmark is not meant for the skin: that no taxel answered is no fault there.
+    reasons = Counter(
+        r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
+    )
+    return {
+        "pokes": len(records),
+        "accepted": sum(isinstance(r.outcome, Contact) and not r.excluded for r in records),
+        "excluded": sum(r.excluded for r in records),
+        "at_landmarks": sum(r.outcome.poke in named and not r.excluded for r in records),
+        "rejected": dict(sorted(reasons.items())),
+    }
+
+
+def method_summaries(
+    estimates: Mapping[Method, tuple[Estimate, ...]],
+    reference: Mapping[int, FloatArray] | None,
+    layout: Layout | None,
+    kind: str = "",
+) -> dict[str, Any]:
+    """Summarise every method, by its name with `kind` after it."""
+    return {method.value + kind: method_summary(found, reference, layout) for method, found in estimates.items()}
+
+
+def method_summary(
+    estimates: tuple[Estimate, ...], reference: Mapping[int, FloatArray] | None, layout: Layout | None
+) -> dict[str, Any]:
+    """Summarise one method: taxels by state, predicted error, and the error where a reference is known; millimetres.
+
+    `spacing_ratio` is how far neighbours lie apart over how far the layout plans it; None without a layout.
+    """
+    # All states are written, also those of no taxel, so that a program finds each key.
+    states = Counter(e.state.value for e in estimates)
+    predicted = predicted_error(estimates)
+    summary: dict[str, Any] = {
+        "states": {state.value: states.get(state.value, 0) for state in State},
+        "predicted_error_mm": None
+        if predicted is None
+        else {
+            "mean": predicted.mean * 1e3,
+            "worst": predicted.worst * 1e3,
+            "whole_skin": predicted.whole * 1e3,
+            "among_taxels": predicted.among * 1e3,
+        },
+        "spacing_ratio": None if layout is None else spacing_ratio(layout, estimates),
+    }
+    if reference is not None:
+        error = error_summary(estimates, reference)
+        summary["error_mm"] = None if error is None else {
+            "taxels": error.taxels, "mean": error.mean * 1e3, "sd": error.sd * 1e3,
+            "p95": error.p95 * 1e3, "max": error.max * 1e3, "worst_channel": error.worst_channel,
+        }  # fmt: skip
+    return summary
+
+
+def loss_counts(links: Sequence[LinkHealth | LinkTotals], unpaired: int) -> dict[str, Any]:
+    """Count good readings and losses by link and reason."""
+    counts = {
+        link.link: {
+            "format": link.format,
+            "readings": link.readings,
+            "lost": {loss.value: count for loss, count in link.losses.items() if count},
+            "beside": {name: asdict(found) for name, found in link.beside.items()},
+        }
+        for link in links
+    }
+    return {"links": counts, "frames_without_wrench": unpaired}
+
+
+def poke_lines(counts: Mapping[str, Any]) -> list[str]:
+    """Return the text for `poke_counts`."""
+    rejected = ", ".join(f"{reason}: {count}" for reason, count in counts["rejected"].items())
+    pokes = "1 poke" if counts["pokes"] == 1 else f"{counts['pokes']} pokes"
+    line = f"{pokes}: {counts['accepted']} accepted, {sum(counts['rejected'].values())} rejected"
+    line += f" ({rejected})" if rejected else ""
+    beside = {"excluded": counts["excluded"], "at landmarks": counts["at_landmarks"]}
+    return [line + "".join(f", {count} {words}" for words, count in beside.items() if count)]
+
+
+LEADS_WORDS = "; leads, as the one that predicts the smallest error"
+
+
+def method_lines(methods: Mapping[str, Mapping[str, Any]], leads: str | None) -> list[str]:
+    """Format each summary of `method_summaries` as a line of text, the leading method first."""
+    order = sorted(methods, key=lambda name: name != leads)
+    return [method_line(name, methods[name]) + (LEADS_WORDS if name == leads else "") for name in order]
+
+
+def method_line(name: str, summary: Mapping[str, Any]) -> str:
+    """Format a `method_summary` as a line of text."""
+    predicted, ratio, error = summary["predicted_error_mm"], summary["spacing_ratio"], summary.get("error_mm")
+    states = ", ".join(f"{count} {state}" for state, count in summary["states"].items() if count)
+    line = f"{name:8s} {states or 'no taxel seen'}"
+    if predicted is not None:
+        names = {"mean": "mean", "worst": "worst", "whole": "whole_skin", "among": "among_taxels"}
+        error_m = PredictedError(**{name: predicted[key] * 1e-3 for name, key in names.items()})
+        line += f"; predicted error {predicted_words(error_m)}"
+    if ratio is not None:
+        line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
+    if error is not None:
+        line += f"; error against the reference {error['mean']:.2f} mm mean (sd {error['sd']:.2f}, max {error['max']:.2f})"
+    return line
+
+
+def loss_lines(links: Sequence[LinkHealth | LinkTotals]) -> list[str]:
+    """Format good readings and losses of each link as a line of text."""
+    lines: list[str] = []
+    for link in links:
+        lost = ", ".join(f"{count} {loss.value}" for loss, count in link.losses.items() if count)
+        of, beside = f" of {link.format}" if link.format else "", beside_words(link.beside)
+        lines.append(f"{link.link}: {link.readings} readings{of}; lost: {lost or 'none'}" + (f"; {beside}" if beside else ""))
+    return lines
+
+
+def link_notes(links: Sequence[LinkHealth]) -> list[str]:
+    """Return what the devices of open links got wrong or said last."""
+    return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]

@@ -1,0 +1,317 @@
+"""`solve` and `export`: from a recorded session to estimates, calibration files and a corrected layout.
+
+Slow imports are inside the functions that need them: `--help` must answer at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import typer
+
+from skincal.files.formats import ExportFormat, formats_help
+from skincal.model.errors import InputError
+from skincal.taxels.result import Method
+
+if TYPE_CHECKING:
+    from skincal.modules.distances import TriedDistance
+    from skincal.session.results import SessionResults
+    from skincal.taxels.result import Estimate
+
+    Estimates: TypeAlias = Mapping[Method, tuple[Estimate, ...]]
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Replay = Annotated[
+    bool, typer.Option("--replay", help="Play the recorded bytes again instead of taking the pokes as they were judged.")
+]
+Part = Annotated[
+    str | None,
+    typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
+]
+Correct = Annotated[
+    bool,
+    typer.Option("--correct", help="Use the corrections of the sensor's frame and of the rig that landmark pokes offer."),
+]
+LayoutOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--layout",
+        help="Layout (*.modules.toml; lengths in mm, angles in degrees) in place of the session's own. Pokes stay as they were "
+        "judged; with --replay they are judged anew, too.",
+        show_default=False,
+    ),
+]
+SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", show_default=False)]
+
+
+MethodOption = Annotated[
+    Method | None,
+    typer.Option(
+        help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
+        "know at least 95 % of the taxels that any one knows.",
+        show_default=False,
+    ),
+]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command(epilog="Example: skincal solve my-session --out results")(solve)
+    purpose = f"Write the calibration file of a session.\n\nFormats:\n\n{formats_help()}"
+    app.command(help=purpose, epilog="Example: skincal export my-session --format icub --out right_forearm.txt")(export)
+
+
+def solve(
+    session: SessionArgument,
+    out: Annotated[Path | None, typer.Option(help="Folder for the calibration in every format.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Known places, a truth.json or an iCub position file: report the error against them.")
+    ] = None,
+    per_pose: Annotated[
+        bool, typer.Option("--per-pose", help="Also solve each arm pose alone and average the results, as the paper does.")
+    ] = False,
+    layout_out: Annotated[
+        Path | None,
+        typer.Option(
+            help="File for the corrected layout where modules are mirrored, turned or swapped in the layout; an older one is "
+            "kept as .bak, .bak-2, ...; the layout that was read is not touched. Nothing is written where nothing is wrong.",
+            show_default=False,
+        ),
+    ] = None,
+    layout: LayoutOption = None,
+    correct: Correct = False,
+    part: Part = None,
+    replay: Replay = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate every taxel of a session by each method of its scene.
+
+    The method that predicts the smallest error comes first, among those that know 95 % of the taxels that any one knows.
+    """
+    from skincal.cli import output
+    from skincal.files.reference import read_reference
+
+    if part is not None and out is None:
+        raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
+    known = None if reference is None else read_reference(reference)
+    results = open_results(session, replay, layout, correct)
+    pipeline, snapshot = results.pipeline, results.snapshot
+    planned = pipeline.scene.skin.layout
+    counts = output.poke_counts(snapshot)
+    methods = output.method_summaries(snapshot.estimates, known, planned)
+    if per_pose:
+        methods |= output.method_summaries(_averages_over_poses(results), known, planned, "-per-pose")
+    rig, rig_lines = _rig_result(results)
+    if (found := _estimates_if_corrected(results)) is not None:
+        methods |= output.method_summaries(found, known, planned, "-corrected")
+    leads = None if results.leading is None else results.leading.value
+    verdict = None if results.leading is None else output.verdict_words(results.verdict(results.leading))
+    unchecked = results.verdict(results.choose_method(None)).unchecked
+    # Before the calibration is written: this file may be refused.
+    modules, module_lines = _layout_result(results, layout, layout_out)
+    files, written = ([], []) if out is None else _write_all(results, out, part)
+    findings = [*pipeline.findings, *written]
+    totals = pipeline.totals()
+    losses = output.loss_counts(totals.links, totals.unpaired)
+    result = {
+        "session": session,
+        **counts,
+        "methods": methods,
+        "leads": leads,
+        "verdict": verdict,
+        **({"rig": rig} if rig else {}),
+        "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
+        "distances": [_distance(tried) for tried in snapshot.tried_distances],
+        "dead": {str(channel): why for channel, why in snapshot.dead.items()},
+        **losses,
+        **modules,
+        "files": files,
+        "findings": findings,
+    }
+    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *rig_lines]
+    text += [
+        *output.unchecked_lines(results, unchecked),
+        *_session_lines(results),
+        *([] if verdict is None else [f"{verdict}."]),
+    ]
+    text += [*module_lines, *(f"channel {channel} is not used: {why}" for channel, why in snapshot.dead.items())]
+    text += [*output.loss_lines(totals.links), *findings, *(f"wrote {path}" for path in files)]
+    output.print_result(result, text, as_json)
+
+
+def open_results(session: Path, replay: bool, layout: Path | None, correct: bool) -> SessionResults:
+    """Open a recorded session, as the options say."""
+    from skincal.session import replay as sessions
+    from skincal.session.results import SessionResults, use_offered
+
+    pipeline = (sessions.replay if replay else sessions.load)(session, layout)
+    if correct:
+        use_offered(pipeline.session)
+    return SessionResults(pipeline)
+
+
+def _distance(tried: TriedDistance) -> dict[str, Any]:
+    """Convert a known distance and its estimate from pokes to JSON."""
+    lengths = {"told_mm": tried.distance.length, "found_mm": tried.found, "sd_mm": tried.sd}
+    in_mm = {key: None if value is None else value * 1e3 for key, value in lengths.items()}
+    return {"taxels" if tried.distance.of_taxels else "modules": tried.distance.ends, "use": tried.use.value, **in_mm}
+
+
+def _averages_over_poses(results: SessionResults) -> Estimates:
+    from skincal.methods import average_over_poses
+
+    session = results.session
+    asked = session.contacts, session.channels
+    rest = session.scene.noise, session.surface, session.module_model, session.shared_errors
+    return {method: tuple(average_over_poses(*asked, method, *rest).values()) for method in session.methods}
+
+
+def _layout_result(results: SessionResults, used: Path | None, out: Path | None) -> tuple[dict[str, Any], list[str]]:
+    """Compare the layout with the estimates, as JSON and in lines; write the corrected layout to `out` if it is given."""
+    from skincal.files.layout_file import write_layout
+    from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
+
+    lines = [] if used is None else [f"solved with the layout {used} in place of the session's"]
+    layout: dict[str, Any] = {"used": used, "changes": [], "left": [], "written": None}
+    repair, model = results.layout_repair, results.session.module_model
+    if repair is None or model is None:
+        if out is not None:
+            raise InputError(
+                "--layout-out corrects a layout, and the scene has none; expected modules in its [skin], or --layout."
+            )
+        return {"misfits": [], "layout": layout}, lines
+    if repair.changes and out is not None:
+        write_layout(model.layout, repair, out)
+        layout["written"] = out
+    misfits = [misfit_sentence(misfit) for misfit in repair.misfits]
+    layout["changes"] = [{"module": change.module, **change.keys} for change in repair.changes]
+    layout["left"] = left_sentences(repair)
+    lines += [*misfits, *layout["left"]]
+    changes = "; ".join(change_words(change) for change in repair.changes)
+    if changes and out is not None:
+        lines += [f"corrected {changes}", f"wrote {out}; `skincal solve SESSION --layout {out}` solves with it"]
+    elif changes:
+        lines.append(f"the corrected layout says {changes}; --layout-out FILE writes it")
+    elif out is not None:
+        lines.append(f"{out} is not written: {_no_change_reason(results, misfits)}")
+    return {"misfits": misfits, "layout": layout}, lines
+
+
+def _no_change_reason(results: SessionResults, misfits: Sequence[str]) -> str:
+    if misfits:
+        return "nothing that was found can be put right by it"
+    judged = results.modules_judged
+    return f"none of {judged} modules looks mirrored, turned or swapped" if judged else "too little is known of every module"
+
+
+def _session_lines(results: SessionResults) -> list[str]:
+    """List the known distances that are used and the result of the last final check, in lines."""
+    from skincal.session.closing_pokes import closings_of
+    from skincal.words.layout_words import distance_sentences
+    from skincal.words.rig_words import closing_sentence, earlier_closings
+
+    closings = closings_of(results.snapshot, results.session.scene.noise)
+    final = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
+    return [*distance_sentences(results.snapshot.tried_distances), *final]
+
+
+def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
+    """Summarise what landmark pokes say of sensor and arm, as JSON and in lines; both empty without such pokes."""
+    from skincal.rig.correction import RIG
+    from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+
+    frame, answer, used = results.frame, results.rig, results.session.decisions.corrections
+    if answer is None:
+        return {}, []
+    rig: dict[str, Any] = {"landmark_pokes": len(results.session.landmark_pokes), "used": answer.used}
+    rig["corrections"] = [
+        {"of": each.of, "before_mm": each.before * 1e3, "after_mm": each.after * 1e3} for each in used.values()
+    ]
+    if frame is not None:
+        words = frame_sentence(frame)
+        rig["frame"] = {"right": frame.right, "sure": frame.sure, "miss_mm": frame.miss * 1e3, "words": words}
+    if answer.correction is not None:
+        rig |= {"held_out_before_mm": answer.before * 1e3, "held_out_after_mm": answer.after * 1e3}
+        rig["held_out_over_predicted"] = answer.ratio
+        rig["noise_over_scene"] = answer.noisier
+        rig["doubted"] = {str(poke): trust for poke, trust in answer.trust.items() if trust < 1.0}
+    lines = [] if frame is None else [frame_sentence(frame)]
+    lines += [correction_sentence(each) for each in used.values()]
+    return rig, lines + list(rig_sentences(answer)[1 if RIG in used else 0 :])
+
+
+def _estimates_if_corrected(results: SessionResults) -> Estimates | None:
+    """Estimate the taxels under the correction that is offered; `None` if none is, or it is in use."""
+    from skincal.methods import estimate_taxels
+    from skincal.rig.correction import RIG, CorrectionErrors
+
+    session, answer = results.session, results.rig
+    if answer is None or not answer.used or answer.correction is None or RIG in session.decisions.corrections:
+        return None
+    contacts = [answer.correction.corrected(contact) for contact in session.rig_request().contacts]
+    noise, surface, model = session.scene.noise, session.surface, session.module_model
+    shared = CorrectionErrors(answer.correction, {contact.poke: contact for contact in contacts}.__getitem__)
+    solved = estimate_taxels(
+        contacts, session.channels, session.methods, noise, surface, session.dead, model=model, shared=shared
+    )
+    return {method: tuple(estimates.values()) for method, estimates in solved.items()}
+
+
+def _write_all(results: SessionResults, folder: Path, part: str | None) -> tuple[list[Path], list[str]]:
+    """Write every format for every method of the scene; return the files and the findings, each once."""
+    from skincal.files.export import write_calibration
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
+    calibration = results.calibration()
+    files: list[Path] = []
+    findings: dict[str, None] = {}
+    for format_ in ExportFormat:
+        stem = "positions" if format_ is ExportFormat.ICUB else "taxels"
+        for method in list(calibration.estimates)[: 1 if format_.holds_all_methods else None]:
+            name = "calibration" if format_.holds_all_methods else f"{stem}-{method.value}"
+            files.append(folder / f"{name}{format_.suffix}")
+            findings |= dict.fromkeys(write_calibration(calibration, format_, files[-1], method, part))
+    return files, list(findings)
+
+
+def export(
+    session: SessionArgument,
+    format_: Annotated[ExportFormat, typer.Option("--format", help="Format of the file; see above.")],
+    out: Annotated[Path, typer.Option(help="File to write; an older one is kept as .bak, .bak-2, ...")],
+    method: MethodOption = None,
+    layout: LayoutOption = None,
+    correct: Correct = False,
+    part: Part = None,
+    replay: Replay = False,
+    as_json: Json = False,
+) -> None:
+    """Write the calibration file of a session."""
+    from skincal.cli import output
+    from skincal.files.export import write_calibration
+
+    if part is not None and format_ is not ExportFormat.ICUB:
+        raise InputError(f"--part names the skin part in an iCub file; expected --format icub, not {format_.value}.")
+    results = open_results(session, replay, layout, correct)
+    chosen, calibration = results.choose_method(method), results.calibration()
+    findings = [*results.pipeline.findings, *write_calibration(calibration, format_, out, chosen, part)]
+    summary = output.method_summary(calibration.estimates[chosen], None, results.session.scene.skin.layout)
+    verdict, unchecked = calibration.verdicts[chosen], calibration.unmodelled_rig_error_m[chosen]
+    line = output.method_line(chosen.value, summary) + (output.LEADS_WORDS if chosen is results.leading else "")
+    result = {
+        "file": out,
+        "format": format_.value,
+        "method": chosen.value,
+        **({} if layout is None else {"layout": layout}),
+        **summary,
+        "leads": None if results.leading is None else results.leading.value,
+        "verdict": verdict,
+        "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
+        "findings": findings,
+    }
+    text = [line, *output.unchecked_lines(results, unchecked), f"{verdict}.", *findings, f"wrote {out}"]
+    output.print_result(result, text, as_json)

@@ -1,0 +1,139 @@
+"""Registry of importers, which read recordings of other programs.
+
+It imports nothing heavy, since the commands' help must answer at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skincal.model.readings import Stream
+
+if TYPE_CHECKING:
+    from skincal.files.importers.timeline import OpenRecording
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class RecordedPlace:
+    """File or folder that holds a recorded stream."""
+
+    path: Path
+    topic: str = ""
+    """Name of the stream in a file that holds several; empty if it holds one."""
+
+    def __str__(self) -> str:
+        """Return the path, and after `::` the topic."""
+        return f"{self.path}::{self.topic}" if self.topic else str(self.path)
+
+    @classmethod
+    def parse(cls, text: str) -> RecordedPlace:
+        """Read what `str` returns."""
+        path, _, topic = text.partition("::")
+        return cls(Path(path), topic)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamGuess:
+    """A place in a recording and its likely stream."""
+
+    place: RecordedPlace
+    stream: Stream | None
+    """`None` if its content does not tell."""
+    width: int
+    """Values of a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Importer:
+    """Reader of the recordings of one program.
+
+    Its module has `guess_streams(path)`, which returns a `StreamGuess` for each stream in a file or folder, and
+    `open_recording(places)`, which returns an `OpenRecording` of the places by stream. Both raise InputError if a path is no
+    such recording. The streams of one recording may be in several files, or in one file by topic.
+    """
+
+    name: str
+    """In the command `import NAME`."""
+    title: str
+    """For the operator."""
+    suffixes: tuple[str, ...]
+    """Of its files."""
+    module: str
+    options: Mapping[Stream, str]
+    """Help of the command's option for each stream."""
+    marker: str = ""
+    """Name of the file that makes a folder one of its recordings; empty if it reads files alone."""
+    one_stream: bool = True
+    """Whether a file or folder holds one stream, so that those beside it belong to the same recording."""
+
+    @property
+    def guess_streams(self) -> Callable[[Path], Sequence[StreamGuess]]:
+        """Function of the module."""
+        return self._function("guess_streams")
+
+    @property
+    def open_recording(self) -> Callable[[Mapping[Stream, RecordedPlace]], OpenRecording]:
+        """Function of the module."""
+        return self._function("open_recording")
+
+    def _function(self, name: str) -> Any:
+        return getattr(import_module(f"skincal.files.importers.{self.module}"), name)
+
+
+IMPORTERS = (
+    Importer(
+        "csv",
+        "CSV tables",
+        (".csv", ".tsv", ".txt"),
+        "csv_log",
+        {
+            Stream.WRENCH: "CSV file: time and fx fy fz mx my mz.",
+            Stream.SKIN: "CSV file: time and one column a channel.",
+            Stream.JOINTS: "CSV file: time and one column a joint.",
+        },
+    ),
+    Importer(
+        "yarp",
+        "Logs of yarpdatadumper",
+        (".log",),
+        "yarp_folder",
+        {
+            Stream.WRENCH: "yarpdatadumper folder of the force/torque port.",
+            Stream.SKIN: "yarpdatadumper folder of the skin port.",
+            Stream.JOINTS: "yarpdatadumper folder of the arm's state port.",
+        },
+        marker="data.log",
+    ),
+)
+
+
+def importer_of(path: Path) -> Importer:
+    """Choose the importer of a file or folder by its name, or by the files in it; `yarp` if nothing tells."""
+    named = (each for each in IMPORTERS if path.suffix.lower() in each.suffixes)
+    marked = (each for each in IMPORTERS if each.marker and (path / each.marker).is_file())
+    return next(named, None) or next(marked, IMPORTERS[-1])
+
+
+def find_recordings(folder: Path) -> list[Path]:
+    """List the recordings in a folder, no deeper than two folders, since it may be a whole disk: folders first, else files."""
+    for each in (each for each in IMPORTERS if each.marker):
+        # The recording of a single stream lies beside those of the others.
+        inside = (folder / each.marker).is_file()
+        if inside and not each.one_stream:
+            return [folder]
+        start, patterns = (folder.parent, ("*/",)) if inside else (folder, ("*/", "*/*/"))
+        if found := sorted({path.parent for pattern in patterns for path in start.glob(pattern + each.marker)}):
+            return found
+    suffixes = {suffix for each in IMPORTERS if not each.marker for suffix in each.suffixes}
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
+
+
+def is_recording(path: Path) -> bool:
+    """Return whether a path is named like a recording, or is a folder with some."""
+    if path.is_dir():
+        return bool(find_recordings(path))
+    return path.is_file() and any(path.suffix.lower() in each.suffixes for each in IMPORTERS)

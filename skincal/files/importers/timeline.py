@@ -1,0 +1,329 @@
+"""Timelines of recorded files, corrected for clock jumps, and their lines merged into the chunks of a session.
+
+A recording must play as a live rig would, but stamps jump: a clock is set back, messages overtake each other, a program hangs.
+`Timeline` finds the jumps of one file, `OpenRecording.chunks` merges all files on a common clock that never runs backwards.
+
+- A stamp a little before the one before it (`OUT_OF_ORDER_S`) is a late message. It gets the time of the line before.
+- A stamp far before it is a clock set back. The rest of the file is shifted, so that it goes on one interval later. Two files
+  whose clocks were set back by the same amount share one shift, so that they stay paired.
+- If a clock jumps and jumps back by the same amount within `BRIEF_JUMP_MAX_S`, only the lines in between are shifted.
+- If a stamp is wrong for at most `OUTLIER_MAX_LINES` lines (a flipped bit), those lines get the time of the line before.
+- A gap stays a gap.
+
+Neighbouring lines of a file share a chunk, since a chunk costs more than a line. A chunk has the time of its last line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skincal.geometry import FloatArray, IntArray
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Chunk, Stream
+from skincal.streams.links import LinkSpec
+
+OUT_OF_ORDER_S = 0.5
+"""A message on a network is not later than this; a clock that is set back usually goes farther."""
+GAP_INTERVALS = 5.0
+"""A pause of more than this many intervals is a gap..."""
+GAP_MIN_S = 0.1
+"""...if it is also longer than this: a poke is held still for 0.3 s."""
+SHARED_JUMP_S = 0.2
+"""Jumps of two clocks are the same if they differ by less: each is known to an interval of its file."""
+OUTLIER_MAX_LINES = 3
+"""A clock that was set stays set; a wrong stamp is right again after at most this many lines."""
+BRIEF_JUMP_MAX_S = 60.0
+"""A clock that is right again after no more than this was wrong meanwhile: time servers correct it every minute or so."""
+SPAN_MAX_S = 1e8
+"""Three years: in a longer recording the clock jumped."""
+CHUNK_NS = 100_000_000
+"""A chunk spans at most this time: two fifths of the time that a skin frame waits for its wrench."""
+CHUNK_MAX_LINES = 128
+"""Bounds the memory of a chunk."""
+INTERVAL_STEPS = 500
+"""Steps of which the median is the usual interval: 5 s at 100 Hz."""
+MAX_LISTED_JUMPS = 3
+START_NS = 1_000_000_000
+"""A recording begins at this time of the host's clock; 0 would mean never."""
+
+Lines: TypeAlias = Callable[[], Iterable[Sequence[bytes]]]
+"""Opens a file and gives its lines in blocks, each line as the decoder takes it, with its line end."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Jump:
+    """A stamp far from those before it. Later lines decide whether the clock was set or the stamp is an outlier."""
+
+    line: int
+    highest: float
+    """Highest stamp before it, s."""
+    shift: float
+    """Shift of the lines before it, s."""
+    step: float
+    """From `highest` to the stamp, s."""
+    error: float
+    """How far the clock is ahead after it, if it was set: `step` less the usual interval, s."""
+
+
+class Timeline:
+    """Stamps of one file and the clock jumps in them.
+
+    Parameters
+    ----------
+    name : of the file's link
+    stamps : blocks of the lines' stamps, (n,) float, seconds of any clock
+    """
+
+    def __init__(self, name: str, stamps: Iterable[FloatArray]) -> None:
+        self.name = name
+        self.stamps: FloatArray = np.concatenate([np.empty(0), *stamps])
+        self.lines = len(self.stamps)
+        steps = np.diff(self.stamps)
+        self.earlier = int(np.count_nonzero(steps < 0))
+        """Lines with a stamp before that of the line before."""
+        forward = steps[steps >= 0][:INTERVAL_STEPS]
+        self.interval = float(np.median(forward)) if len(forward) else 0.0
+        """Usual time from line to line, s; 0 if there is none."""
+        self.out_of_order = 0
+        self.jumps: dict[int, float] = {}
+        """First line after each clock jump, and the shift in seconds that its stamp and all later ones need."""
+        self.outliers: set[int] = set()
+        """Lines with a wrong stamp."""
+        self._shift = 0.0
+        self._highest = 0.0
+        self._undecided: _Jump | None = None
+        # The last accepted jump, while the clock may still jump back.
+        self._accepted: _Jump | None = None
+        # (error, duration) in seconds of each brief jump, and the lines where they begin and end.
+        self._brief: list[tuple[float, float]] = []
+        self._brief_lines: set[int] = set()
+        self._pauses: list[float] = []
+        if self.lines:
+            self._find_jumps()
+        limit = max(GAP_MIN_S, GAP_INTERVALS * self.interval)
+        gaps = [pause for pause in self._pauses if pause > limit]
+        self.gaps, self.longest_gap = len(gaps), max(gaps, default=0.0)
+        self.first = float(self.stamps[0]) if self.lines else 0.0
+        """First stamp, s."""
+        self.last = self._highest + self._shift
+        """Highest stamp, shifted, s."""
+
+    def _find_jumps(self) -> None:
+        self._highest = float(self.stamps[0])
+        at, size = 1, 1
+        while at < self.lines:
+            limit = self.lines if self._undecided is None else self._undecided.line + OUTLIER_MAX_LINES + 1
+            block = self.stamps[at : min(at + size, limit)]
+            highest = np.maximum.accumulate(np.concatenate([[self._highest], block]))
+            steps = block - highest[:-1]
+            far = np.flatnonzero(np.abs(steps) > OUT_OF_ORDER_S)
+            steady = int(far[0]) if len(far) else len(block)
+            self.out_of_order += int(np.count_nonzero(steps[:steady] < 0))
+            self._pauses += steps[:steady][steps[:steady] > GAP_MIN_S].tolist()
+            self._highest = float(highest[steady])
+            at += steady
+            # After a jump the next one may be near; a steady clock is read in ever larger blocks.
+            size = 2 * size
+            if len(far):
+                self._begin_jump(at, float(self.stamps[at]))
+                at, size = at + 1, 16
+            if self._undecided is not None and at > self._undecided.line + OUTLIER_MAX_LINES:
+                self._decide()
+        jump = self._undecided
+        if jump is not None and jump.step > SPAN_MAX_S:
+            # No later line decides about the last ones, but no recording pauses for years.
+            self._drop_outliers(jump, self.lines, jump.highest)
+        self._decide()
+        self._end_accepted()
+
+    def _begin_jump(self, line: int, stamp: float) -> None:
+        jump = self._undecided
+        if jump is not None and abs(stamp - jump.highest) <= OUT_OF_ORDER_S:
+            self._drop_outliers(jump, line, stamp)
+            return
+        self._decide()
+        step = stamp - self._highest
+        self._undecided = _Jump(line, self._highest, self._shift, step, step - self.interval)
+        self._highest = stamp
+        if step < 0:
+            self._shift += self.interval - step
+
+    def _drop_outliers(self, jump: _Jump, end: int, stamp: float) -> None:
+        """Mark the lines from a jump to `end` as outliers; the clock goes on at `stamp`."""
+        self.outliers.update(range(jump.line, end))
+        self._highest, self._shift, self._undecided = max(jump.highest, stamp), jump.shift, None
+
+    def _decide(self) -> None:
+        """Accept the undecided jump as a clock that was set, if there is one."""
+        jump, self._undecided = self._undecided, None
+        if jump is None or self._undoes_accepted(jump):
+            return
+        self._end_accepted()
+        self._accepted = jump
+        if jump.step < 0:
+            self.jumps[jump.line] = -jump.error
+
+    def _undoes_accepted(self, jump: _Jump) -> bool:
+        """Shift only the lines in between if a jump undoes the one before it; return whether it does."""
+        before = self._accepted
+        # Slow streams have a step over the limit in every line: an error of zero.
+        if before is None or abs(before.error) <= SHARED_JUMP_S or abs(before.error + jump.error) > SHARED_JUMP_S:
+            return False
+        seconds = jump.highest - before.highest - before.error
+        if seconds > BRIEF_JUMP_MAX_S:
+            return False
+        self.jumps |= {before.line: -before.error, jump.line: before.error}
+        self._brief_lines |= {before.line, jump.line}
+        self._brief.append((before.error, seconds))
+        self._accepted, self._shift = None, before.shift
+        return True
+
+    def _end_accepted(self) -> None:
+        if self._accepted is not None and self._accepted.step > 0:
+            self._pauses.append(self._accepted.step)
+        self._accepted = None
+
+    def sentences(self) -> list[str]:
+        """List the findings: the size of the file first, then gaps, wrong stamps and clock jumps."""
+        rate = f", {1 / self.interval:.4g} a second" if self.interval else ""
+        found = [f"{plural(self.lines, 'line')} in {self.last - self.first:.1f} s{rate}."]
+        if self.gaps:
+            found.append(f"{plural(self.gaps, 'gap')} in time, the longest {self.longest_gap:.2f} s.")
+        if self.out_of_order:
+            found.append(f"{plural(self.out_of_order, 'stamp')} before the one before it; kept in the file's order.")
+        if self.outliers:
+            found.append(f"{plural(len(self.outliers), 'stamp')} far from those around; placed with the line before.")
+        placed = "the lines meanwhile are placed without it."
+        for error, seconds in self._brief[:MAX_LISTED_JUMPS]:
+            found.append(f"the clock was wrong by {error:+.3f} s for {seconds:.1f} s; {placed}")
+        if more := self._brief[MAX_LISTED_JUMPS:]:
+            seconds = sum(seconds for _, seconds in more)
+            found.append(f"the clock was wrong {plural(len(more), 'more time')}, for {seconds:.1f} s in all; {placed}")
+        backs = [f"{back:.3f} s" for line, back in self.jumps.items() if line not in self._brief_lines]
+        if backs:
+            amounts = ", ".join([*backs[:MAX_LISTED_JUMPS], *["..."][: len(backs) > MAX_LISTED_JUMPS]])
+            found.append(
+                f"the clock was set back {plural(len(backs), 'time')} ({amounts}); "
+                "the lines after it follow on without a break, but a poke that it cuts may be wrong."
+            )
+        return [f"{self.name}: {sentence}" for sentence in found]
+
+    def host_ns(self, origin: float) -> IntArray:
+        """Place the lines on the host's clock, (lines,) nanoseconds, never backwards; `origin` (s) becomes `START_NS`."""
+        shifts = np.zeros(self.lines)
+        for line, shift in self.jumps.items():
+            shifts[line] = shift
+        # Stamps have microseconds; more digits would be those of the double.
+        times = START_NS + np.rint((self.stamps + np.cumsum(shifts) - origin) * 1e6).astype(np.int64) * 1000
+        times[list(self.outliers)] = START_NS
+        return np.maximum.accumulate(np.maximum(times, START_NS))
+
+
+def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
+    """Give jumps of nearly the same amount in several files the same shift, that of the first file."""
+    known: list[float] = []
+    for timeline in timelines:
+        for line, shift in timeline.jumps.items():
+            best = min(known, key=lambda other: abs(other - shift), default=shift)
+            timeline.jumps[line] = best if abs(best - shift) <= SHARED_JUMP_S else shift
+        known += [shift for shift in timeline.jumps.values() if shift not in known]
+
+
+def check_overlap(timelines: Sequence[Timeline]) -> None:
+    """Check that every file goes on in time and shares time with the first.
+
+    Raises InputError: a file runs backwards or spans years, or two have no time in common, so that nothing can be paired.
+    """
+    for timeline in timelines:
+        if timeline.earlier * 2 > timeline.lines:
+            raise InputError(
+                f"{timeline.name}: its times run backwards: {timeline.earlier} of {timeline.lines} lines are earlier than the "
+                "line before; expected the oldest first: sort the lines by their time, or check which column is the time."
+            )
+        if timeline.last - timeline.first > SPAN_MAX_S:
+            raise InputError(
+                f"{timeline.name}: its stamps run from {timeline.first:.3f} to {timeline.last:.3f} s, over years; expected one "
+                "recording, its times in seconds: cut the file where its clock leaps."
+            )
+    first = timelines[0]
+    for other in timelines[1:]:
+        if other.first > first.last or other.last < first.first:
+            raise InputError(
+                f"{first.name} was recorded from {first.first:.3f} to {first.last:.3f} s and {other.name} from "
+                f"{other.first:.3f} to {other.last:.3f} s; expected recordings of the same time: choose logs of one run, with "
+                "clocks that agree."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenRecording:
+    """A recording that was read through once, one link, timeline and source of lines for each stream."""
+
+    links: tuple[LinkSpec, ...]
+    timelines: tuple[Timeline, ...]
+    sources: tuple[Lines, ...]
+    findings: tuple[str, ...]
+    """Sentences."""
+
+    @property
+    def span_ns(self) -> int:
+        """Nanoseconds from the first line of any stream to the last."""
+        first, last = min(each.first for each in self.timelines), max(each.last for each in self.timelines)
+        return round((last - first) * 1e9)
+
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield the lines of all streams as chunks in the order of time; lazily."""
+        # A frame gets the last angles before it, so these must not come later; a wrench may, since frames wait for it.
+        return merged_chunks(self.timelines, self.sources, (Stream.JOINTS.value,))
+
+
+def merged_chunks(timelines: Sequence[Timeline], sources: Sequence[Lines], early: Sequence[str] = ()) -> Iterator[Chunk]:
+    """Yield the lines of all files in the order of time, each with the files that share it in the order given; lazily.
+
+    Every line of the files named in `early` comes before the later lines of all other files, although these share chunks.
+    """
+    share_clock_jumps(timelines)
+    origin = min(timeline.first for timeline in timelines)
+    times = [timeline.host_ns(origin) for timeline in timelines]
+    starts = [_chunk_starts(timeline, placed) for timeline, placed in zip(timelines, times, strict=True)]
+    ends_ns = [placed[_last_lines(start)] for start, placed in zip(starts, times, strict=True)]
+    for file, timeline in enumerate(timelines):
+        if timeline.name in early and len(timelines) > 1:
+            others = np.sort(np.concatenate([ends for other, ends in enumerate(ends_ns) if other != file]))
+            position = np.searchsorted(others, times[file], "right")
+            starts[file] |= np.diff(position, prepend=-1) > 0
+            ends_ns[file] = times[file][_last_lines(starts[file])]
+    files = np.repeat(np.arange(len(starts)), [len(ends) for ends in ends_ns])
+    counts = np.concatenate([np.diff(np.flatnonzero(np.append(start, True))) for start in starts])
+    host_ns = np.concatenate(ends_ns)
+    lines = [chain.from_iterable(source()) for source in sources]
+    order = np.lexsort((files, host_ns))
+    chunks: list[tuple[int, int, int]] = np.stack([files, host_ns, counts], axis=1)[order].tolist()
+    for file, end_ns, count in chunks:
+        yield Chunk(timelines[file].name, end_ns, b"".join(islice(lines[file], count)))
+
+
+def _last_lines(starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the last line of each chunk."""
+    return np.append(starts[1:], True)
+
+
+def _chunk_starts(timeline: Timeline, host_ns: IntArray) -> NDArray[np.bool_]:
+    """Mark the first line of each chunk.
+
+    The decoder dates every line of a chunk by the chunk's arrival and keeps the smallest delay. A chunk has the time of its
+    last line, so only earlier lines look late. The first line after a clock change gets a chunk of its own.
+    """
+    jumped = np.abs(np.diff(timeline.stamps, prepend=-np.inf)) > OUT_OF_ORDER_S
+    starts = jumped.copy()
+    starts[1:] |= jumped[:-1]
+    starts |= np.diff((host_ns - START_NS) // CHUNK_NS, prepend=-1) > 0
+    firsts = np.flatnonzero(starts)
+    position = np.arange(len(starts)) - firsts[np.cumsum(starts) - 1]
+    return starts | (position % CHUNK_MAX_LINES == 0)
