@@ -22,7 +22,7 @@ from skincal.devices.netft import RECORDS
 from skincal.devices.registry import parse_device
 from skincal.files.icub import read_icub
 from skincal.files.reference import read_reference
-from skincal.journal.documents import lines_path
+from skincal.journal.line_file import lines_path
 from skincal.journal.writer import create_session
 from skincal.mesh.load import read_mesh
 from skincal.model.errors import MAX_SENTENCE_CHARS, InputError, plain_text
