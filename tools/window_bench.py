@@ -240,9 +240,9 @@ class Sounds:
         around(Line, "take", self._take)
 
     def _add(self, call: Call, press: Any, *arguments: Any) -> None:
-        before = press.held
+        before = press.may_release
         call(press, *arguments)
-        self._full = self._full or (press.held and not before)
+        self._full = self._full or (press.may_release and not before)
 
     def _feed(self, call: Call, pipeline: Any, item: Any) -> None:
         self._full = False

@@ -1,7 +1,9 @@
 """Channels that cannot be trusted are found, said with a sentence, and good ones are not."""
 
 import numpy as np
+import pytest
 
+from skincal.contacts.channel_health import DeadCause
 from skincal.contacts.detector import ContactDetector
 from skincal.contacts.outcome import Contact
 from tests.skincal.poke_script import ANSWERS, SPOTS, Script, small_scene
@@ -47,29 +49,32 @@ def test_nan_never_answers_and_the_poke_counts_for_the_others():
     assert outcomes[-1].channels.tolist() == [3]
 
 
-def test_a_channel_at_the_pressed_end_of_its_range_is_stuck():
-    script = Script(small_scene(limits=(0.0, 255.0)), skin_noise=1.0).quiet(12.0)
-    assert "pressed end" in _detector_after(script, _set(5, 255.0)).dead[5]
+def _rounded(skin):
+    skin[:] = np.round(skin)
 
 
-def test_a_channel_that_rests_at_the_other_end_is_not():
-    script = Script(small_scene(limits=(0.0, 255.0)), skin_noise=1.0).quiet(12.0)
-    assert _detector_after(script, _set(5, 0.0)).dead == {}
+@pytest.mark.parametrize(
+    ("noise", "seconds", "change", "words"),
+    [
+        (1.0, 12.0, _set(5, 255.0), "pressed end"),
+        (1.0, 12.0, _set(5, 0.0), ""),  # the other end
+        (1.0, 62.0, _set(5, 77.0), "77"),  # one constant among noisy channels
+        (0.25, 65.0, _rounded, ""),  # a coarse skin keeps its values
+    ],
+)
+def test_a_channel_that_keeps_its_value_is_stuck_if_others_vary(noise, seconds, change, words):
+    dead = _detector_after(Script(small_scene(limits=(0.0, 255.0)), skin_noise=noise).quiet(seconds), change).dead
+    assert list(dead) == ([5] if words else [])
+    assert words in dead.get(5, "")
 
 
-def test_one_constant_among_noisy_channels_is_stuck():
-    script = Script(small_scene(), skin_noise=1.0).quiet(62.0)
-    detector = _detector_after(script, _set(5, 77.0))
-    assert list(detector.dead) == [5]
-    assert "77" in detector.dead[5]
-
-
-def test_a_coarse_skin_that_rests_exactly_is_healthy():
-    def coarse(skin):
-        skin[:] = np.round(skin)
-
-    script = Script(small_scene(), skin_noise=0.25).quiet(65.0)
-    assert _detector_after(script, coarse).dead == {}
+@pytest.mark.parametrize("cause", DeadCause)
+def test_a_dead_channel_of_an_older_session_is_recognized_by_its_sentence(cause):
+    """Journals hold the sentences: each cause ends in its own way."""
+    script = Script(small_scene(), skin_noise=1.0).quiet(3.0)
+    detector = ContactDetector(script.scene, last_poke=4, dead={5: f"{cause.value} for a while"})
+    script.run(detector)
+    assert list(detector.dead) == ([5] if cause is DeadCause.ALWAYS_ON else [])
 
 
 def test_a_taxel_that_never_moves_while_its_neighbours_are_poked_is_stuck():
