@@ -1,19 +1,16 @@
-"""How a session ends: what is known well enough, whether the predicted errors may be believed, what is not done and why.
+"""Verdict on a session: whether it is finished, whether its predicted errors are believed, and which taxels are left.
 
-*Believed.* One poke in six, of a short session more, is held out and predicted from all the others. It costs nothing: the poke
-counts for the estimates, and is left out only where it is predicted. The taxel that answered it most is solved without it; the
-poke's axis passes that place at r = E (p - a), two numbers across the push. Their covariance is E S E' + D, with S that of the
-taxel so solved and D the poke's own noise (`knowledge.py`). r' (E S E' + D)^-1 r is a chi-squared of two degrees of freedom,
-at most 5.99 in 95 of 100 pokes. To D the scatter of the contact points is added that the pokes which are not held out show
-beyond the scene's noise (`contact_scatter.py`).
+**Held-out pokes.** One poke in six, more in a short session, is predicted from all the others. The poke counts for the
+estimates, and is left out only for its prediction. The taxel that it answered most is solved without it. The poke's axis passes
+that position at r = E (p - a), two numbers across the push, with the covariance E S E' + D: S is that of the taxel so solved
+and D the poke's own noise. r' (E S E' + D)^-1 r is chi-square with two degrees of freedom, at most 5.99 for 95 of 100 pokes. D
+contains the scatter of the contact points that the other pokes show beyond the scene's noise (`contact_scatter.py`). By the
+modules method the touched module is solved without the poke (`predicted_misses`), and the axis passes the centre of the pads
+that answered.
 
-By the modules method the module that the poke touched is solved without it (`predicted_misses`), and the axis passes the
-middle of the pads that answered; the rest is the same.
-
-This shows errors that the prediction does not know of: a wrong frame, a slipped sensor, a part that moved. It does not show
-what shifts all pokes alike: only landmarks do. Their pokes are held out, too, and their misses compared with what is predicted
-for them (`RigAnswer.ratio`). So errors are believed only where both agree, and without landmarks it is said how far a rig may
-be off before anything is known of it.
+This shows errors that the prediction does not contain: a wrong frame, a slipped sensor, a part that moved. Errors that shift
+all pokes alike are shown by landmarks alone. Their pokes are held out, too, and their misses compared with the predicted ones
+(`RigAnswer.ratio`). So errors are believed only if both agree.
 """
 
 from __future__ import annotations
@@ -45,35 +42,34 @@ from skincal.taxels.solve import Solution, solve
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-ONE_IN = 6
-"""One poke in so many is held out..."""
-HELD_OUT = 20
-"""...and more of them in a short session, down to every poke, so that there are so many: twice `TELLING`, since some cannot be
-predicted. Which ones they are follows from the number of pokes alone, never from how they fell."""
-INSIDE = 5.991
-"""Chi-squared of two degrees of freedom that 95 % stay below."""
+HELD_OUT_INTERVAL = 6
+"""One poke in so many is held out."""
+MIN_HELD_OUT = 20
+"""In a short session more are held out, up to all: twice `MIN_CHECKED`, since some cannot be predicted. The choice depends on
+the number of pokes alone, never on where they fell."""
+CHI2_2DOF_95 = 5.991
 OUTSIDE_SHARE = 0.05
-"""Share of the pokes that fall outside where the predicted errors are true."""
-BELIEVED = 0.01
-"""Chance below which so many outside are no accident."""
-AGREED = 0.1
-"""Chance below which they are not said to agree: at most one session in ten is denied it wrongly."""
-TELLING = 10
-"""Held-out pokes below which agreement says nothing: of five, none falls outside by chance in three sessions of four."""
-OTHERS = 2
-"""Other contacts of its taxel that a held-out poke needs: from fewer nothing is predicted."""
+"""Expected share of the pokes outside if the predicted errors are true."""
+MIN_CHANCE = 0.01
+"""With a smaller chance so many pokes outside are no accident."""
+MIN_CHANCE_TO_AGREE = 0.1
+"""With a smaller chance they are not said to agree: at most one true session in ten."""
+MIN_CHECKED = 10
+"""Fewer held-out pokes say nothing: of five, none is outside by chance in three sessions of four."""
+MIN_OTHER_CONTACTS = 2
+"""Other contacts of its taxel that a prediction needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """How many held-out pokes fell where they were predicted."""
+    """Number of held-out pokes, and of those inside their predicted regions."""
 
     checked: int
     inside: int
 
     @property
     def chance(self) -> float:
-        """Chance, 0 to 1, that as many or more fall outside though the predicted errors are true."""
+        """Probability that as many or more are outside although the predicted errors are true."""
         outside, share = self.checked - self.inside, OUTSIDE_SHARE
         # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
@@ -81,33 +77,33 @@ class Check:
         return max(0.0, 1.0 - below)
 
     @property
-    def tells(self) -> bool:
-        """Whether there are enough of them to say anything."""
-        return self.checked >= TELLING
+    def has_enough(self) -> bool:
+        """Whether there are enough of them to agree."""
+        return self.checked >= MIN_CHECKED
 
     @property
     def agrees(self) -> bool:
-        """Whether so many fall outside by chance often enough to say that they agree."""
-        return self.chance >= AGREED
+        """Whether so many outside are likely by chance."""
+        return self.chance >= MIN_CHANCE_TO_AGREE
 
     @property
     def believed(self) -> bool:
-        """Whether nothing speaks against the predicted errors."""
-        return self.chance >= BELIEVED
+        """Whether so many outside are possible by chance."""
+        return self.chance >= MIN_CHANCE
 
 
 def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
-    """Return whether what was held out speaks for the predicted errors: pokes on the skin, and landmarks.
+    """Tell whether held-out pokes on the skin and landmarks both confirm the predicted errors.
 
-    Landmarks alone show a shift that all taxels share, and only where their own misses do not widen what is predicted for them.
+    Landmarks alone show a shift of all taxels, and only if their own misses do not enlarge their predicted ones.
     """
     by_landmarks = landmarks is not None and landmarks.agrees and not landmarks.by_noise
-    return check.tells and check.agrees and by_landmarks
+    return check.has_enough and check.agrees and by_landmarks
 
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
-    """Return number and strongest channel of the contacts that are held out, in the order of their numbers."""
-    step = max(1, min(ONE_IN, len(contacts) // HELD_OUT))
+    """List number and strongest channel of the held-out contacts, by number."""
+    step = max(1, min(HELD_OUT_INTERVAL, len(contacts) // MIN_HELD_OUT))
     return [(contact.poke, contact.strongest_channel) for contact in contacts[step - 1 :: step]]
 
 
@@ -125,27 +121,26 @@ def check(
 
     Parameters
     ----------
-    contacts : those that count, in the order of their numbers
+    contacts : that count, by number
     channels : taxels that are used
-    evidence : gives what the contacts say of some channels
+    evidence : gives the rows of some channels
     surface : needed by the surface method
-    module_model : needed by the modules method; without it nothing is predicted by that method
+    module_model : needed by the modules method
     estimates : of the modules method, where the search for the modules' poses begins
     """
     if method is Method.MODULES:
-        return (
-            Check(0, 0)
-            if module_model is None
-            else _check_modules(contacts, channels, evidence, noise, module_model, estimates)
-        )
+        if module_model is None:
+            return Check(0, 0)
+        return _check_modules(contacts, channels, evidence, noise, module_model, estimates)
     used = set(channels)
-    strongest = [(contact.poke, int(contact.channels[contact.responses.argmax()])) for contact in contacts]
-    pairs = [(poke, channel) for poke, channel in strongest if channel in used]
+    pairs = [(each.poke, each.strongest_channel) for each in contacts if each.strongest_channel in used]
     answers = evidence(sorted({channel for _, channel in pairs}))
     cuts = _cuts(answers, pairs)
     if not cuts:
         return Check(0, 0)
-    solution = solve(_without(answers, [others for _, others in cuts]), [method], noise, surface)
+    # A taxel for each poke: a channel may be there twice, without another poke each time.
+    sizes, others = np.array([len(others) for _, others in cuts]), np.concatenate([others for _, others in cuts])
+    solution = solve(answers.take(others, np.arange(len(cuts)), sizes), [method], noise, surface)
     out = np.array([out for out, _ in cuts])
     return _check_misses(contacts, answers, out, *_misses(answers, out, solution, method, noise))
 
@@ -176,7 +171,7 @@ def _check_misses(
     out = np.isin(pokes, [poke for poke, _ in held_out(contacts)])
     scatter = learn_scatter(every.select(np.flatnonzero(~out)))
     squares = every.select(np.flatnonzero(out)).squares(scatter)
-    return Check(len(squares), int((squares <= INSIDE).sum()))
+    return Check(len(squares), int((squares <= CHI2_2DOF_95).sum()))
 
 
 def _check_modules(
@@ -204,7 +199,7 @@ def _check_modules(
 
 
 def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, list[int]]]:
-    """Return for each pair of poke and channel its own answer, and the answers of the taxel's other pokes."""
+    """List for each pair of poke and channel its own answer, and the answers of the taxel's other pokes."""
     row = {channel: i for i, channel in enumerate(answers.channels.tolist())}
     cuts: list[tuple[int, list[int]]] = []
     for poke, channel in pairs:
@@ -213,30 +208,15 @@ def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int
         first, after = answers.starts[row[channel] : row[channel] + 2].tolist()
         out = answers.pokes[first:after].tolist().index(poke) + first
         others = [answer for answer in range(first, after) if answer != out]
-        if len(others) >= OTHERS:
+        if len(others) >= MIN_OTHER_CONTACTS:
             cuts.append((out, others))
     return cuts
-
-
-def _without(answers: Evidence, groups: Sequence[Sequence[int]]) -> Evidence:
-    """Return evidence with a taxel for each group of answers: a channel may be there twice, without another poke each time."""
-    sizes, every = np.array([len(group) for group in groups]), np.array([answer for group in groups for answer in group])
-    return Evidence(
-        channels=np.arange(len(groups)),
-        starts=np.concatenate([[0], sizes.cumsum()]),
-        taxels=np.arange(len(groups)).repeat(sizes),
-        pokes=answers.pokes[every],
-        poses=answers.poses[every],
-        columns=np.ascontiguousarray(answers.columns[:, every]),
-        weights=answers.weights[every],
-        trust=np.ones(len(every)),
-    )
 
 
 def _misses(
     answers: Evidence, out: IntArray, solution: Solution, method: Method, noise: NoiseSettings
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN where the taxel is unknown."""
+    """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN if the taxel is unknown."""
     if method is Method.FREE and solution.has_free:
         places, known = solution.answer["solution"], solution.answer["free"]
         there = known["sd"] <= SD_MAX
@@ -245,7 +225,7 @@ def _misses(
         there = (solution.answer["triangle"] >= 0) & (known["sd"] <= SD_MAX)
     else:
         raise ValueError(f"the {method.value} method was not solved")
-    # What is not known is set to 0 to keep the algebra finite, and becomes NaN below.
+    # Unknown values are 0 to keep the algebra finite, and become NaN below.
     covariances = np.where(there[:, None, None], known["covariance"], 0.0)
     places = np.where(there[:, None], places, 0.0)
     pairs, lever = answers.pairs[out], places - answers.sensors[out]
@@ -258,58 +238,58 @@ def _misses(
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """A taxel that is not done."""
+    """A taxel that is not finished."""
 
     channel: int
     why: Why
     needs: tuple[Need, ...]
-    """What it still needs; none where it is not used."""
+    """None if it is not used."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What a session has come to by one method."""
+    """Verdict on a session by one method."""
 
     method: Method
     enough: bool
-    """Whether nothing is asked for any more, of anything that there is."""
+    """Whether no poke is asked for any more."""
     wanted: float
-    """m, the predicted error that was asked for."""
+    """m, wanted predicted error."""
     done: int
+    """Finished taxels, of `used`."""
     used: int
-    """Taxels, without those that are not used."""
     left: tuple[Left, ...]
-    """Those that are not done, used or not, by channel."""
+    """Taxels that are not finished, used or not, by channel."""
     check: Check
     landmarks: LandmarkAgreement | None
-    """None where too few were poked to say anything."""
+    """`None` from too few landmark pokes."""
     predicted: PredictedError | None
-    """Of the taxels that are estimated; None where none is."""
+    """`None` without an estimate."""
     unchecked: float | None
-    """m: by how much the rig's errors may move the taxels beside what is predicted, root mean square; None under a correction
-    whose own uncertainty is in the prediction, or where no taxel is known."""
+    """m, rms shift of the taxels by rig errors that the prediction leaves out; `None` under a correction, whose uncertainty is
+    in the prediction, or without an estimate."""
     pokes: int
-    """Accepted, and not taken out."""
+    """That count."""
     seconds: float
-    """s, from the first of these pokes to the end of the last, without pauses."""
+    """s, of work, without pauses."""
     closings: tuple[Closing, ...] = ()
-    """Whether anything moved since the session began, each time that was checked; the last one counts."""
+    """Each closing check; the last one counts."""
     landmarks_left: int = 0
-    """Pokes at landmarks that are still asked for."""
+    """Landmark pokes that are still asked for."""
 
     @property
     def doubted(self) -> bool:
-        """Whether anything speaks against the predicted errors."""
+        """Whether anything contradicts the predicted errors."""
         return self.moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
     def moved(self) -> bool:
-        """Whether something has moved by the last closing check."""
+        """Whether something moved by the last closing check."""
         return bool(self.closings) and self.closings[-1].moved
 
     @property
     def believed(self) -> bool:
-        """Whether what was held out speaks for them (`is_believed`)."""
+        """See `is_believed`."""
         return is_believed(self.check, self.landmarks)
 
 
@@ -325,16 +305,13 @@ def verdict_of(
     landmarks: LandmarkAgreement | None = None,
     unchecked: float | None = None,
 ) -> Verdict:
-    """Return what a session has come to.
+    """Judge a session.
 
     Parameters
     ----------
-    guidance : of this moment
-    estimates : of its method
-    contacts : those that count, by the number of their poke
-    evidence : gives what the contacts say of some channels
-    surface : needed by the surface method
-    module_model : needed by the modules method, whose errors are not checked without it
+    estimates : of the method of `guidance`
+    contacts : that count, by the number of their poke
+    evidence, surface, module_model : as for `check`
     landmarks, unchecked : see `Verdict`
     """
     state = {estimate.channel: estimate.state for estimate in estimates}
@@ -359,7 +336,7 @@ def verdict_of(
 
 
 def _left(guidance: Guidance, state: Mapping[int, State]) -> Iterator[Left]:
-    """Yield the taxels that are not done, by channel."""
+    """Yield the taxels that are not finished, by channel."""
     for channel, needs in zip(guidance.channels.tolist(), guidance.needs, strict=True):
         if state.get(channel) is State.DEAD:
             yield Left(channel, Why.DEAD, ())

@@ -163,7 +163,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     """Yield each check with its result and its verdict, also those that were not possible."""
     check, landmarks = facts.verdict.check, facts.verdict.landmarks
     said = AGREES if check.agrees else AGAINST
-    yield "Held-out pokes", check_words(facts.verdict), said if check.tells or not check.believed else OPEN
+    yield "Held-out pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", agreement_words(landmarks), said
     closings = facts.verdict.closings

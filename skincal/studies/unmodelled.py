@@ -166,7 +166,7 @@ def _judge(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> B
     for name, (errors, tried) in solved.items():
         believed = is_believed(tried, landmarks)
         found[name] = {
-            **errors, "skin_agrees": tried.tells and tried.agrees, "ratio": ratio, "believed": believed, "used": used,
+            **errors, "skin_agrees": tried.has_enough and tried.agrees, "ratio": ratio, "believed": believed, "used": used,
             "noisier": noisier, "wrongly_believed": believed and errors["inside"] < COVERAGE_MIN,
         }  # fmt: skip
     return found

@@ -64,7 +64,7 @@ def _skin_words(verdict: Verdict) -> str:
         return "Something has moved since the start."
     if not check.believed:
         return "Test pokes contradict it."
-    if not check.tells:
+    if not check.has_enough:
         return "There are too few test pokes to check it." if verdict.done else ""
     return "Test pokes agree." if check.agrees else "Test pokes hardly agree."
 
@@ -112,7 +112,7 @@ def check_words(verdict: Verdict) -> str:
     if not check.checked:
         return "none yet"
     words = f"{check.inside} of {plural(check.checked, 'held-out poke')} inside the expected range"
-    if check.believed and not check.tells:
+    if check.believed and not check.has_enough:
         return f"{words}: too few for a statement"
     if check.agrees:
         return words

@@ -41,7 +41,7 @@ POINTS = (CORNER, OTHER, SIDE)
 @pytest.fixture(autouse=True)
 def three_are_enough(monkeypatch):
     """Three landmarks stand for as many as a correction takes: with four each case is longer and says the same."""
-    monkeypatch.setattr(landmarks_module, "FEWEST_POINTS", 3)
+    monkeypatch.setattr(landmarks_module, "MIN_LANDMARKS", 3)
 
 
 ARROW, BETWEEN = "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "

@@ -83,9 +83,9 @@ class GuidedBench:
 
 
 @cache
-def after(pokes, method=Method.FREE):
+def after(pokes, method=Method.FREE, seed=1):
     """A bench that followed its guide; tests leave it as it is."""
-    bench = GuidedBench(method)
+    bench = GuidedBench(method, seed)
     for _ in range(pokes):
         bench.poke()
     return bench

@@ -10,7 +10,7 @@ from scipy import stats
 from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings, Why
-from skincal.guide.verdict import INSIDE, ONE_IN, Check, check, held_out, verdict_of
+from skincal.guide.verdict import CHI2_2DOF_95, HELD_OUT_INTERVAL, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
@@ -61,7 +61,7 @@ def checked(method=Method.FREE, surface=None, noise=None, **which):
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
     session, _ = poked_session()
     pairs = held_out(session.contacts)
-    assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][ONE_IN - 1 :: ONE_IN]
+    assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][HELD_OUT_INTERVAL - 1 :: HELD_OUT_INTERVAL]
     by_poke = {each.poke: each for each in session.contacts}
     for poke, channel in pairs:
         contact = by_poke[poke]
@@ -98,7 +98,7 @@ def test_it_is_predicted_from_what_all_the_other_pokes_say_and_nothing_else(meth
         turned = np.stack([np.cross(u, e) for e in across])
         total = turned @ estimate.covariance @ turned.T + across @ spread @ across.T
         off = across @ np.cross(u, estimate.position - answers.nearest[0])
-        inside += bool(off @ np.linalg.solve(total, off) <= INSIDE)
+        inside += bool(off @ np.linalg.solve(total, off) <= CHI2_2DOF_95)
         count += 1
     found = checked(method, pokes=120)
     assert count > 5
@@ -158,8 +158,8 @@ def test_without_a_module_model_modules_are_not_checked():
 
 
 def test_a_few_pokes_that_agree_say_nothing():
-    assert not Check(0, 0).tells
-    assert Check(12, 12).tells
+    assert not Check(0, 0).has_enough
+    assert Check(12, 12).has_enough
 
 
 def test_the_chance_is_that_of_a_binomial():
@@ -186,7 +186,7 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
     verdict = verdict_of(guidance, estimates, contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
     by_modules = replace(guidance, method=Method.MODULES)
     answers = (snapshot.estimates[Method.MODULES], contacts, mine.evidence, part().scene.noise, part().surface, SETTINGS)
-    assert verdict_of(by_modules, *answers, mine.module_model).check.tells
+    assert verdict_of(by_modules, *answers, mine.module_model).check.has_enough
     assert verdict.used == 83
     assert verdict.pokes == len(contacts)
     assert {taxel.channel: taxel.why for taxel in verdict.left}[dead] is Why.DEAD
@@ -204,9 +204,8 @@ def test_the_verdict_counts_what_is_done_and_says_of_the_rest_why():
 def test_a_session_without_pokes_has_a_verdict_too():
     session = Session(part().scene, part().surface)
     snapshot = session.snapshot()
-    guidance = Guide(part().plan, NoiseSettings(), Method.SURFACE, part().spacing).update(
-        {}, snapshot.estimates, session.evidence
-    )
+    guide = Guide(part().plan, NoiseSettings(), Method.SURFACE, part().spacing)
+    guidance = guide.update({}, snapshot.estimates, session.evidence, {}.get)
     estimates = snapshot.estimates[Method.SURFACE]
     verdict = verdict_of(guidance, estimates, {}, session.evidence, NoiseSettings(), part().surface, SETTINGS)
     assert (verdict.done, verdict.used, verdict.pokes, verdict.seconds) == (0, 84, 0, 0.0)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mesh_support import grid
 
 from skincal.mesh.lay import anchor_remarks, place_layout, subdivide_outline
 from skincal.mesh.search import nearest_points
@@ -14,11 +15,7 @@ from tests.skincal.sim_support import scene_and_surface
 
 def grid_surface(shape, u, v) -> Surface:
     """A surface over a grid of parameters, wound so that u cross v is outward."""
-    a, b = np.meshgrid(u, v, indexing="ij")
-    vertices = np.stack(shape(a, b), axis=-1).reshape(-1, 3)
-    i = (np.arange(len(u) - 1)[:, None] * len(v) + np.arange(len(v) - 1)).ravel()
-    one, two = np.stack([i, i + len(v), i + 1], axis=1), np.stack([i + 1, i + len(v), i + len(v) + 1], axis=1)
-    return make_surface(vertices, np.concatenate([one, two]))
+    return grid(np.stack(shape(*np.meshgrid(u, v, indexing="ij")), axis=-1))
 
 
 RADIUS = 0.04
@@ -145,12 +142,7 @@ def test_past_the_rim_the_board_goes_on_straight_and_is_named():
     past = layout.places[layout.channels][:, 1] > 0.0201
     places = laid.places[layout.channels]
     np.testing.assert_array_equal(np.linalg.norm(nearest_points(surface, places)[0] - places, axis=1) > 1e-6, past)
-    np.testing.assert_allclose(
-        laid.places[layout.channels][:, 2],
-        0.08 + layout.places[layout.channels][:, 1],
-        atol=1e-9,
-        err_msg="height is the board's",
-    )
+    np.testing.assert_allclose(places[:, 2], 0.08 + layout.places[layout.channels][:, 1], atol=1e-9)
 
 
 def test_walks_through_vertices_and_along_edges_end():

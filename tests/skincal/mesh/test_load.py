@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mesh_support import tube
 
 from skincal.mesh.geodesics import geodesics_of
 from skincal.mesh.load import FindingKind, load_surface
@@ -23,14 +24,10 @@ from skincal.model.scene import SurfaceSpec
 from tests.approved import approved, approved_pattern
 
 
-def tube_mesh(around=24, along=12, turn=0.6, radius=40.0, length=150.0):
+def tube_mesh(**shape):
     """Vertices in mm and triangles of an open shell, normals away from the axis."""
-    angle, height = np.linspace(-np.pi * turn, np.pi * turn, around + 1), np.linspace(0, length, along + 1)
-    a, h = np.meshgrid(angle, height, indexing="ij")
-    vertices = np.stack([radius * np.cos(a), radius * np.sin(a), h], axis=-1).reshape(-1, 3)
-    i = (np.arange(around)[:, None] * (along + 1) + np.arange(along)).ravel()
-    one, two = np.stack([i, i + along + 1, i + 1], axis=1), np.stack([i + 1, i + along + 1, i + along + 2], axis=1)
-    return vertices, np.concatenate([one, two])
+    surface = tube(**shape)
+    return 1e3 * surface.vertices, surface.triangles
 
 
 def box_mesh(side=40.0, middle=(0.0, 0.0, 0.0)):
@@ -189,31 +186,15 @@ def test_a_moebius_strip_and_a_fin_are_survived_and_said(tmp_path):
     assert found[FindingKind.NON_MANIFOLD].count == 1
 
 
+def likely(*units):
+    return "; ".join(approved("mesh.unit_would_give", unit=unit, diagonal=diagonal) for unit, diagonal in units)
+
+
 @pytest.mark.parametrize(
     ("size", "scale", "said"),
     [
-        (
-            1.0,
-            1.0,
-            approved(
-                "mesh.too_large",
-                seen="177.9 m",
-                unit="m",
-                likely="; ".join(
-                    approved("mesh.unit_would_give", unit=u, diagonal=d) for u, d in (("cm", "1.779 m"), ("mm", "177.9 mm"))
-                ),
-            ),
-        ),
-        (
-            1e-3,
-            1e-3,
-            approved(
-                "mesh.too_large",
-                seen="0.1779 mm",
-                unit="mm",
-                likely=approved("mesh.unit_would_give", unit="m", diagonal="177.9 mm"),
-            ),
-        ),
+        (1.0, 1.0, approved("mesh.too_large", seen="177.9 m", unit="m", likely=likely(("cm", "1.779 m"), ("mm", "177.9 mm")))),
+        (1e-3, 1e-3, approved("mesh.too_large", seen="0.1779 mm", unit="mm", likely=likely(("m", "177.9 mm")))),
         (1e6, 1e-3, approved("mesh.no_unit_fits")),
     ],
 )
@@ -227,10 +208,7 @@ def test_a_thousand_times_wrong_is_refused_with_the_likely_unit(tmp_path, size, 
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("part.off", b"", "empty"),
-        ("part.stl", b"", "empty"),
-        ("part.obj", b"", "empty"),
-        ("part.ply", b"", "empty"),
+        *((f"part.{kind}", b"", "empty") for kind in ("off", "stl", "obj", "ply")),
         ("part.stl", stl_bytes(np.zeros((3, 3)), np.empty((0, 3), int)), "empty"),
         ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "3 vertices, no triangle"),
         ("part.step", b"ISO-10303", approved("mesh.unknown_suffix", suffix=".step")),
@@ -253,12 +231,11 @@ def test_bad_files_are_named_with_what_to_do(tmp_path, name, data, said):
     assert name in str(error.value)
 
 
-def test_a_missing_file(tmp_path):
-    with pytest.raises(InputError, match=approved_pattern("mesh.missing")):
-        load_surface(SurfaceSpec(tmp_path / "none.stl", 1e-3, np.eye(4)))
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(InputError, match="is a folder"):
-        load_surface(SurfaceSpec(tmp_path / "folder.stl", 1e-3, np.eye(4)))
+    for name, said in (("none.stl", approved_pattern("mesh.missing")), ("folder.stl", "is a folder")):
+        with pytest.raises(InputError, match=said):
+            load_surface(SurfaceSpec(tmp_path / name, 1e-3, np.eye(4)))
 
 
 @settings(max_examples=120, deadline=None)

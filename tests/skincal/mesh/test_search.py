@@ -1,6 +1,8 @@
+from itertools import product
+
 import numpy as np
 import pytest
-from mesh_support import Nearest, nearest_to, tube
+from mesh_support import Nearest, grid, nearest_to, tube
 
 from skincal.mesh.search import nearest_in_metric, nearest_points
 from skincal.mesh.surface import Surface, make_surface
@@ -200,22 +202,14 @@ def test_a_hundred_thousand_triangles_take_milliseconds(least_time):
 
 def square(z: float, cells: int = 1, side: float = 0.1) -> Surface:
     """A flat square about the z axis, normals along +z."""
-    ticks = np.linspace(-side / 2, side / 2, cells + 1)
-    x, y = np.meshgrid(ticks, ticks, indexing="ij")
-    vertices = np.stack([x, y, np.full_like(x, z)], axis=-1).reshape(-1, 3)
-    i = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
-    one, two = np.stack([i, i + cells + 1, i + 1], axis=1), np.stack([i + 1, i + cells + 1, i + cells + 2], axis=1)
-    return make_surface(vertices, np.concatenate([one, two]))
+    x, y = np.meshgrid(*[np.linspace(-side / 2, side / 2, cells + 1)] * 2, indexing="ij")
+    return grid(np.stack([x, y, np.full_like(x, z)], axis=-1))
 
 
 def sphere(radius: float) -> Surface:
     """A closed ball by three subdivisions of an octahedron, outward normals."""
-    faces = [
-        np.array([[x, 0, 0], [0, y, 0], [0, 0, z]])[:: int(x * y * z)]
-        for x in (1.0, -1.0)
-        for y in (1.0, -1.0)
-        for z in (1.0, -1.0)
-    ]
+    signs = product((1.0, -1.0), repeat=3)
+    faces = [np.array([[x, 0, 0], [0, y, 0], [0, 0, z]])[:: int(x * y * z)] for x, y, z in signs]
     for _ in range(3):
         finer = []
         for a, b, c in faces:
