@@ -17,7 +17,6 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray
-from skincal.guide.candidates import candidate_pushes
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
@@ -27,7 +26,7 @@ from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import OPERATORS, Habits, aim, by_habit
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, cone_tilts, held, push_directions, tangents
+from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, held, push_directions, tangents
 from skincal.taxels.result import Estimate, Method
 
 POSE = "2"
@@ -131,12 +130,6 @@ def random(part: Bench, conditions: Conditions, count: int, rng: np.random.Gener
     return _straight(part, rng.integers(len(part.plan.channels), size=count))
 
 
-def random_sides(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke anywhere from any side that friction holds."""
-    rows = rng.integers(len(part.plan.channels), size=count)
-    return _at(part, rows, cone_tilts(count, conditions.usable, rng), rng.uniform(-np.pi, np.pi, count))
-
-
 def round_robin(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, along the normal."""
     del conditions
@@ -150,11 +143,9 @@ def tilt_recipe(part: Bench, conditions: Conditions, count: int, rng: np.random.
     return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
 
 
-WAYS: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, random_sides, round_robin, tilt_recipe)}
+WAYS: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
 """By the name in JSON."""
 
-FOLLOWED = ("diversity", "optimal", "guided")
-"""Ways that follow what is measured: the taxel whose axes spread least; A-optimal without an end; ours."""
 LOOKED_AT = 1.03
 """A course is looked at after so many times as many pokes as before, and after every second one up to `DENSE`."""
 DENSE = 260
@@ -210,12 +201,13 @@ def run_course(part: Bench, way: str, method: Method, conditions: Conditions, se
     rig = rig_beside(part, conditions, seed)
     # Another stream than the rig's: every way to poke meets the same rig of a seed.
     rng = np.random.default_rng([seed, 11])
-    steps = _followed if way in FOLLOWED else _unguided
+    own = part, rig, method, conditions, rng, limit
+    steps = _guided(*own) if way == "guided" else _unguided(way, *own)
     at = set(looks(limit).tolist())
     rows: list[tuple[int, float, float, float]] = []
     last: tuple[Session, Guidance | None] | None = None
     enough, given_up = float("inf"), 0
-    for count, seconds, session, guidance in steps(part, rig, way, method, conditions, rng, limit):
+    for count, seconds, session, guidance in steps:
         last = session, guidance
         if guidance is not None and not np.isfinite(enough):
             given_up = len(guidance.given_up)
@@ -267,7 +259,7 @@ Step = tuple[int, float, Session, Guidance | None]
 
 
 def _unguided(
-    part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+    way: str, part: Bench, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
     meant = WAYS[way](part, conditions, limit, rng)
@@ -281,19 +273,17 @@ def _unguided(
         yield count, float(times[count - 1]), session, None
 
 
-def _followed(
-    part: Bench, rig: Rig, way: str, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+def _guided(
+    part: Bench, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as a guide says, one after another."""
     session, seconds, hand = _session(part, method), 0.0, None
-    guide = _guide(part, method, forever=way == "optimal")
+    guide = _guide(part, method)
     contacts: dict[int, Contact] = {}
     targets: dict[int, Target | None] = {}
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, targets.get)
     for count in range(1, limit + 1):
-        if way == "diversity":
-            meant = _least_spread(part, session, guidance, conditions)
-        elif guidance.target is not None:
+        if guidance.target is not None:
             meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
         else:
             # Enough, says the guide: who goes on all the same pokes what is known worst.
@@ -314,21 +304,8 @@ def _session(part: Bench, method: Method) -> Session:
     return Session(part.scene, part.surface, {*ALONE, method})
 
 
-def _guide(part: Bench, method: Method, forever: bool = False) -> Guide:
-    settings = GuideSettings(sweep=float("inf")) if forever else GuideSettings()
-    return Guide(part.plan, part.scene.noise, method, part.spacing, settings)
-
-
-def _least_spread(part: Bench, session: Session, guidance: Guidance, conditions: Conditions) -> MeantPokes:
-    """Poke the taxel whose axes spread least, from the side that the most distant of its pokes came from least."""
-    row = int(np.lexsort((guidance.own, guidance.diversity))[0])
-    place = part.plan.places[row]
-    tries = candidate_pushes(part.plan.normals[row : row + 1], min(conditions.usable, GuideSettings().usable_tilt))[0]
-    known = session.evidence([int(part.plan.channels[row])])
-    if not len(known.channels):
-        return MeantPokes(place[None], tries[:1])
-    apart = np.abs(tries @ known.directions.T).max(axis=1)
-    return MeantPokes(place[None], tries[[int(apart.argmin())]])
+def _guide(part: Bench, method: Method) -> Guide:
+    return Guide(part.plan, part.scene.noise, method, part.spacing, GuideSettings())
 
 
 def _seconds(ways: FloatArray) -> FloatArray:
