@@ -129,7 +129,7 @@ def estimate_from(
     evidence = table.evidence([channel for channel in channels if channel not in dead])
     solved: Estimates = {method: {} for method in methods}
     parts = [evidence.part(first, after) for first, after in _blocks(evidence)]
-    for solution in _solved(
+    for solution in _solve_parts(
         parts, lambda part, two: solve(part, methods, noise, surface, _triangles(part, last), doubting, two)
     ):
         for estimate in (*estimate_free(solution), *estimate_surface(solution, surface)):
@@ -140,7 +140,7 @@ def estimate_from(
     }
 
 
-def _solved(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Solution]) -> Iterator[Solution]:
+def _solve_parts(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Solution]) -> Iterator[Solution]:
     """Yield the solution of each part, in any order; `work` gets True in the second thread, which does most parts."""
     if len(parts) < 2:
         yield from (work(part, False) for part in parts)

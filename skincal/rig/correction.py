@@ -187,7 +187,7 @@ class RigState:
         """Make the state of an exact rig, with so many columns of C."""
         return cls(np.zeros((6, columns)), np.zeros((poses, 3)), np.zeros((poses, 3)))
 
-    def moved(self, step: FloatArray, scales: FloatArray) -> RigState:
+    def add_step(self, step: FloatArray, scales: FloatArray) -> RigState:
         """Add a step in standard deviations of the prior."""
         change = step * scales
         of_matrix = self.matrix.size

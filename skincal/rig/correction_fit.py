@@ -127,7 +127,7 @@ class ModuleGroups(_Groups):
         across = np.eye(3) - normals[:, :, None] * normals[:, None]
         return PlacedPokes(places, gradients, self.touches.offsets[:, None, None] * across)
 
-    def moved(self, moves: FloatArray) -> ModuleGroups:
+    def move_by(self, moves: FloatArray) -> ModuleGroups:
         return replace(self, poses=self.model.ground.move(self.poses, moves))
 
 
@@ -144,7 +144,7 @@ class TaxelGroups(_Groups):
         eye = np.tile(np.eye(3), (len(self.of), 1, 1))
         return PlacedPokes(self.points[self.of], eye, self.offsets[:, None, None] * eye)
 
-    def moved(self, moves: FloatArray) -> TaxelGroups:
+    def move_by(self, moves: FloatArray) -> TaxelGroups:
         return replace(self, points=self.points + moves)
 
 
@@ -321,11 +321,11 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     fit = _Fit(request, names, request.prior)
     for _ in range(GAUSS_NEWTON_STEPS):
         between()
-        fit.step()
+        fit.do_step()
     other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC_SHARE), fit)
     for _ in range(NONLINEAR_STEPS):
         between()
-        other.step()
+        other.do_step()
     between()
     return _weighed(fit, other, names)
 
@@ -381,18 +381,18 @@ class _Fit:
         self._shared, self._noisier = np.zeros((2 * len(self.landmarks),) * 2), 1.0
         self._last: tuple[RigRows, FloatArray] | None = None
 
-    def step(self) -> None:
+    def do_step(self) -> None:
         """Do one Gauss-Newton step of the rig and the groups."""
         base, tops = self._without_groups(self.state.unknowns(self.scales))
         rows = self._landmark_rows(self.state)
         for _ in range(TRUST_ROUNDS):
-            self.trust = _trusted(rows, self._shared, *_solved(base, rows, self._shared, self.trust), self.trust)
+            self.trust = _trusted(rows, self._shared, *_solve_rows(base, rows, self._shared, self.trust), self.trust)
         self._shared, self._noisier, _ = self._likeliest(base, rows, self.trust)
-        step, _ = _solved(base, rows, self._shared, self.trust)
+        step, _ = _solve_rows(base, rows, self._shared, self.trust)
         self._last = (rows, base)
-        self.state = self.state.moved(step, self.scales)
+        self.state = self.state.add_step(step, self.scales)
         if self.groups is not None:
-            self.groups = self.groups.moved(np.stack([_group_move(top, step) for top in tops]))
+            self.groups = self.groups.move_by(np.stack([_group_move(top, step) for top in tops]))
 
     def likelihood(self, trust: FloatArray) -> float:
         """Log likelihood of landmark pokes with the trust (m,), up to a constant that all fits share."""
@@ -466,7 +466,7 @@ class _Fit:
         """Compute the unknowns (n,), SI, and a root (n, k) of their covariance. Columns of C that the fit lacks are 0."""
         assert self._last is not None
         rows, base = self._last
-        root = _solved(base, rows, self._shared, self.trust)[1]
+        root = _solve_rows(base, rows, self._shared, self.trust)[1]
         own, size = len(self.scales), 6 * columns
         at = np.concatenate(
             [
@@ -486,7 +486,7 @@ class _Fit:
     def passed(self, unknowns: FloatArray) -> FloatArray:
         """Distances (m,), metres, of the axes from their landmarks with the unknowns (n,), SI."""
         at_prior = RigState.at_prior(len(self.state.turns), self.columns)
-        return self._landmark_rows(at_prior.moved(unknowns / self.scales, self.scales)).distances
+        return self._landmark_rows(at_prior.add_step(unknowns / self.scales, self.scales)).distances
 
     def correction(self, unknowns: FloatArray, spread: FloatArray, names: list[str]) -> Correction:
         """Make the correction from unknowns (n,), SI, whose covariance has the root `spread` (n, m)."""
@@ -507,7 +507,7 @@ class _Fit:
         quarter = np.array([names.index(poke.name) % HELD_OUT_PARTS for poke in self.landmarks])
         for out in range(HELD_OUT_PARTS):
             own = quarter == out
-            step, root = _solved(base, rows, self._shared, np.where(own, 0.0, self.trust))
+            step, root = _solve_rows(base, rows, self._shared, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
             predicted[own] = _own_blocks(self._shared)[own] + _leverage(rows.of_rig[own], root)
         return held, predicted
@@ -547,7 +547,7 @@ def _first_rows(root: FloatArray, count: int) -> FloatArray:
     return np.ascontiguousarray(qr_factor(root[count - 1 :: -1].T).T[::-1, ::-1])
 
 
-def _solved(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve_rows(base: FloatArray, rows: RigRows, shared: FloatArray, trust: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Solve all rows, those of landmarks weighted by their trust.
 
     Parameters

@@ -106,7 +106,7 @@ def expected_error(
     for own, some in zip(readings, filter(None, (pokes, planned)), strict=True):
         at = np.array([poke.place for poke in some])
         rows.append(_rows(own, at, prior.landmark, noise, prior, scales).of_rig.reshape(-1, len(scales)))
-    moved, points = _moved(places, normals, poses, order, prior, scales), [poke.place for poke in every]
+    moved, points = _taxel_moves(places, normals, poses, order, prior, scales), [poke.place for poke in every]
     whole = np.concatenate(rows)
     now, after = (_expected(whole[: 2 * n], points[:n], moved) for n in (len(pokes), len(points)))
     return Gain(now, after, len(planned))
@@ -163,7 +163,7 @@ def _planned(pokes: Sequence[PlannedPoke], order: Mapping[str, int]) -> RigReadi
     return _pushed(places, normals, reported, of)
 
 
-def _moved(
+def _taxel_moves(
     places: FloatArray,
     normals: FloatArray,
     poses: Mapping[str, FloatArray],

@@ -306,7 +306,7 @@ def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
     if beside is not None:
         slipped[beside] = 1.0
     for _ in range(GAUSS_NEWTON_STEPS):
-        rows = asked.rows(asked.force[None], asked.moment[None], _moved(scales * step))
+        rows = asked.rows(asked.force[None], asked.moment[None], _mounted(scales * step))
         slopes = rows.slopes[0] * scales
         # Linearized here, with the prior's zero as the origin.
         misses = rows.misses[0] - slopes @ step
@@ -324,11 +324,11 @@ def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
     whole = float(
         cost[0, 0] + sides[0] @ (1.0 - slipped) + WRONG_POINT_COST * np.sum(slipped) + _cost_of_size(asked.force[None])[0]
     )
-    distances = asked.rows(asked.force[None], asked.moment[None], _moved(move)).distances[0]
+    distances = asked.rows(asked.force[None], asked.moment[None], _mounted(move)).distances[0]
     return _Hypothesis(FrameCorrection(motion=motion), whole, distances, beside)
 
 
-def _moved(move: FloatArray) -> RigState:
+def _mounted(move: FloatArray) -> RigState:
     """Make a rig whose sensor is rotated by `move[:3]`, rad, and shifted by `move[3:]`, m."""
     return RigState(np.zeros((6, 6)), move[None, :3], move[None, 3:])
 

@@ -102,7 +102,7 @@ class Pipeline:
         outcomes: list[Outcome] = []
         try:
             for sample in self._intake.feed(item):
-                outcomes += self._take(sample)
+                outcomes += self._process_sample(sample)
             if self._interrupts_samples(item):
                 outcomes += self._detector.reset(item.host_ns * 1e-9)
         finally:
@@ -254,7 +254,7 @@ class Pipeline:
         self._record(lambda journal: journal.close())
         self.journal = None
 
-    def _take(self, sample: Sample) -> list[Outcome]:
+    def _process_sample(self, sample: Sample) -> list[Outcome]:
         if self._wants_decoded:
             self._record(lambda journal: journal.write_sample(sample))
         if self.scene.wrench_sign < 0:

@@ -78,7 +78,7 @@ def _load_step(pipeline: Pipeline, item: LogState) -> None:
     elif isinstance(item, DetectorResult | Totals):
         pipeline.apply_note(item)
     elif isinstance(item, SegmentHeader):
-        step(pipeline, item)
+        apply_item(pipeline, item)
 
 
 def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
@@ -106,7 +106,7 @@ def resume(folder: Path, links: Sequence[LinkSpec] | None = None) -> Pipeline:
     return pipeline
 
 
-def step(pipeline: Pipeline, item: LogItem) -> None:
+def apply_item(pipeline: Pipeline, item: LogItem) -> None:
     """Apply one item of a log to a pipeline."""
     if isinstance(item, SegmentHeader):
         if item.number > 1:
@@ -128,7 +128,7 @@ def _played(log: SessionLog, layout: Path | None) -> Pipeline:
     misfits: list[str] = []
     for item in pipeline.ahead(log.items()):
         try:
-            step(pipeline, item)
+            apply_item(pipeline, item)
         except InputError as error:
             if not isinstance(item, TimedAction):
                 raise

@@ -86,7 +86,7 @@ class Session:
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """The corrected contacts that count: accepted and not excluded, in the order of their numbers."""
-        return tuple(self._kept(self._records))
+        return tuple(self._counting(self._records))
 
     @property
     def excluded(self) -> tuple[int, ...]:
@@ -146,7 +146,7 @@ class Session:
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         asked = self.asked if before is None else before.asked
         self._reported[poke] = outcome
-        self._put(PokeRecord(self._corrected(poke), poke in self.decisions.excluded, asked))
+        self._store_record(PokeRecord(self._corrected(poke), poke in self.decisions.excluded, asked))
         # The tare after a poke can turn an accepted poke into a rejection, which cannot be undone.
         if now and not was:
             self.history = self.history.with_poke(poke)
@@ -248,7 +248,7 @@ class Session:
         """Replace the decisions, and mark what follows from them as changed."""
         before, self.decisions = self.decisions, now
         for poke in before.excluded ^ now.excluded:
-            self._put(replace(self._records[poke], excluded=poke in now.excluded))
+            self._store_record(replace(self._records[poke], excluded=poke in now.excluded))
         if before.marked is not now.marked or before.revived is not now.revived:
             self._update_dead()
         if before.corrections is not now.corrections:
@@ -270,7 +270,9 @@ class Session:
         if self._snapshot is not None:
             return self._snapshot
         channels = self.channels
-        self._solving.solve(channels, self._records.keys(), self._kept, self.dead, math.inf if self._last is None else within_s)
+        self._solving.solve(
+            channels, self._records.keys(), self._counting, self.dead, math.inf if self._last is None else within_s
+        )
         if self.unsolved and self._last is not None:
             return self._last
         fresh = self._solving.take_fresh()
@@ -318,7 +320,7 @@ class Session:
             closings=closings_of(snapshot, self.scene.noise),
         )
 
-    def _kept(self, pokes: Iterable[int]) -> list[Contact]:
+    def _counting(self, pokes: Iterable[int]) -> list[Contact]:
         """Those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
         return [record.outcome for record in records if isinstance(record.outcome, Contact) and not record.excluded]
@@ -357,7 +359,7 @@ class Session:
         known = before.keys() | found.keys()
         self._solving.taxels_changed(channel for channel in known if before.get(channel) != found.get(channel))
 
-    def _put(self, record: PokeRecord) -> None:
+    def _store_record(self, record: PokeRecord) -> None:
         """Put a poke's record in place of the one before, and mark its taxels as changed."""
         poke = record.outcome.poke
         before, late = self._records.get(poke), poke < self.last_poke

@@ -13,7 +13,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.robot.target_lines import PokeTarget
 from skincal.session.pipeline import Pipeline
-from skincal.session.replay import step
+from skincal.session.replay import apply_item
 from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
 from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits, place
@@ -50,7 +50,7 @@ def recorded_anew(folder: Path, into: Path) -> Path:
     log = SessionLog(folder)
     pipeline = Pipeline(log.scene, log.links, load_surface(log.scene.surface)[0], create_session(into, log.scene, log.links))
     for item in log.items():
-        step(pipeline, item)
+        apply_item(pipeline, item)
     pipeline.close()
     return into
 

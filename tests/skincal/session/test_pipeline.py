@@ -13,6 +13,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import ArmSpec
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
+from tests.build import feed
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, skt_line, small_scene, some_pokes
 
 FORCE = np.array([1.0, 2.0, -8.0])
@@ -21,10 +22,7 @@ ANSWERS = {3: 80.0, 7: 40.0}
 
 
 def played(items, scene=None, links=LINKS):
-    pipeline = Pipeline(scene or small_scene(), links, None)
-    for item in items:
-        pipeline.feed(item)
-    return pipeline
+    return feed(Pipeline(scene or small_scene(), links, None), list(items))
 
 
 def outcomes_of(pipeline):
@@ -162,6 +160,8 @@ def test_a_chosen_pose_goes_into_the_contact():
     scene = arm_scene()
     pipeline = Pipeline(scene, LINKS, None)
     assert pipeline.live(0).link_from_sensor is None
+    one = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, poses={"up": np.array([0.1, 0.2])}))
+    assert Pipeline(one, LINKS, None).live(0).pose == "up", "the only pose needs no choice"
     pipeline.act(SetPose("down"), 0)
     assert pipeline.live(0).pose == "down"
     items = as_chunks(Script(scene).quiet().press(FORCE, POINT, ANSWERS).quiet().samples)
@@ -190,12 +190,6 @@ def test_streamed_joints_give_the_pose_and_its_name():
     assert isinstance(contact, Contact), contact
     assert contact.pose == "down"
     np.testing.assert_allclose(contact.link_from_sensor, scene.arm.arm.link_from_sensor(np.array([0.4002, 0.5999])), atol=1e-5)
-
-
-def test_a_scene_with_one_pose_needs_no_choice():
-    scene = arm_scene()
-    one = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, poses={"up": np.array([0.1, 0.2])}))
-    assert Pipeline(one, LINKS, None).live(0).pose == "up"
 
 
 def test_bad_bytes_are_counted_and_the_pokes_survive():

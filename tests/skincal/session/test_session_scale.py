@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.contacts.outcome import Contact
 from skincal.journal.documents import DetectorResult, SessionClosed, result_to_json
 from skincal.journal.reader import SessionLog
 from skincal.journal.writer import create_session
-from skincal.model.actions import Exclude, Restore, Undo
+from skincal.model.actions import Exclude
 from skincal.model.readings import Chunk
 from skincal.session import solving as solving_module
 from skincal.session.replay import load
 from skincal.session.session import Session
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
+from tests.build import session_of
 from tests.skincal.poke_script import LINKS, outcome_key, same_estimates, small_scene, write_scene
 
 TAXELS = 24
@@ -110,9 +111,7 @@ def without_module_fit(table, model, modules, *_, **__):
 
 
 def filled(layout, pokes):
-    session = Session(small_scene(layout=layout), None)
-    for contact in pokes:
-        session.add(contact)
+    session = session_of(pokes, small_scene(layout=layout))
     session.snapshot()
     return session
 
@@ -199,41 +198,15 @@ def test_pokes_that_come_out_of_order_are_shown_in_order():
         shown = [record.outcome.poke for record in session.snapshot().pokes]
         assert shown == sorted(shown)
         assert session.last_poke == shown[-1]
-    straight = Session(small_scene(), None)
-    for contact in pokes:
-        straight.add(contact)
-    assert same_estimates(session.snapshot(), straight.snapshot())
+    assert same_estimates(session.snapshot(), session_of(pokes).snapshot())
 
 
 def test_a_record_that_did_not_change_is_the_same_object():
     """So that a view finds what changed by looking at each record's identity alone."""
     pokes = contacts(6)
-    session = Session(small_scene(), None)
-    for contact in pokes[:5]:
-        session.add(contact)
+    session = session_of(pokes[:5])
     before = session.snapshot().pokes
     session.add(pokes[5])
     session.act(Exclude(2))
     after = session.snapshot().pokes
     assert [first is second for first, second in zip(before, after, strict=False)] == [True, False, True, True, True]
-
-
-def test_a_poke_that_becomes_a_rejection_leaves_no_trace():
-    pokes = contacts(12)
-    session = Session(small_scene(layout=False), None)
-    for contact in pokes:
-        session.add(contact)
-    session.snapshot()
-    for number in (3, 12):
-        empty = np.empty(0, dtype=np.int64)
-        session.add(Rejection(number, 0.0, 1.0, Reason.SLID, 1.0, 0.5, "", empty, final=True))
-    never = Session(small_scene(layout=False), None)
-    for contact in pokes:
-        if contact.poke not in (3, 12):
-            never.add(contact)
-    assert session.channels == never.channels
-    assert same_estimates(session.snapshot(), never.snapshot())
-    assert session.snapshot().can_undo == "poke 11"
-    session.act(Undo())
-    session.act(Restore(11))
-    assert same_estimates(session.snapshot(), never.snapshot())

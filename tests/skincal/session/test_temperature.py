@@ -79,7 +79,3 @@ def test_solve_says_it(folder, capsys):
     }
     assert main(["solve", str(folder)]) == 0
     assert "temperature 33.0 degC (30.5 to 33.0)" in capsys.readouterr().out
-
-
-def test_a_session_of_another_sensor_says_nothing_of_it(folder):
-    assert [link.beside for link in load(folder).totals().links] == [{TEMPERATURE: SideReading(30.5, 33.0, 33.0)}, {}]
