@@ -10,7 +10,7 @@ Corrections, covariances, heights and distances (`stability_corrections`) have t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain, count
 from typing import Any, TypeAlias
@@ -93,9 +93,13 @@ def measure(number: int, case: Case | AddedCase, draws: int) -> tuple[list[Recor
     """Measure the shipped solver of a case, and its alternatives."""
     rng = np.random.default_rng([RANDOM_SEED, number])
     if isinstance(case, AddedCase):
-        return evaluate_added(case, draws, rng), []
-    truth = find_truth(case, draws, rng)
-    return evaluate(case, truth), evaluate_alternatives(case, truth)
+        found = evaluate_added(case, draws, rng), []
+    else:
+        truth = find_truth(case, draws, rng)
+        found = evaluate(case, truth), evaluate_alternatives(case, truth)
+    for record in chain(*found):
+        record["family"] = case.family
+    return found
 
 
 def tolerance(change: float, size: float) -> float:
@@ -421,39 +425,39 @@ SHARE_MIN = 1e-4
 
 
 def draw(result: dict[str, Any], figure: Figure) -> None:
-    """Draw each case's share of the tolerance, one panel a solver."""
+    """Draw the worst share of the tolerance in each family of cases, one panel a solver."""
     solvers = list(dict.fromkeys(case["solver"] for case in result["cases"]))
-    rows = max(sum(case["solver"] == solver for case in result["cases"]) for solver in solvers)
-    figure.set_size_inches(24.0, 2.0 + 0.19 * rows)
-    for panel, solver in zip(figure.subplots(1, len(solvers), squeeze=False)[0], solvers, strict=True):
+    figure.set_size_inches(17.0, 9.0)
+    for panel, solver in zip(figure.subplots(2, 2).ravel(), solvers, strict=False):
         of = ([record for record in result[kind] if record["solver"] == solver] for kind in ("cases", "alternatives"))
         _draw_solver(panel, solver, *of)
-    add_common_legend(figure, figure, columns=4)
+    add_common_legend(figure, figure, columns=5)
     figure.suptitle(
-        f"Error over tolerance. Tolerance: {result['factor']:g} times the effect of the inputs' last digit "
-        f"({result['draws']} draws, {result['digits']} digits) + {result['of_size']:g} of the answer. "
+        f"Worst error over tolerance. Tolerance: {result['factor']:g} times the effect of the inputs' last digit "
+        f"({result['draws']} draws, {result['digits']} digits) + {result['of_size']:g} of the answer.\n"
         "Right of the line the solver loses digits that the data contain."
     )
 
 
-def _draw_solver(panel: Axes, solver: str, cases: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]) -> None:
-    row = {case["name"]: -at for at, case in enumerate(cases)}
-    every = [record["error_over_bound"] for record in (*cases, *others)]
-    right = max(10.0, *(share for share in every if share < FAILED_ERROR_M)) * 3.0
+def _draw_solver(panel: Axes, solver: str, cases: Sequence[Record], others: Sequence[Record]) -> None:
+    row = {family: -at for at, family in enumerate(dict.fromkeys(case["family"] for case in cases))}
+    right = max(10.0, *(each["error_over_bound"] for each in (*cases, *others) if each["error"] < FAILED_ERROR_M)) * 3.0
 
-    def scatter(records: Sequence[Mapping[str, Any]], **look: Any) -> None:
-        shares = [min(max(record["error_over_bound"], SHARE_MIN), right) for record in records]
-        panel.scatter(shares, [row[record["name"]] for record in records], **look)
+    def scatter(records: Sequence[Record], **look: Any) -> None:
+        worst: dict[str, float] = {}
+        for record in records:
+            worst[record["family"]] = max(worst.get(record["family"], SHARE_MIN), min(record["error_over_bound"], right))
+        panel.scatter(list(worst.values()), [row[family] for family in worst], **look)
 
     for method, (mark, colour) in ALTERNATIVE_LOOKS.items():
         look = {"color": colour} if mark == "x" else {"facecolors": "none", "edgecolors": colour}
         if own := [record for record in others if record["method"] == method]:
-            scatter(own, s=22, marker=mark, label=method, linewidths=1.0, **look)
-    scatter(cases, s=26, color=BLUE, label="shipped", zorder=3)
+            scatter(own, s=40, marker=mark, label=method, linewidths=1.2, **look)
+    scatter(cases, s=40, color=BLUE, label="shipped", zorder=3)
     panel.axvline(1.0, color=BLACK, linewidth=1.2)
-    panel.set_yticks(list(row.values()), list(row), fontsize=7.5)
+    panel.set_yticks(list(row.values()), list(row))
     panel.grid(visible=True)
     panel.set(
-        xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(-len(cases), 1), title=f"{solver}: {len(cases)} cases",
-        xlabel=f"error over tolerance\n(least {SHARE_MIN:g};\nno number at the right end)",
+        xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(0.6 - len(row), 0.6), title=f"{solver}: {len(cases)} cases",
+        xlabel=f"error over tolerance (least {SHARE_MIN:g}; no number at the right end)",
     )  # fmt: skip

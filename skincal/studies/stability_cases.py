@@ -116,6 +116,8 @@ class Case:
     """Whether all axes are parallel to the last digit, so that rank 2 is right."""
     repeats: int = 1
     """How often each reading occurs."""
+    family: str = ""
+    """Kind of difficulty, a row of the figure."""
 
     @property
     def solver(self) -> str:
@@ -705,22 +707,27 @@ def _module_grounds(rng: np.random.Generator, sizes: CaseSizes) -> ModuleCases:
 # ---- all cases; the numbers of one family do not depend on the others ----
 
 TAXEL_SEED, MODULE_SEED = 20260721, 20261122
-TAXEL_FAMILIES: tuple[Callable[[np.random.Generator, CaseSizes], Cases], ...] = (
-    _parallel, _few_axes, _stiff, _scales, _counts, _on_sheet, _stiff_on_sheet, _tangent, _gaps, _degenerate, _two_sheets,
-    _on_coarse_sheet,
-)  # fmt: skip
-MODULE_FAMILIES: tuple[Callable[[np.random.Generator, CaseSizes], ModuleCases], ...] = (
-    _module_parallel, _module_few, _module_stiff, _module_scales, _module_grounds,
-)  # fmt: skip
+TAXEL_FAMILIES: dict[str, Callable[[np.random.Generator, CaseSizes], Cases]] = {
+    "near-parallel axes": _parallel, "one or two axes": _few_axes, "stiff weights": _stiff, "lengths, forces, units": _scales,
+    "poses and many readings": _counts, "sheets: inside, edges, vertices": _on_sheet, "stiff on a sheet": _stiff_on_sheet,
+    "axes tangent to a sheet": _tangent, "holes and rims": _gaps, "degenerate triangles": _degenerate,
+    "two sheets": _two_sheets, "coarse sheet": _on_coarse_sheet,
+}  # fmt: skip
+MODULE_FAMILIES: dict[str, Callable[[np.random.Generator, CaseSizes], ModuleCases]] = {
+    "near-parallel axes": _module_parallel, "few pokes": _module_few, "stiff": _module_stiff,
+    "lengths, forces, units": _module_scales, "space, sheets and rims": _module_grounds,
+}  # fmt: skip
 
 
 def taxel_cases(sizes: CaseSizes) -> Cases:
     """Yield the cases of one taxel."""
-    for number, family in enumerate(TAXEL_FAMILIES):
-        yield from family(np.random.default_rng([TAXEL_SEED, number]), sizes)
+    for number, (name, family) in enumerate(TAXEL_FAMILIES.items()):
+        for case in family(np.random.default_rng([TAXEL_SEED, number]), sizes):
+            yield replace(case, family=name)
 
 
 def module_cases(sizes: CaseSizes) -> ModuleCases:
     """Yield the cases of one module."""
-    for number, family in enumerate(MODULE_FAMILIES):
-        yield from family(np.random.default_rng([MODULE_SEED, number]), sizes)
+    for number, (name, family) in enumerate(MODULE_FAMILIES.items()):
+        for case in family(np.random.default_rng([MODULE_SEED, number]), sizes):
+            yield replace(case, family=name)

@@ -104,6 +104,7 @@ class AddedCase:
     shipped: Callable[[Any], Outputs]
     exact: Callable[[Any], Outputs]
     pokes: int
+    family: str = ""
 
 
 def _sinc(angle: Any) -> Any:
@@ -704,8 +705,10 @@ def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2
 
 def added_cases(sizes: CaseSizes) -> Iterator[AddedCase]:
     """Yield the cases of what the program adds to the paper's methods."""
-    for number, family in enumerate((_corrections, _carried, _distances)):
-        yield from family(np.random.default_rng([20261123, number]), sizes)
+    families = {"corrections": _corrections, "covariances and heights": _carried, "known distances": _distances}
+    for number, (name, family) in enumerate(families.items()):
+        for case in family(np.random.default_rng([20261123, number]), sizes):
+            yield replace(case, family=name)
 
 
 def _corrections(rng: np.random.Generator, sizes: CaseSizes) -> Iterator[AddedCase]:

@@ -263,7 +263,7 @@ def test_the_result_is_json_and_agrees_with_itself(result):
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
-def test_the_summary_names_what_misses_and_the_figure_every_case(result):
+def test_the_summary_names_misses_and_the_figure_every_family(result):
     broken = list(result["cases"])
     broken[3] = {**broken[3], "holds": False, "error_over_bound": reference.FAILED_ERROR_M}
     result = {**result, "cases": broken, "held": len(broken) - 1}
@@ -274,7 +274,7 @@ def test_the_summary_names_what_misses_and_the_figure_every_case(result):
     stability.draw(result, figure)
     figure.draw_without_rendering()
     drawn = {label.get_text() for panel in figure.axes for label in panel.get_yticklabels()}
-    assert drawn == {case["name"] for case in broken}
+    assert drawn >= {case["family"] for case in broken}
 
 
 def test_a_summary_needs_no_case_of_every_solver(result):
