@@ -1,1 +1,1 @@
-"""A session: what was measured, what the operator decided, and the estimates that follow from both."""
+"""A session: its pokes, the operator's decisions, and the estimates."""

@@ -1,4 +1,4 @@
-"""What the operator decided in a session, as one frozen value, and what each action makes of it."""
+"""Decisions of the operator in a session as one frozen value, and the effect of each action on it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class ClosingRound:
-    """One closing check as it was asked for."""
+    """One requested closing check."""
 
     after: int
     """Number of the last poke before it began."""
@@ -74,7 +74,7 @@ class Decisions:
     """Channels that stay in use although the detector found them dead."""
     landmark_of_poke: Mapping[int, str] = field(default_factory=dict[int, str])
     missed_landmarks: Mapping[int, MissedLandmark] = field(default_factory=dict[int, MissedLandmark])
-    """Pokes that a landmark was asked for and that passed it too far, by their number."""
+    """Pokes that missed their requested landmark, by number."""
     named_by_hand: frozenset[int] = frozenset()
     """Numbers of the pokes whose landmark the operator named."""
     corrections: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
@@ -113,7 +113,7 @@ def apply_action(action: Action, now: Decisions, context: ActionContext) -> Deci
     InputError
         There is no such poke, pose, landmark or channel, or its numbers make no sense.
     """
-    return _RULES[type(action)](action, now, context)
+    return _EFFECTS[type(action)](action, now, context)
 
 
 _CHANGED_FIELDS: dict[type[Action], tuple[str, ...]] = {
@@ -151,33 +151,25 @@ def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
             return replace(now, **{name: getattr(before, name) for name in _CHANGED_FIELDS[type(action)]})
 
 
+_DESCRIPTIONS: dict[type[Action], Callable[[Any], str]] = {
+    Exclude: lambda action: f"exclusion of poke {action.poke}",
+    Restore: lambda action: f"return of poke {action.poke}",
+    SetPose: lambda action: f"choice of pose {action.name}" if action.name else "choice of the streamed pose",
+    AddLandmark: lambda action: f"landmark {action.name}",
+    AtLandmark: lambda action: f"poke {action.poke} at {action.name or 'no landmark'}",
+    FoundAtLandmark: lambda action: f"poke {action.poke} at {action.name or 'no landmark'}",
+    Correct: lambda action: f"correction of {CORRECTED_THINGS[action.of]}",
+    Uncorrect: lambda action: f"end of the correction of {CORRECTED_THINGS[action.of]}",
+    MarkDead: lambda action: f"mark of channel {action.channel}",
+    Revive: lambda action: f"return of channel {action.channel}",
+    SetThresholds: lambda action: "change of thresholds" if action.names else "return to the scene's thresholds",
+    BeginClosing: lambda _: "closing check",
+}
+
+
 def describe_action(action: Action) -> str:
     """Describe an action that can be undone, for the operator."""
-    match action:
-        case Exclude():
-            return f"exclusion of poke {action.poke}"
-        case Restore():
-            return f"return of poke {action.poke}"
-        case SetPose():
-            return f"choice of pose {action.name}" if action.name else "choice of the streamed pose"
-        case AddLandmark():
-            return f"landmark {action.name}"
-        case AtLandmark() | FoundAtLandmark():
-            return f"poke {action.poke} at {action.name or 'no landmark'}"
-        case Correct():
-            return f"correction of {CORRECTED_THINGS[action.of]}"
-        case Uncorrect():
-            return f"end of the correction of {CORRECTED_THINGS[action.of]}"
-        case MarkDead():
-            return f"mark of channel {action.channel}"
-        case Revive():
-            return f"return of channel {action.channel}"
-        case SetThresholds():
-            return "change of thresholds" if action.names else "return to the scene's thresholds"
-        case BeginClosing():
-            return "closing check"
-        case _:
-            raise TypeError(action)
+    return _DESCRIPTIONS[type(action)](action)
 
 
 def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
@@ -281,29 +273,20 @@ def _check_numbers(action: Action, sizes: set[int], *values: Sequence[float]) ->
         raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected}.")
 
 
-def _with_missed_landmark(action: MissedLandmark, now: Decisions, _context: ActionContext) -> Decisions:
-    return _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand)
+def _with_request(action: AskLandmark | AskPoke | SkipPoke | SkipLandmark, now: Decisions, _: ActionContext) -> Decisions:
+    match action:
+        case AskLandmark():
+            _check_landmark(now, action.name)
+        case AskPoke():
+            _check_numbers(action, {0, 3}, action.place, action.normal, action.push)
+        case SkipPoke():
+            _check_numbers(action, {3}, action.place, action.push)
+        case SkipLandmark():
+            _check_numbers(action, {0, 16}, action.link_from_sensor)
+    return replace(now, skips=(*now.skips, action)) if isinstance(action, SkipPoke | SkipLandmark) else now
 
 
-def _with_landmark_request(action: AskLandmark, now: Decisions, _context: ActionContext) -> Decisions:
-    _check_landmark(now, action.name)
-    return now
-
-
-def _with_poke_request(action: AskPoke, now: Decisions, _context: ActionContext) -> Decisions:
-    _check_numbers(action, {0, 3}, action.place, action.normal, action.push)
-    return now
-
-
-def _with_skip(action: SkipPoke | SkipLandmark, now: Decisions, _context: ActionContext) -> Decisions:
-    if isinstance(action, SkipPoke):
-        _check_numbers(action, {3}, action.place, action.push)
-    else:
-        _check_numbers(action, {0, 16}, action.link_from_sensor)
-    return replace(now, skips=(*now.skips, action))
-
-
-_RULES: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
+_EFFECTS: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
     Exclude: _with_poke,
     Restore: _with_poke,
     SetPose: _with_pose,
@@ -313,11 +296,8 @@ _RULES: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]]
     AddLandmark: _with_landmark,
     AtLandmark: _with_landmark_poke,
     FoundAtLandmark: _with_landmark_poke,
-    MissedLandmark: _with_missed_landmark,
-    AskLandmark: _with_landmark_request,
-    AskPoke: _with_poke_request,
-    SkipPoke: _with_skip,
-    SkipLandmark: _with_skip,
+    MissedLandmark: lambda action, now, _: _name_poke(now, action.poke, None, action, by_hand=action.poke in now.named_by_hand),
+    **dict.fromkeys((AskLandmark, AskPoke, SkipPoke, SkipLandmark), _with_request),
     BeginClosing: lambda _, now, context: replace(now, closings=(*now.closings, ClosingRound(context.last_poke))),
     SkipClosing: _with_closing_skip,
     Correct: lambda action, now, _: replace(now, corrections=with_correction(now.corrections, action)),

@@ -43,7 +43,7 @@ from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
 MIN_STANDING_S = 1.0
-"""s. Landmarks are asked for once the arm has stood so long: on its way it passes through poses in which nobody pokes."""
+"""s. A landmark is requested once the arm has stood still for this long, not in poses that it only passes."""
 
 
 class SessionGuide:
@@ -182,7 +182,7 @@ class SessionGuide:
         return self.landmarks.skip(all_of_pose=True)
 
     def check_again(self, snapshot: Snapshot, pose: str) -> BeginClosing | None:
-        """Make the action that begins another closing check; `None` if nothing would be asked for in it."""
+        """Make the action that begins another closing check; `None` if it would have no place."""
         now = self._guidance
         possible = now is not None and self.closing.begun(now, snapshot, pose, self.landmarks) is not None
         return BeginClosing(wanted=True) if possible else None
@@ -230,7 +230,7 @@ class LandmarkGuide:
         self._targets, self._known = [], ()
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, pose: CurrentPose, now_s: float) -> Guidance:
-        """Put a landmark before the skin's guidance, if one is asked for; `now_s` as for `SessionGuide.next_target`."""
+        """Put a landmark before the skin's guidance, if one is due; `now_s` as for `SessionGuide.next_target`."""
         before, self._pose = self._pose[0], pose
         if pose[0] != before:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.
@@ -277,7 +277,7 @@ class LandmarkGuide:
         return expected_error(RigPrior(), self._scene.noise, made, planned, self._taxels, self._outward, poses)
 
     def skip(self, *, all_of_pose: bool = False) -> SkipLandmark | None:
-        """Make the action that skips this landmark, or all, in this arm pose; `None` if none is asked for."""
+        """Make the action that skips this landmark, or all, in this arm pose; `None` without a landmark."""
         if not self._targets:
             return None
         name, (pose, sensor) = "" if all_of_pose else self._targets[0].landmark.name, self._pose
@@ -297,7 +297,7 @@ class LandmarkGuide:
 
 
 class ClosingGuide:
-    """Asks to repeat three of the first places once nothing else is asked for: landmarks, else taxels.
+    """Asks to repeat three of the first places at the end: landmarks, else taxels.
 
     Its request follows from the session alone.
     """
@@ -308,7 +308,7 @@ class ClosingGuide:
         self._shown: Guidance | None = None
 
     def after_skin(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance:
-        """Add a place to repeat, once nothing else is asked for in the arm pose of that name."""
+        """Add a place to repeat, once nothing else is needed in the arm pose of that name."""
         known = guidance, snapshot, pose
         if known != self._known:
             self._known, self._shown = known, self._closing(guidance, snapshot, pose, landmarks)

@@ -1,7 +1,7 @@
-"""One calibration: its pokes, the operator's decisions, and the estimates that follow from both.
+"""One calibration: its pokes, the operator's decisions, and the estimates.
 
-The contacts are the truth, and estimates are a cache of them. A taxel is solved from the contacts that count, in the order of
-their numbers, and from nothing else. So a poke that is taken out and in again gives the same numbers to the last bit.
+A taxel is solved from the counting contacts alone, in the order of their numbers. So a poke that is excluded and restored gives
+the same numbers to the last bit.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Session:
     Parameters
     ----------
     surface : the scene's mesh; `None` leaves out the surface method, and modules lie free in space
-    methods : those that are solved; `None` for all that the scene has
+    methods : methods to solve; `None` for all of the scene
     """
 
     def __init__(self, scene: Scene, surface: Surface | None, methods: Collection[Method] | None = None) -> None:
@@ -59,7 +59,7 @@ class Session:
         self.decisions = Decisions.at_start(scene)
         self.history = History()
         self.asked: AskPoke | None = None
-        """Poke on the skin that the operator is asked for; `None` before the first request."""
+        """Requested poke on the skin; `None` before the first request."""
         # By number, in ascending order.
         self._records: dict[int, PokeRecord] = {}
         self._reported: dict[int, Outcome] = {}
@@ -67,7 +67,7 @@ class Session:
         self._framed: dict[int, tuple[Outcome, Outcome]] = {}
         """Pokes as reported and under the frame's correction `_frame`: what does not change stays the same object."""
         self.found_dead: Mapping[int, str] = {}
-        """Channels that the detector found to be dead, whatever the operator decided about them."""
+        """Channels that the detector found to be dead, also if the operator revived them."""
         self.dead: Mapping[int, str] = {}
         """Channels that are not used, ascending, with the reason."""
         self._answers: Counter[int] = Counter()
@@ -118,7 +118,7 @@ class Session:
         return self._solving.shared
 
     def rig_request(self) -> RigRequest:
-        """Gather what a correction of the rig is worked out from."""
+        """Gather the input of a rig's correction."""
         counting = (poke for poke, record in self._records.items() if not record.excluded)
         contacts = [outcome for outcome in self.frame_corrected(counting) if isinstance(outcome, Contact)]
         return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
@@ -154,7 +154,7 @@ class Session:
             self.history = self.history.without_poke(poke)
 
     def set_clock(self, clock: WallClock | None) -> None:
-        """Set the clock by which pokes and actions from now on are dated; `None` if nobody knows it."""
+        """Set the clock for the dates of pokes and actions from now on; `None` if unknown."""
         self._clocks = (*self._clocks, (self.last_poke, clock))
 
     def finalize_outcomes(self) -> None:
@@ -264,8 +264,8 @@ class Session:
 
         Parameters
         ----------
-        within_s : s. Solving pauses after so long, or little later, and goes on with the next call; meanwhile the last
-            snapshot is returned. The estimates are the same, to the bit. The first snapshot takes its time.
+        within_s : s. Solving pauses after this or little later and continues with the next call; until it is done the last
+            snapshot is returned. The estimates are the same to the bit. The first snapshot is not limited.
         """
         if self._snapshot is not None:
             return self._snapshot
@@ -376,7 +376,7 @@ class Session:
         self._changed()
 
     def _changed(self) -> None:
-        # Everything that changes between two snapshots is one generation: nobody saw it apart.
+        # All changes between two snapshots are one generation.
         if self._snapshot is not None:
             self._generation += 1
             self._snapshot = None

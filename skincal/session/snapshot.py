@@ -28,7 +28,7 @@ class PokeRecord:
     excluded: bool
     """The operator took it out; it stays in the journal and can be restored."""
     asked: AskPoke | None = None
-    """Poke that the guide asked for when this one was made; `None` if unknown."""
+    """Request of the guide at the time of the poke; `None` if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Snapshot:
 
     @cached_property
     def can_undo(self) -> str:
-        """Description of the entry that undo would take back; empty without one."""
+        """Description of the entry that undo reverses; empty without one."""
         at = self.history.undoable(self.decisions.excluded)
         return "" if at < 0 else describe_entry(self.history.entries[at])
 

@@ -1,4 +1,4 @@
-"""History of a session: what undo takes back and redo does again."""
+"""History of a session for undo and redo."""
 
 from __future__ import annotations
 
