@@ -102,8 +102,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
     best = press.best
     channels, responses, largest, needed = np.empty(0, dtype=np.int64), np.empty(0), math.nan, math.nan
     if best is not None:
-        raw = np.stack([sample.skin for sample in best.samples]).mean(axis=0)
-        response, limit = scene.skin.polarity * (raw - press.tare.skin), answer_limit(press.settings, noise)
+        response, limit = scene.skin.polarity * (press.best_skin - press.tare.skin), answer_limit(press.settings, noise)
         channels = candidates[(response > limit)[candidates]]  # NaN is not above
         responses = response[channels]
         if not len(channels):
@@ -118,7 +117,7 @@ def finish(number: int, press: Press, scene: Scene, candidates: IntArray, noise:
         gap_s=press.gap_s,
         moved=press.moved,
         before=press.tare,
-        still=None if best is None else best.means(),
+        still=best,
         channels=channels,
         responses=responses,
         largest=largest,

@@ -162,35 +162,6 @@ class FinishedPress:
     """Thresholds at the touch; `None` for the scene's."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StillWindow:
-    """The stillest `still_s` of a press, not tared."""
-
-    samples: tuple[Sample, ...]
-    poses: tuple[ArmPose, ...]
-    spread: float
-    """1, relative spread of the force."""
-    travel: float
-    """m, travel of the force axis."""
-    rank: tuple[float, float, float, float]
-    """Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range in
-    N; the larger of spread and travel as fractions of their limits. So a slide or a hard hold is not hidden in a ramp."""
-
-    def means(self) -> StillMean:
-        """Average the samples; the arm hardly moves within the window, so the pose of its middle holds for all."""
-        middle = self.poses[len(self.samples) // 2]
-        return StillMean(
-            start_s=self.samples[0].host_s,
-            end_s=self.samples[-1].host_s,
-            time_s=mean_time(self.samples),
-            wrench=np.array([sample.wrench for sample in self.samples]).mean(axis=0),
-            link_from_sensor=middle.link_from_sensor,
-            pose=middle.name,
-            spread=self.spread,
-            travel=self.travel,
-        )
-
-
 class Press:
     """A poke from its touch to its release.
 
@@ -211,7 +182,13 @@ class Press:
         """s, longest gap between samples."""
         self.moved = 0.0
         """rad, largest rotation of the arm so far."""
-        self.best: StillWindow | None = None
+        self.best: StillMean | None = None
+        """The stillest window so far."""
+        self.best_skin: FloatArray = np.empty(0)
+        """(channels,) float, raw, its mean skin frame."""
+        # Sort key, smaller is better: 1 if the force is outside its range; spread/limit if above 1; distance to the force range
+        # in N; the larger of spread and travel as fractions of their limits. So a slide or a hard hold is not hidden in a ramp.
+        self._best_rank: tuple[float, float, float, float] = (math.inf, 0.0, 0.0, math.inf)
         self.still = 0.0
         """Share of the still window that is filled, 0 to 1."""
         self.force = np.zeros(3)
@@ -221,7 +198,7 @@ class Press:
     @property
     def may_release(self) -> bool:
         """A window was still and in the force range: the operator may release."""
-        return self.best is not None and self.best.rank[0] == 0.0 and self.best.rank[3] <= 1.0
+        return self._best_rank[0] == 0.0 and self._best_rank[3] <= 1.0
 
     @property
     def is_steady(self) -> bool:
@@ -263,16 +240,29 @@ class Press:
 
     def _rank_window(self, wrench: FloatArray) -> None:
         """Keep the window that ends now, tared wrenches (n, 6), if it is better than the best so far."""
-        settings, best, force = self.settings, self.best, wrench[:, :3]
+        settings, force = self.settings, wrench[:, :3]
         size = length_of(mean_rows(force))
         outside = max(0.0, settings.force_min - size, size - settings.force_max)
         spread = force_spread(force)
         share = spread / settings.still_change
         first = (float(outside > 0.0), max(share, 1.0), outside)
-        if best is not None and (*first, share) >= best.rank:
+        if (*first, share) >= self._best_rank:
             return  # the travel can only make it worse
         travel = axis_travel(force, wrench[:, 3:], np.array([item.host_s for item, _ in self._window]))
         rank = (*first, max(share, travel / settings.slide_max))
-        if best is None or rank < best.rank:
-            samples, poses = zip(*self._window, strict=True)
-            self.best = StillWindow(samples, poses, spread, travel, rank)
+        if rank >= self._best_rank:
+            return
+        self._best_rank = rank
+        samples, poses = zip(*self._window, strict=True)
+        middle: ArmPose = poses[len(poses) // 2]  # the arm hardly moves within the window
+        self.best_skin = np.stack([sample.skin for sample in samples]).mean(axis=0)
+        self.best = StillMean(
+            start_s=samples[0].host_s,
+            end_s=samples[-1].host_s,
+            time_s=mean_time(samples),
+            wrench=np.array([sample.wrench for sample in samples]).mean(axis=0),
+            link_from_sensor=middle.link_from_sensor,
+            pose=middle.name,
+            spread=spread,
+            travel=travel,
+        )
