@@ -38,12 +38,15 @@ def process(code: str, *words: object, imports: str = RECORDING, **options: obje
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT, **options)
 
 
+def new_session(scene: Scene, folder: Path) -> Pipeline:
+    return Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
+
+
 def record(
     scene: Scene, folder: Path, script: Script | int = 4, actions: Iterable[tuple[float, Action]] = (), seed: int = 5
 ) -> Pipeline:
     """Record a script, or so many pokes; each action comes at its share of the items. The session stays open."""
-    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
-    return feed(pipeline, some_pokes(scene, script, seed) if isinstance(script, int) else script, actions)
+    return feed(new_session(scene, folder), some_pokes(scene, script, seed) if isinstance(script, int) else script, actions)
 
 
 def feed(pipeline: Pipeline, script: Script, actions: Iterable[tuple[float, Action]] = ()) -> Pipeline:

@@ -22,8 +22,18 @@ from skincal.model.readings import Chunk
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from tests.approved import approved, approved_pattern
-from tests.skincal.journal.journal_support import feed, more_pokes, outcomes_of, process, record, records_of, refuse, segment
-from tests.skincal.poke_script import LINKS, Script, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
+from tests.skincal.journal.journal_support import (
+    feed,
+    more_pokes,
+    new_session,
+    outcomes_of,
+    process,
+    record,
+    records_of,
+    refuse,
+    segment,
+)
+from tests.skincal.poke_script import LINKS, as_chunks, next_segment, outcome_key, some_pokes, torn, write_scene
 
 
 @pytest.fixture(scope="module")
@@ -268,7 +278,7 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
 
 def test_a_disk_thatrefuses_says_so_once(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
-    pipeline = record(scene, tmp_path / "s", Script(scene).quiet(0.02))
+    pipeline = new_session(scene, tmp_path / "s")
     monkeypatch.setattr(os, "fsync", refuse)
     feed(pipeline, some_pokes(scene, 2))
     assert "No space left" in pipeline.journal_failure

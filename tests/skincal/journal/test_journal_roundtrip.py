@@ -21,8 +21,8 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
 from skincal.model.scene import load_scene, resource
 from skincal.session.replay import replay, resume
 from tests.approved import approved, approved_pattern
-from tests.skincal.journal.journal_support import assert_same, more_pokes, record, segment
-from tests.skincal.poke_script import LINKS, Script, as_chunks, some_pokes, write_scene
+from tests.skincal.journal.journal_support import assert_same, more_pokes, new_session, record, segment
+from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_resume_goes_on_in_a_new_segment(scene, tmp_path):
 def test_resume_in_the_middle_of_a_poke_loses_that_poke_alone(scene, tmp_path):
     folder, script = tmp_path / "s", some_pokes(scene, 2)
     items = as_chunks(script.samples)
-    pipeline = record(scene, folder, Script(scene).quiet(0.02))
+    pipeline = new_session(scene, folder)
     for item in items[: round(len(items) * 0.72)]:  # the second poke is held
         pipeline.feed(item)
     pipeline.close()

@@ -14,7 +14,7 @@ from skincal.journal.line_file import LineWriter, lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.model.actions import Exclude, MarkDead, Restore, Undo
 from skincal.session.replay import load, replay, resume
-from tests.skincal.journal.journal_support import assert_same, more_pokes, record, records_of, segment
+from tests.skincal.journal.journal_support import assert_same, more_pokes, new_session, record, records_of, segment
 from tests.skincal.poke_script import SPOTS, Script, as_chunks, killed, small_scene, some_pokes, write_scene
 
 ACTIONS = [(0.3, Exclude(1)), (0.4, MarkDead(2)), (0.5, Restore(1)), (0.6, Undo()), (0.97, Exclude(2))]
@@ -68,7 +68,7 @@ def test_a_replaced_line_is_left_out(scene, tmp_path):
 
 def test_a_first_outcome_stays_if_something_was_done_before_the_second(scene, tmp_path):
     """The steps of undo follow the order of accepted pokes and actions."""
-    pipeline = record(scene, tmp_path / "s", Script(scene).quiet(0.1))
+    pipeline = new_session(scene, tmp_path / "s")
     for item in as_chunks(some_pokes(scene, 2).samples):
         pipeline.feed(item)
         if len(pipeline.session.contacts) == 2 and not pipeline.session.outcome(2).final and not pipeline.session.excluded:
