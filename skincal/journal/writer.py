@@ -29,7 +29,7 @@ from contextlib import ExitStack
 from functools import wraps
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, Concatenate, NoReturn, ParamSpec, cast
+from typing import Any, Concatenate, NoReturn, ParamSpec
 
 import numpy as np
 from mcap.writer import Writer
@@ -444,22 +444,15 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
         why = error.strerror
         raise InputError(f"{folder}: the scene cannot be copied ({why}); check {scene.path} and the space.") from None
     load_scene(target)  # refused now, and not when the recorded session is opened
-    if _without_names(tomllib.loads(text)) != _without_names(document):
+    copied = tomllib.loads(text)
+    for table, key in NAMED_FILES:
+        if key in document.get(table, {}):
+            document[table][key] = copied[table][key]
+    if copied != document:
         raise InputError(
             f"{target}: the copy does not read as {scene.path} does; write the scene's tables in their usual form."
         )
     return target
-
-
-def _without_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Copy a scene's document without the names of its files."""
-    left_out = dict(NAMED_FILES)
-    return {
-        table: {key: value for key, value in cast("dict[str, Any]", content).items() if key != left_out.get(table)}
-        if isinstance(content, dict)
-        else content
-        for table, content in document.items()
-    }
 
 
 def _copy_named(text: str, table: str, key: str, source: Path, folder: Path) -> str:
