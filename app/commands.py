@@ -93,7 +93,7 @@ COMMANDS = (
     Command("picture", "Session", "Save 3D picture…", "Ctrl+P", "Write the 3D view to an image file",
             view(lambda v: v.ask_picture())),
     Command("pace", "Session", "Pace of the simulated operator", "Shift+P", "One, two or four times as fast as a careful hand",
-            lambda w: w.change_pace(), lambda w: w.controller.served and pace_words(w.controller.pace)),
+            lambda w: w.change_pace(), lambda w: w.controller.has_simulator and pace_words(w.controller.pace)),
     Command("quit", "Session", "Quit", "Ctrl+Q", "Everything recorded is on the disk already", lambda w: w.close()),
 
     Command("space", "Poke", "Pause or continue", "Space", "Pause or continue; show the verdict when all taxels are finished",

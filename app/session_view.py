@@ -233,7 +233,7 @@ class SessionView(QObject):
         methods, names = tuple(m for m in METHOD_ORDER if m in there), ChannelNames(part.scene.skin.layout)
         assert controller.guided is not None
         self.guided = controller.guided
-        context = PanelContext(part, methods, names, self.guided, controller.compute, controller.find_places, self._folder)
+        context = PanelContext(part, methods, names, self.guided, controller.compute, controller.read_positions, self._folder)
         self.workspace = Workspace(context, make_view)
         self.chips = LinkChips()
         self._modules_enough = ModulesEnough(self.guided.guide.plan, part.scene.noise.skin)
@@ -451,8 +451,8 @@ class SessionView(QObject):
         """Show all actions in a window of its own."""
         if self._history is None:
             self._history = HistoryDialog(self.workspace.window())
-            self._history.taken_back.connect(lambda count: self._controller.act_all([Undo()] * count))
-            self._history.brought_again.connect(lambda count: self._controller.act_all([Redo()] * count))
+            self._history.undo_wanted.connect(lambda count: self._controller.act_all([Undo()] * count))
+            self._history.redo_wanted.connect(lambda count: self._controller.act_all([Redo()] * count))
         self._show_dialog(self._history)
 
     def show_thresholds(self) -> None:

@@ -216,7 +216,7 @@ class Window(QMainWindow):
         controller, with_view = self.controller, self._with_view
         controller.prepare = _import_session_view
         controller.confirmation_due.connect(
-            lambda addresses: self._confirm_addresses(addresses, lambda: controller.go_on(confirmed=True))
+            lambda addresses: self._confirm_addresses(addresses, lambda: controller.resume(confirmed=True))
         )
         controller.recorded_elsewhere.connect(self._offer_to_look)
         controller.part_loaded.connect(self._make_session_view)
@@ -392,7 +392,7 @@ class Window(QMainWindow):
         from app.dialogs.new_session import NewSessionDialog
 
         paused = self._lend_devices()
-        dialog = NewSessionDialog(self._scene_path(), self._new_folder(), self, self._known_addresses(), waits=paused)
+        dialog = NewSessionDialog(self._scene_path(), self._new_folder(), self, self._known_addresses(), paused=paused)
         dialog.request_chosen.connect(self.open)
         self._open_page(dialog, paused=paused)
 
@@ -408,7 +408,7 @@ class Window(QMainWindow):
         from app.session.opening import addresses_of
 
         view = self.session_view
-        if view is None or self.controller.served or not self.controller.links:
+        if view is None or self.controller.has_simulator or not self.controller.links:
             self.tell(Message(NO_ADDRESSES, found=True))
             return
         present = addresses_of(self.controller.links), view.workspace.part.scene
@@ -425,7 +425,7 @@ class Window(QMainWindow):
 
     def _lend_devices(self) -> bool:
         """Release devices that a page will read, since a port has one reader; return whether they were in use."""
-        if self.controller.running is not Running.STREAMING or self.controller.served:
+        if self.controller.running is not Running.STREAMING or self.controller.has_simulator:
             return False
         self.controller.pause()
         return True
@@ -433,7 +433,7 @@ class Window(QMainWindow):
     def _open_page(self, dialog: QDialog, *, paused: bool) -> None:
         """Open a page that reads devices; if it is cancelled the session reads them again."""
         if paused:
-            dialog.rejected.connect(self.controller.go_on)
+            dialog.rejected.connect(self.controller.resume)
         dialog.open()
 
     def ask_import(self, paths: Sequence[Path] = ()) -> None:
@@ -508,7 +508,7 @@ class Window(QMainWindow):
 
     def _offer_to_look(self, folder: Path, sentence: str) -> None:
         """Another process records the session: offer to show what is recorded so far."""
-        request = OpenRequest(session=folder, look_on=True)
+        request = OpenRequest(session=folder, read_only=True)
         self._offer("Being recorded", look_words(sentence), "View", lambda: self.open(request))
 
     # Opening and closing
@@ -529,7 +529,7 @@ class Window(QMainWindow):
 
     def _confirm_unsaved(self, then: Callable[[], object]) -> None:
         """Ask whether to keep a provisional session that has pokes, then call `then`."""
-        pokes = self.controller.would_lose
+        pokes = self.controller.unsaved_pokes
         if not pokes:
             then()
             return
@@ -577,7 +577,7 @@ class Window(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask whether to keep a provisional session; then stop the timers, close the 3D view, then the journal."""
-        if not self._leaves and self.controller.would_lose:
+        if not self._leaves and self.controller.unsaved_pokes:
             self._confirm_unsaved(self.leave)
             event.ignore()
             return

@@ -44,9 +44,8 @@ class ApplyDialog(TaskDialog):
         self.form.addRow("&Method", self.method)
         self.form.addRow("", self.verdict)
         self.form.addRow("&RPC port of skinManager", self.address)
-        self.form.addRow(
-            "", secondary_label("The robot's present positions are read first and saved in a file, to go back to.", wrap=True)
-        )
+        restore = "The robot's present positions are first saved in a file, so that you can restore them."
+        self.form.addRow("", secondary_label(restore, wrap=True))
         # A robot is changed on purpose: Space and Enter close.
         self.close_button.setDefault(True)
         self.close_button.setFocus()

@@ -1,4 +1,4 @@
-"""The history of a session: what was done and when, newest first; everything down to a line can be taken back at once."""
+"""Dialog with the history of a session, newest first; it undoes or redoes several steps at once."""
 
 from __future__ import annotations
 
@@ -13,31 +13,30 @@ from app.state.view_state import ViewState
 from app.text.history_text import HistoryLine, history_lines
 
 HEADINGS = ("When", "What")
-SIZE = (420, 480)
-"""Pixels."""
+SIZE_PX = (420, 480)
 
 
 class HistoryDialog(QDialog):
-    """Stands beside the window and follows the session; Enter or a double click on a line acts."""
+    """Stays open next to the window. Enter or a double click on a line undoes or redoes up to it."""
 
-    taken_back = Signal(int)
-    """So many entries, the newest first."""
-    brought_again = Signal(int)
-    """So many, the one that was taken back last first."""
+    undo_wanted = Signal(int)
+    """Number of undo steps."""
+    redo_wanted = Signal(int)
+    """Number of redo steps."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("History")
         self.list = table("history", HEADINGS)
         self.list.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        about = "Enter on a line takes it back with all above it; on one that was taken back it brings that again."
+        about = "Enter undoes the line and all lines above it, or redoes an undone line."
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
         column.addWidget(self.list, 1)
         column.addWidget(secondary_label(about, wrap=True))
         column.addWidget(self.buttons)
-        self.resize(*SIZE)
+        self.resize(*SIZE_PX)
         self._state: ViewState | None = None
         self._shown: tuple[object, ...] = ()
         self._lines: list[HistoryLine] = []
@@ -45,7 +44,7 @@ class HistoryDialog(QDialog):
         self.list.itemActivated.connect(self._activated)
 
     def show_state(self, state: ViewState) -> None:
-        """Show what can be taken back or brought again; nothing where it is shown already, or nobody looks."""
+        """Show the history, if it changed and the dialog is visible."""
         self._state, snapshot = state, state.snapshot
         shown = snapshot.history.entries, snapshot.history.undone, snapshot.pokes
         if not self.isVisible() or shown == self._shown:
@@ -54,7 +53,7 @@ class HistoryDialog(QDialog):
         put_rows(self.list, [(line.when, line.what) for line in self._lines])
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Show the newest state, on the newest line."""
+        """Show the newest state and select the newest line."""
         super().showEvent(event)
         if self._state is not None:
             self.show_state(self._state)
@@ -64,13 +63,13 @@ class HistoryDialog(QDialog):
             self.list.setCurrentItem(first)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep Enter in the list from the default button."""
+        """Keep Enter in the list away from the default button."""
         if not (self.list.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
             super().keyPressEvent(event)
 
     def _activated(self, item: QTreeWidgetItem) -> None:
         line = self._lines[self.list.indexOfTopLevelItem(item)]
         if line.again:
-            self.brought_again.emit(line.again)
+            self.redo_wanted.emit(line.again)
         else:
-            self.taken_back.emit(line.back)
+            self.undo_wanted.emit(line.back)

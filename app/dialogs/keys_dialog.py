@@ -1,4 +1,4 @@
-"""Every key in one list: on a low screen at once as far as it fits, then scrolled."""
+"""Dialog with all keys."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from PySide6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QScrollArea, QV
 from app.commands import key_words
 from app.panels.widgets import plain_buttons
 
-MOST_PX = (1240, 680)
-"""Of a screen of 1280 by 720, with a desktop's frame around."""
+MAX_SIZE_PX = (1240, 680)
+"""A screen of 1280 by 720 without the desktop's frame."""
 BORDER_PX = 1
-"""Around what is scrolled, where the window's style shows the focus."""
-COLUMNS = (2, 1)
-"""Beside each other while they fit: a list is scrolled in one direction only."""
+"""Frame of the scrolled area, which shows the focus."""
+COLUMN_COUNTS = (2, 1)
+"""One column if two do not fit: the list scrolls vertically only."""
 
 
 class KeysDialog(QDialog):
-    """Closed by every key that presses its only button."""
+    """List of all keys, which scrolls on a low screen."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -39,10 +39,10 @@ class KeysDialog(QDialog):
         edges = column.contentsMargins()
         across = edges.left() + edges.right() + 2 * BORDER_PX + self.area.verticalScrollBar().sizeHint().width()
         down = edges.top() + edges.bottom() + 2 * BORDER_PX + column.spacing() + self.buttons.sizeHint().height()
-        for count in COLUMNS:
+        for count in COLUMN_COUNTS:
             self.list.setText(key_words(count))
-            if self.list.sizeHint().width() + across <= MOST_PX[0]:
+            if self.list.sizeHint().width() + across <= MAX_SIZE_PX[0]:
                 break
         wanted = self.list.sizeHint()
-        self.resize(min(wanted.width() + across, MOST_PX[0]), min(wanted.height() + down, MOST_PX[1]))
+        self.resize(min(wanted.width() + across, MAX_SIZE_PX[0]), min(wanted.height() + down, MAX_SIZE_PX[1]))
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()

@@ -1,4 +1,4 @@
-"""Adding a landmark, a known point of the part: a click on it or its coordinates, then its name."""
+"""Adding a landmark, a known point of the part: a click on the part or typed coordinates, then a name."""
 
 from __future__ import annotations
 
@@ -27,101 +27,95 @@ from skincal.model.actions import Action, AddLandmark
 from skincal.model.tables import LENGTH_MAX
 from skincal.words.units import UNITS, in_metres, in_millimetres
 
-AXES = ("x", "y", "z")
 DECIMALS = 2
-"""Of a millimetre: a drawing says no more."""
-PICKED = "Where you clicked, in the frame {link}. A drawing may know it better."
+PICKED = "The point that you clicked, in the frame {link}. A drawing may be more accurate."
 TYPED = "From a drawing, in the frame {link}."
-
-ASK = Message("Click the point on the part, or K again to type its place; Esc ends.", asks=True)
+ASK = Message("Click the point on the part. K: type its position. Esc: cancel.", asks=True)
 
 
 class LandmarkDialog(QDialog):
-    """Gathers a name that no other landmark has, and a place.
+    """Gathers the position of a landmark, and a name that no other landmark has.
 
     Parameters
     ----------
-    place : (3,) float, metres, link frame; None where nothing was clicked
-    taken : names of the landmarks that there are
-    link : the frame's name
+    position : (3,) float, metres, link frame; `None` if nothing was clicked
+    taken : names of the present landmarks
+    link : name of the frame
     """
 
     given = Signal(str, object)
-    """The name, and (3,) float, metres, link frame."""
+    """Name, and position (3,) float, metres, link frame."""
 
-    def __init__(self, place: FloatArray | None, taken: Collection[str], link: str, parent: QWidget | None = None) -> None:
+    def __init__(self, position: FloatArray | None, taken: Collection[str], link: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Add landmark")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setMinimumWidth(480)
         self._taken = taken
         self.name = QLineEdit(free_name(taken))
-        self.coordinates = [_millimetres(axis) for axis in AXES]
-        for box, value in zip(self.coordinates, np.zeros(3) if place is None else in_millimetres(place), strict=True):
+        self.coordinates = [_millimetre_field(axis) for axis in "xyz"]
+        for box, value in zip(self.coordinates, np.zeros(3) if position is None else in_millimetres(position), strict=True):
             box.setValue(float(value))
         self.objection = QLabel()
         self.objection.setWordWrap(True)
         standard = QDialogButtonBox.StandardButton
         self.buttons = QDialogButtonBox(standard.Ok | standard.Cancel)
-        self._arrange((TYPED if place is None else PICKED).format(link=link))
-        self.buttons.accepted.connect(self._try)
-        self.buttons.rejected.connect(self.reject)
-
-    def _arrange(self, about: str) -> None:
+        add = self.buttons.button(standard.Ok)
+        add.setText("Add")
+        add.setDefault(True)
+        plain_buttons(self.buttons)
         row = QHBoxLayout()
         row.setSpacing(GAP)
         for box in self.coordinates:
             row.addWidget(box, 1)
+        label = QLabel("&Position")
+        label.setBuddy(self.coordinates[0])
         form = QFormLayout()
         form.addRow("&Name", self.name)
-        label = QLabel("&Place")
-        label.setBuddy(self.coordinates[0])
         form.addRow(label, row)
-        form.addRow("", secondary_label(about, wrap=True))
-        self.buttons.button(QDialogButtonBox.StandardButton.Ok).setText("Add")
-        self.buttons.button(QDialogButtonBox.StandardButton.Ok).setDefault(True)
-        plain_buttons(self.buttons)
+        form.addRow("", secondary_label((TYPED if position is None else PICKED).format(link=link), wrap=True))
         column = QVBoxLayout(self)
         column.addLayout(form)
         column.addWidget(self.objection)
         column.addWidget(self.buttons)
-        self.setMinimumWidth(480)
         self.name.selectAll()
         self.name.setFocus()
+        self.buttons.accepted.connect(self._try)
+        self.buttons.rejected.connect(self.reject)
 
-    def place(self) -> FloatArray:
-        """Return (3,) float, metres, link frame."""
+    def position(self) -> FloatArray:
+        """Give the position, (3,) float, metres, link frame."""
         return in_metres(np.array([box.value() for box in self.coordinates]))
 
     def _try(self) -> None:
         name = self.name.text().strip()
-        refused = objection_to(name, self._taken)
-        if refused:
-            self.objection.setText(f"\N{BALLOT X} {refused}")
+        problem = name_problem(name, self._taken)
+        if problem:
+            self.objection.setText(f"\N{BALLOT X} {problem}")
             self.name.setFocus()
             return
-        self.given.emit(name, self.place())
+        self.given.emit(name, self.position())
         self.accept()
 
 
 def free_name(taken: Collection[str]) -> str:
-    """Return the first of "landmark 1", "landmark 2" and so on that no landmark has."""
-    # One number more than there are names: one of them is free.
+    """Find the first unused name of "landmark 1", "landmark 2" and so on."""
     return next(name for number in range(1, len(taken) + 2) if (name := f"landmark {number}") not in taken)
 
 
-def objection_to(name: str, taken: Collection[str]) -> str:
-    """Return why a landmark cannot be called so; empty where it can."""
+def name_problem(name: str, taken: Collection[str]) -> str:
+    """Say why a landmark cannot have this name; empty if it can."""
     if not name:
-        return "The landmark has no name; give it one by which you find it on the part, such as the screw's place."
-    return f"There is a landmark {name!r} already; give this one another name." if name in taken else ""
+        return "The landmark has no name. Enter one that tells where it is on the part, for example: screw at the wrist."
+    return f"There is a landmark {name!r} already. Enter another name." if name in taken else ""
 
 
-def _millimetres(axis: str) -> QDoubleSpinBox:
+def _millimetre_field(axis: str) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
-    # The same point in every number of the window.
+    # A decimal point, as in all numbers of the window.
     box.setLocale(QLocale.c())
-    most = float(in_millimetres(LENGTH_MAX))
-    box.setRange(-most, most)
+    limit = float(in_millimetres(LENGTH_MAX))
+    box.setRange(-limit, limit)
     box.setDecimals(DECIMALS)
     box.setPrefix(f"{axis}  ")
     box.setSuffix(f" {UNITS['m'].text}")
@@ -130,12 +124,12 @@ def _millimetres(axis: str) -> QDoubleSpinBox:
 
 
 class LandmarkPicking(QObject):
-    """Leads from the command to the landmark."""
+    """Steps from the command to the new landmark: click or coordinates, dialog, action."""
 
     said = Signal(object)
-    """`Message`: what to do now."""
+    """`Message` that asks for a click."""
     unsaid = Signal(object)
-    """`Message` that holds no more."""
+    """`Message` that is over."""
 
     def __init__(
         self, view: View3D, names: Callable[[], Collection[str]], act: Callable[[Action], object], link: str, parent: QObject
@@ -143,40 +137,33 @@ class LandmarkPicking(QObject):
         super().__init__(parent)
         self._view, self._names, self._act, self._link = view, names, act, link
         self._window: QWidget | None = None
-        view.surface_picked.connect(self._take)
+        view.surface_picked.connect(self._take_click)
 
     @property
     def waiting(self) -> bool:
-        """Whether a click is waited for."""
+        """Whether it waits for a click."""
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:
-        """Wait for a click on the part; asked again, or where there is nothing to click on, ask for coordinates."""
+        """Wait for a click on the part; the second call, or without a surface the first, asks for coordinates."""
         self._window = window
-        if self.waiting:
+        if self.waiting or not self._view.can_pick:
             self.stop()
-            self._open(None)
-            return
-        if not self._view.can_pick:
-            self._open(None)
+            self._open_dialog(None)
             return
         self._view.set_picking(True)
         self.said.emit(ASK)
 
     def stop(self) -> None:
-        """Wait for a click no more."""
+        """Stop waiting for a click."""
         self._view.set_picking(False)
         self.unsaid.emit(ASK)
 
-    def _take(self, place: FloatArray) -> None:
+    def _take_click(self, position: FloatArray) -> None:
         self.unsaid.emit(ASK)
-        self._open(place)
+        self._open_dialog(position)
 
-    def _open(self, place: FloatArray | None) -> None:
-        dialog = LandmarkDialog(place, self._names(), self._link, self._window)
-        dialog.given.connect(self._add)
+    def _open_dialog(self, position: FloatArray | None) -> None:
+        dialog = LandmarkDialog(position, self._names(), self._link, self._window)
+        dialog.given.connect(lambda name, at: self._act(AddLandmark(name, *at.tolist())))
         dialog.open()
-
-    def _add(self, name: str, place: FloatArray) -> None:
-        x, y, z = place.tolist()
-        self._act(AddLandmark(name, x, y, z))

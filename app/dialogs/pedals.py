@@ -1,8 +1,7 @@
-"""Foot pedals, keyboards of one key: each learns a key that means nothing yet, and acts as the space bar, Backspace or N.
+"""Foot pedals: keyboards with one key, which acts as the space bar, Backspace or N.
 
-A pedal's key is turned where it arrives: in the main window it does what the menu entry with that key does, anywhere else it
-is pressed and let go as that key, so that it presses the focused button of a dialog. In a field for text it types nothing.
-In the dialog a pedal is learnt by pressing it.
+In the main window the pedal's key triggers a command. In a dialog it becomes the key that it stands for, so that it presses the
+focused button. In a text field it types nothing.
 """
 
 from __future__ import annotations
@@ -11,80 +10,74 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from PySide6.QtCore import QCoreApplication, QEvent, QKeyCombination, QObject, QSettings, Qt
-from PySide6.QtGui import QAction, QHideEvent, QKeyEvent, QKeySequence
-from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtGui import QAction, QKeyEvent, QKeySequence
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QDialogButtonBox,
+    QGridLayout,
+    QKeySequenceEdit,
+    QLabel,
+    QPushButton,
+    QVBoxLayout,
+    QWidget,
+)
 
 from app.panels.widgets import plain_buttons, secondary_label, set_bold
 
 Key = Qt.Key
+PORTABLE = QKeySequence.SequenceFormat.PortableText
 
 
 @dataclass(frozen=True, slots=True)
 class Pedal:
-    """One pedal that can be learnt."""
+    """One pedal."""
 
     name: str
-    """Of the menu entry that it triggers."""
+    """Of the command that it triggers."""
     key: Qt.Key
-    """As which it acts."""
+    """Key that it stands for."""
     title: str
     what: str
 
 
 PEDALS: tuple[Pedal, ...] = (
-    Pedal("space", Key.Key_Space, "Space bar", "does the obvious thing: pauses, goes on, presses the focused button"),
-    Pedal("undo", Key.Key_Backspace, "Backspace", "takes back the last poke or action"),
+    Pedal("space", Key.Key_Space, "Space bar", "pauses, continues, or presses the focused button"),
+    Pedal("undo", Key.Key_Backspace, "Backspace", "undoes the last poke or action"),
     Pedal("another", Key.Key_N, "N", "asks for another target"),
 )
-
 USED_BY_WIDGETS: Mapping[str, str] = {
-    "Return": "presses a dialog's button",
-    "Enter": "presses a dialog's button",
+    "Return": "presses a button of a dialog",
+    "Enter": "presses a button of a dialog",
     "Esc": "closes a dialog",
     "Tab": "goes to the next part of the window",
-    "Shift+Tab": "goes to the part of the window before",
+    "Shift+Tab": "goes to the previous part of the window",
     **dict.fromkeys(("Up", "Down", "Left", "Right", "PgUp", "PgDown", "Home", "End"), "moves in the map and in lists"),
     "Del": "deletes text",
     "Ctrl+C": "copies rows of a table",
 }
-"""Keys without an entry in a menu that mean something, and what."""
-MODIFIERS: Mapping[Qt.Key, str] = {
-    Key.Key_Shift: "Shift", Key.Key_Control: "Ctrl", Key.Key_Alt: "Alt", Key.Key_Meta: "Meta", Key.Key_AltGr: "AltGr",
-    Key.Key_CapsLock: "Caps Lock", Key.Key_NumLock: "Num Lock",
-}  # fmt: skip
-KEPT = (
-    Qt.KeyboardModifier.ShiftModifier
-    | Qt.KeyboardModifier.ControlModifier
-    | Qt.KeyboardModifier.AltModifier
-    | Qt.KeyboardModifier.MetaModifier
-)
-"""Modifiers that make another key of a key; the keypad's does not."""
+"""Keys that have a use without a menu entry."""
+IGNORED_MODIFIER = Qt.KeyboardModifier.KeypadModifier
 
 
 def key_name(event: QKeyEvent) -> str:
-    """Return the key of an event in portable words: `"F13"`, `"Ctrl+B"`; empty where it has no name."""
+    """Name the key of an event: `"F13"`, `"Ctrl+B"`; empty if it has no name."""
     key = Key(event.key())
     if key is Key.Key_unknown or event.key() == 0:
         return ""
-    if key in MODIFIERS:
-        return MODIFIERS[key]
-    return QKeySequence(QKeyCombination(event.modifiers() & KEPT, key)).toString(QKeySequence.SequenceFormat.PortableText)
+    return QKeySequence(QKeyCombination(event.modifiers() & ~IGNORED_MODIFIER, key)).toString(PORTABLE)
 
 
-def objection(name: str, taken: Mapping[str, str]) -> str:
-    """Return why a key cannot be a pedal's; empty where it can."""
-    if not name:
-        return "The desktop knows no name for this key; set the pedal to another one, F13 for example."
-    if name in MODIFIERS.values():
-        return f"{name} only changes other keys; set the pedal to another one, F13 for example."
+def key_problem(name: str, taken: Mapping[str, str]) -> str:
+    """Say why a key cannot be used for a pedal; empty if it can."""
     if name.startswith("Alt+"):
-        return f"{name} may open a menu; set the pedal to another key, F13 for example."
+        return f"{name} may open a menu. Set the pedal to another key, for example F13."
     meaning = taken.get(name) or USED_BY_WIDGETS.get(name)
-    return f"{name} means something already: {meaning}. Set the pedal to another key, F13 for example." if meaning else ""
+    return f"{name} has a use already: {meaning}. Set the pedal to another key, for example F13." if meaning else ""
 
 
 class Pedals(QObject):
-    """The keys that were learnt; they are kept in the settings."""
+    """Keys of the pedals, saved in the settings. They act by an event filter of the application."""
 
     def __init__(
         self,
@@ -95,193 +88,155 @@ class Pedals(QObject):
     ) -> None:
         super().__init__(parent)
         self._actions, self._taken, self._settings = actions, taken, settings
-        self._listener: Callable[[str], None] | None = None
-        self._installed = False
+        self._is_installed = False
         self.keys: dict[str, str] = {}
-        """Key of each pedal that was learnt, by the pedal's name."""
+        """By the name of the pedal."""
         for pedal in PEDALS:
             name = str(settings.value(f"pedal/{pedal.name}", ""))
-            if name and not self.objection(pedal.name, name):
+            if name and not self._problem(pedal.name, name):
                 self.keys[pedal.name] = name
-        self._watch()
+        self._install()
 
-    def objection(self, pedal: str, key: str) -> str:
-        """Return why a key cannot be learnt for a pedal; empty where it can."""
+    def _problem(self, pedal: str, key: str) -> str:
         others = {k: f"it is the pedal for {p.title}" for p in PEDALS if (k := self.keys.get(p.name)) and p.name != pedal}
-        return objection(key, {**self._taken(), **others})
+        return key_problem(key, {**self._taken(), **others})
 
-    def learn(self, pedal: str, key: str) -> str:
-        """Learn a key; return why it cannot be, empty where it is learnt."""
-        refused = self.objection(pedal, key)
-        if not refused:
+    def set_key(self, pedal: str, key: str) -> str:
+        """Use a key for a pedal; return why that is impossible, or an empty text."""
+        refusal = self._problem(pedal, key)
+        if not refusal:
             self.keys[pedal] = key
             self._settings.setValue(f"pedal/{pedal}", key)
-            self._watch()
-        return refused
+            self._install()
+        return refusal
 
-    def forget(self, pedal: str) -> None:
-        """Let a key be itself again."""
+    def forget_key(self, pedal: str) -> None:
+        """Give the key of a pedal its own meaning again."""
         self.keys.pop(pedal, None)
         self._settings.remove(f"pedal/{pedal}")
-        self._watch()
-
-    def listen(self, listener: Callable[[str], None] | None) -> None:
-        """Give the name of every key that is pressed from now on to `listener`, and to nobody else; None ends it."""
-        self._listener = listener
-        self._watch()
+        self._install()
 
     def stop(self) -> None:
-        """Leave all keys alone."""
-        self.keys, self._listener = {}, None
-        self._watch()
+        """Ignore the pedals from now on; the settings keep them."""
+        self.keys = {}
+        self._install()
 
-    def _watch(self) -> None:
-        """See every event of the program, but only while there is a key to see."""
+    def _install(self) -> None:
+        """Filter events only while a pedal has a key."""
         application = QCoreApplication.instance()
-        wanted = bool(self.keys) or self._listener is not None
-        if application is None or wanted == self._installed:
+        if application is None or bool(self.keys) == self._is_installed:
             return
-        self._installed = wanted
-        if wanted:
+        self._is_installed = bool(self.keys)
+        if self._is_installed:
             application.installEventFilter(self)
         else:
             application.removeEventFilter(self)
 
     def eventFilter(self, _watched: QObject, event: QEvent) -> bool:
-        """Turn the keys of pedals into those as which they act."""
         if event.type() not in (QEvent.Type.KeyPress, QEvent.Type.KeyRelease) or not isinstance(event, QKeyEvent):
             return False
-        name, is_press = key_name(event), event.type() is QEvent.Type.KeyPress
-        if self._listener is not None:
-            if is_press and not event.isAutoRepeat():
-                self._listener(name)
-            return is_press
+        name = key_name(event)
         pedal = next((p for p in PEDALS if self.keys.get(p.name) == name), None)
-        target = _target()
-        if pedal is None or target is None or _takes(target, event):
+        popup = QApplication.activePopupWidget()
+        target = QApplication.focusWidget() or QApplication.activeWindow() if popup is None else popup.focusWidget() or popup
+        if pedal is None or target is None or _types(target, event):
             return False
-        # A pedal that is held down repeats its key; a press counts once.
+        # A pedal that is held down repeats its key; one press counts once.
         if not event.isAutoRepeat():
-            self._act(pedal, target, is_press)
+            self._act(pedal, target, event.type())
         return True
 
-    def _act(self, pedal: Pedal, target: QWidget, is_press: bool) -> None:
+    def _act(self, pedal: Pedal, target: QWidget, kind: QEvent.Type) -> None:
         action = self._actions[pedal.name]
         if target.window() is self.parent():
-            if is_press and action.isEnabled():
+            if kind is QEvent.Type.KeyPress and action.isEnabled():
                 action.trigger()
             return
-        pressed = QKeyEvent(QEvent.Type.KeyPress, pedal.key, Qt.KeyboardModifier.NoModifier, _text(pedal.key))
-        if _takes(target, pressed):
-            return  # It would be typed.
-        kind = QEvent.Type.KeyPress if is_press else QEvent.Type.KeyRelease
-        QCoreApplication.sendEvent(target, QKeyEvent(kind, pedal.key, Qt.KeyboardModifier.NoModifier, _text(pedal.key)))
+        text = {Key.Key_Space: " ", Key.Key_N: "n"}.get(pedal.key, "")
+        meant = QKeyEvent(kind, pedal.key, Qt.KeyboardModifier.NoModifier, text)
+        if not _types(target, meant):
+            QCoreApplication.sendEvent(target, meant)
 
 
-def _target() -> QWidget | None:
-    """Return who gets the keys."""
-    popup = QApplication.activePopupWidget()
-    if popup is not None:
-        return popup.focusWidget() or popup
-    return QApplication.focusWidget() or QApplication.activeWindow()
+def _types(target: QWidget, event: QKeyEvent) -> bool:
+    """Whether a widget takes a key for itself, as text fields do with what they type."""
+    question = QKeyEvent(QEvent.Type.ShortcutOverride, event.key(), event.modifiers(), event.text())
+    # An event starts as accepted.
+    question.ignore()
+    QCoreApplication.sendEvent(target, question)
+    return question.isAccepted()
 
 
-def _text(key: Qt.Key) -> str:
-    return {Key.Key_Space: " ", Key.Key_N: "n"}.get(key, "")
+class PedalField(QKeySequenceEdit):
+    """Records the next key."""
 
+    def __init__(self, pedal: Pedal) -> None:
+        super().__init__()
+        self.setMaximumSequenceLength(1)
+        self.setAccessibleName(f"pedal for {pedal.title}")
 
-def _takes(target: QWidget, event: QKeyEvent) -> bool:
-    """Return whether a widget keeps a key from being a shortcut, as fields for text do with what they type."""
-    asked = QKeyEvent(QEvent.Type.ShortcutOverride, event.key(), event.modifiers(), event.text())
-    # An event begins as accepted: whoever wants this key has to accept it.
-    asked.ignore()
-    QCoreApplication.sendEvent(target, asked)
-    return asked.isAccepted()
-
-
-ASK = "Press the pedal now. Esc leaves it as it is."
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Leave Escape to the dialog."""
+        if event.key() == Key.Key_Escape:
+            event.ignore()
+        else:
+            super().keyPressEvent(event)
 
 
 class PedalsDialog(QDialog):
-    """Learns and forgets the keys of pedals; what is learnt holds at once."""
+    """Sets and removes the keys of pedals; each change takes effect at once."""
 
     def __init__(self, pedals: Pedals, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Pedals")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setMinimumWidth(640)
         self._pedals = pedals
-        self._asked: Pedal | None = None
-        self.keys = {pedal.name: QLabel() for pedal in PEDALS}
-        self.learn = {pedal.name: QPushButton("Learn") for pedal in PEDALS}
+        self.fields = {pedal.name: PedalField(pedal) for pedal in PEDALS}
         self.forget = {pedal.name: QPushButton("Forget") for pedal in PEDALS}
         self.outcome = secondary_label(wrap=True)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-        self.buttons.rejected.connect(self.reject)
-        self._arrange()
-        self._show_keys()
-        self.learn["space"].setFocus()
-
-    def _arrange(self) -> None:
+        plain_buttons(self.buttons)
         grid = QGridLayout()
         grid.setColumnStretch(1, 1)
         for row, pedal in enumerate(PEDALS):
-            self.learn[pedal.name].setAccessibleName(f"learn the pedal for {pedal.title}")
-            self.forget[pedal.name].setAccessibleName(f"forget the pedal for {pedal.title}")
-            self.learn[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._ask(pedal))
-            self.forget[pedal.name].clicked.connect(lambda _=False, pedal=pedal: self._forget(pedal))
             title = QLabel(pedal.title)
             set_bold(title)
-            widgets = (title, secondary_label(pedal.what), self.keys[pedal.name])
-            for column, widget in enumerate((*widgets, self.learn[pedal.name], self.forget[pedal.name])):
+            forget = self.forget[pedal.name]
+            forget.setAccessibleName(f"forget the pedal for {pedal.title}")
+            for column, widget in enumerate((title, secondary_label(pedal.what), self.fields[pedal.name], forget)):
                 grid.addWidget(widget, row, column)
-        plain_buttons(self.buttons)
+            self.fields[pedal.name].editingFinished.connect(lambda pedal=pedal: self._set_key(pedal))
+            forget.clicked.connect(lambda _=False, pedal=pedal: self._forget_key(pedal))
         column = QVBoxLayout(self)
-        column.addWidget(
-            secondary_label("A foot pedal is a keyboard of one key. It may have any key that means nothing yet.", wrap=True)
-        )
+        column.addWidget(secondary_label("Click a field, then press the pedal. Its key must have no other use.", wrap=True))
         column.addLayout(grid)
         column.addWidget(self.outcome)
         column.addWidget(self.buttons)
-        self.setMinimumWidth(640)
-
-    def _ask(self, pedal: Pedal) -> None:
-        self._asked = pedal
-        self._pedals.listen(self._take)
-        self.outcome.setText(f"{pedal.title}: {ASK}")
+        self.buttons.rejected.connect(self.reject)
         self._show_keys()
+        self.fields["space"].setFocus()
 
-    def _take(self, key: str) -> None:
-        """Take the key that was pressed; where it cannot be learnt, say so and wait for the next."""
-        pedal = self._asked
-        if pedal is None:
+    def _set_key(self, pedal: Pedal) -> None:
+        key = self.fields[pedal.name].keySequence().toString(PORTABLE)
+        if not key or key == self._pedals.keys.get(pedal.name):
             return
-        refused = "" if key == "Esc" else self._pedals.learn(pedal.name, key)
-        if refused:
-            self.outcome.setText(f"\N{BALLOT X} {refused}")
+        refusal = self._pedals.set_key(pedal.name, key)
+        self._show_keys()
+        if refusal:
+            self.outcome.setText(f"\N{BALLOT X} {refusal}")
             return
-        self._end()
-        self.outcome.setText("" if key == "Esc" else f"\N{CHECK MARK} {key} is the pedal for {pedal.title}.")
+        self.outcome.setText(f"\N{CHECK MARK} {key} is the pedal for {pedal.title}.")
         self.buttons.button(QDialogButtonBox.StandardButton.Close).setFocus()
 
-    def _forget(self, pedal: Pedal) -> None:
-        self._end()
-        self._pedals.forget(pedal.name)
-        self.outcome.setText(f"{pedal.title} has no pedal any more.")
-        self.learn[pedal.name].setFocus()
-        self._show_keys()
-
-    def _end(self) -> None:
-        self._asked = None
-        self._pedals.listen(None)
+    def _forget_key(self, pedal: Pedal) -> None:
+        self._pedals.forget_key(pedal.name)
+        self.outcome.setText(f"{pedal.title} has no pedal now.")
+        self.fields[pedal.name].setFocus()
         self._show_keys()
 
     def _show_keys(self) -> None:
         for pedal in PEDALS:
             key = self._pedals.keys.get(pedal.name, "")
-            self.keys[pedal.name].setText("\N{HORIZONTAL ELLIPSIS}" if pedal is self._asked else key or "no pedal")
+            self.fields[pedal.name].setKeySequence(QKeySequence(key))
             self.forget[pedal.name].setEnabled(bool(key))
-
-    def hideEvent(self, event: QHideEvent) -> None:
-        """Listen no more, however the dialog is left."""
-        self._pedals.listen(None)
-        super().hideEvent(event)

@@ -1,4 +1,4 @@
-"""Base of dialogs that start one task for one method, wait for it and show its outcome."""
+"""Base of the dialogs that run one task for one method and show its outcome."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class TaskDialog(QDialog):
         self.outcome.setText(words)
 
     def end_task(self) -> None:
-        """Allow another start and closing, whatever became of the task."""
+        """Allow another start, and closing."""
         self.start.setEnabled(True)
 
     def show_outcome(self, sentence: str, remarks: Sequence[str] = (), *, good: bool) -> None:

@@ -1,4 +1,4 @@
-"""The page of a poke's thresholds: what each is and why, how the newest pokes stand against it, and its change."""
+"""Dialog for the thresholds of a poke: value and reason of each, the newest pokes, and a field to change it."""
 
 from __future__ import annotations
 
@@ -35,12 +35,11 @@ from skincal.words.threshold_words import (
     with_unit,
 )
 
-SIZE = (620, 600)
-"""Pixels at 100 %, where the screen has them."""
+SIZE_PX = (620, 600)
 
 
 class ThresholdRow:
-    """One threshold: its field, and below it the reason, the newest pokes and what is wrong with what was typed."""
+    """Field of one threshold, with a problem, its reason and the newest pokes below."""
 
     def __init__(self, words: ThresholdWords, of_scene: str, grid: QGridLayout) -> None:
         self.field = QLineEdit()
@@ -59,18 +58,17 @@ class ThresholdRow:
             grid.addWidget(widget, at + below, 0, 1, 4)
         grid.setRowMinimumHeight(at + 4, GAP)
 
-    def object(self, sentence: str) -> None:
-        """Say what is wrong with the field, or nothing any more."""
+    def show_problem(self, sentence: str) -> None:
         self.objection.setText(f"\N{BALLOT X} {sentence}")
         self.objection.setVisible(bool(sentence))
 
 
 class ThresholdsDialog(QDialog):
-    """Stands beside the window and follows the session.
+    """Stays open next to the window and follows the session.
 
     Parameters
     ----------
-    scene : the thresholds of the scene's file
+    scene : thresholds in the scene's file
     """
 
     thresholds_wanted = Signal(object)
@@ -83,7 +81,7 @@ class ThresholdsDialog(QDialog):
         self._now = dict(self._scene)
         self._state: ViewState | None = None
         self._newest: list[Outcome] | None = None
-        """What is shown of the pokes."""
+        """Pokes that are shown."""
         self.area = QScrollArea()
         # It follows the focus of its fields.
         self.area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -95,7 +93,7 @@ class ThresholdsDialog(QDialog):
         self.area.setWidget(inner)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
         self.use = self.buttons.addButton("Use", QDialogButtonBox.ButtonRole.ApplyRole)
-        self.back = self.buttons.addButton("Use the scene's", QDialogButtonBox.ButtonRole.ResetRole)
+        self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
         column.addWidget(secondary_label(ABOUT, wrap=True))
@@ -117,7 +115,7 @@ class ThresholdsDialog(QDialog):
                 row.field.textEdited.connect(self._edited)
 
     def show_state(self, state: ViewState) -> None:
-        """Show the thresholds that hold and how the newest pokes stand against them; nothing where nobody looks."""
+        """Show the thresholds in use and the newest pokes, if the dialog is visible."""
         self._state = state
         if not self.isVisible():
             return
@@ -126,32 +124,31 @@ class ThresholdsDialog(QDialog):
             self._now = now
             self._show_fields()
         newest = [record.outcome for record in state.snapshot.pokes[-NEWEST_POKES:]]
-        # Compared by what they are: arrays have no truth.
+        # By identity: outcomes hold arrays, which have no truth value.
         if self._newest is None or list(map(id, newest)) != list(map(id, self._newest)):
             self._newest = newest
             for name, use in threshold_uses(newest, list(self.rows)).items():
                 self.rows[name].used.setText(use_words(name, use))
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Show the newest state, on the first field, on the screen as a whole."""
+        """Show the newest state, with the focus on the first field."""
         super().showEvent(event)
         if self._state is not None:
             self.show_state(self._state)
-        fit_to_screen(self, SIZE)
+        fit_to_screen(self, SIZE_PX)
         first = next(iter(self.rows.values())).field
         self.area.verticalScrollBar().setValue(0)
         first.setFocus()
         first.selectAll()
 
     def _show_fields(self) -> None:
-        """Show what holds in every field."""
         for name, row in self.rows.items():
             row.field.setText(shown_value(name, self._now[name]))
-            row.object("")
+            row.show_problem("")
         self._enable()
 
     def _edited(self) -> None:
-        self._object(objections(self._typed()))
+        self._show_problems(objections(self._typed()))
         self._enable()
 
     def _enable(self) -> None:
@@ -159,20 +156,20 @@ class ThresholdsDialog(QDialog):
         self.back.setEnabled(self._now != self._scene)
 
     def _typed(self) -> dict[str, float]:
-        """Return what the fields say, SI units; of a field as it was shown exactly what holds, which has more digits."""
+        """Read the fields, SI units; an unchanged field gives exactly the present value, which has more digits."""
         return {
             name: now if (text := self.rows[name].field.text().strip()) == shown_value(name, now) else typed_value(name, text)
             for name, now in self._now.items()
         }
 
-    def _object(self, wrong: dict[str, str]) -> None:
+    def _show_problems(self, wrong: dict[str, str]) -> None:
         for name, row in self.rows.items():
-            row.object(wrong.get(name, ""))
+            row.show_problem(wrong.get(name, ""))
 
     def _use(self) -> None:
         typed = self._typed()
         wrong = objections(typed)
-        self._object(wrong)
+        self._show_problems(wrong)
         if wrong:
             row = self.rows[next(name for name in self.rows if name in wrong)]
             self.area.ensureWidgetVisible(row.objection)

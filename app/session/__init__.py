@@ -1,1 +1,1 @@
-"""What is open: the recording, where it lies, and the tick that drives it; no widgets."""
+"""The open session: controller, opening, recording, previews of links. No widgets."""

@@ -1,18 +1,12 @@
-"""The controller of the window: owns what is open and the one timer, and does what the operator wants.
-
-Each tick takes what arrived, lets the pipeline work on it for a bounded time, and hands it on once, and only if something
-changed. Thirty ticks a second, fewer while there is work, none for nothing. Everything slow is done in the background and
-comes back in a tick.
-"""
+"""The controller of the window. No widgets."""
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
@@ -24,19 +18,17 @@ from app.session.opening import (
     find_truth_of,
     link_specs,
     load_mesh_part,
-    look_at,
-    resume_pipeline,
-    rig_again,
+    open_recorded,
 )
 from app.session.recording import Recording, SessionFolder, stop_all
 from app.state.running import Running
 from app.text.message import NO_SESSION, STILL_SOLVING, Message, copy_words, kept_words, refused_words
 from app.workers.device_process import DeviceProcess
-from app.workers.threads import ThreadService
+from app.workers.threads import ThreadService, raise_sentences
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
-    from app.workers.processes import JobService, ProcessService, ReviewClient
+    from app.workers.processes import JobQueue, ReviewClient, WorkerProcess
     from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
@@ -52,53 +44,45 @@ if TYPE_CHECKING:
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
 
-T = TypeVar("T")
-LOG = logging.getLogger(__name__)
 TICK_MS = 33
-"""One picture a tick: 30 a second."""
-BEHIND_MS = 4
-"""The next tick comes this soon while readings still wait, or taxels to be solved."""
-DRAW_S = 0.010
-"""s. Pictures come no faster than this. Well below a tick: after a long one the timer comes early, to keep its pace, and that
-picture must not be left out."""
-DRAW_BEHIND_S = 0.1
-"""s. While there is work, pictures come no faster than this: readings go before pictures."""
-IDLE_S = 0.5
-"""s. While nothing arrives the links are looked at this often, to say that one fell silent."""
-SOLVING_S = 0.4
-"""s. Solving that lasts longer is said."""
+"""30 pictures per second."""
+BUSY_TICK_MS = 4
+"""Until the next tick while readings or taxels wait."""
+MIN_PICTURE_S = 0.010
+"""Between two pictures, at least. Well below a tick, since the timer may fire early after a long tick."""
+MIN_BUSY_PICTURE_S = 0.1
+"""The same while readings or taxels wait: readings go before pictures."""
+IDLE_PICTURE_S = 0.5
+"""Between two pictures without data, to show that a link fell silent."""
+SOLVING_SHOWN_S = 0.4
+"""Solving that lasts longer is shown."""
 DRAIN_S = 0.012
-"""s. Readings are worked on for at most this long a tick; the rest waits, so that the window answers."""
-FAR_BEHIND_NS = 1_000_000_000
-"""ns. Readings that wait for so long are about to be dropped: they go before pictures."""
-FAR_DRAIN_S = 0.060
-"""s. So long then: the window still answers within a tenth of a second."""
+"""Time for readings per tick; the rest waits, so that the window stays responsive."""
+BACKLOG_LIMIT_NS = 1_000_000_000
+"""Readings that wait longer are soon dropped: they go before pictures."""
+BACKLOG_DRAIN_S = 0.060
+"""Time for readings per tick then: the window still answers within 0.1 s."""
 SOLVE_S = 0.012
-"""s. Taxels are solved for about as long a tick: a poke's few at once, all of them, as under a correction of the rig, in
-several ticks, in which the window answers."""
-AT_ONCE = 200
-"""While more taxels than this are unsolved, an action is refused: the window shows a state from before the last change."""
-
-
+"""Time for solving per tick. All taxels, as after a correction, take several ticks."""
+MAX_UNSOLVED = 200
+"""With more unsolved taxels an action is refused: the window shows a state from before the last change."""
 PACES = (1, 2, 4)
-"""How many times as quick as a careful hand a simulated operator may be between pokes."""
-BRISK = 2
-"""Of the demo: a poke takes 1.5 s, and the modules method comes to its end in two minutes."""
-
-
-ANY_PORT = 0
-"""For the simulated operator: whichever is free."""
+"""Speed of the simulated operator between pokes, relative to a careful person."""
+DEMO_PACE = 2
+"""A poke takes 1.5 s, and the modules method finishes in two minutes."""
+ANY_PORT = "0"
+"""The system chooses a free port."""
 
 
 def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from error
+        raise InputError(f"{folder}: cannot be created ({error.strerror}). Choose another folder.") from error
 
 
-def _had(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
-    """Return what was done in a session, and how many pokes it has, rejected ones as well."""
+def _session_size(pipeline: Pipeline) -> tuple[tuple[HistoryEntry, ...], int]:
+    """History and number of pokes, rejected ones included."""
     return pipeline.session.history.entries, len(pipeline.snapshot().pokes)
 
 
@@ -109,78 +93,36 @@ def _drop(pipeline: Pipeline, storage: SessionFolder) -> None:
     storage.finish()
 
 
-def _with_sentence(work: Callable[[], T]) -> Callable[[], T]:
-    """Make every failure of `work` an `InputError`, so that its dialog can show it."""
-
-    def run() -> T:
-        try:
-            return work()
-        except InputError:
-            raise
-        except Exception as error:
-            LOG.exception("work beside the window failed")
-            raise InputError(f"It is not done: {error!r}; details are in the log.") from error
-
-    return run
-
-
-class TickSchedule:
-    """Knows when the last picture was shown, and since when taxels wait to be solved; host's monotonic clock."""
-
-    def __init__(self) -> None:
-        self._shown_ns = 0
-        self._solving_ns = 0
-        """0 where none do."""
-
-    def is_due(self, now_ns: int, *, behind: bool, news: bool) -> bool:
-        """Return whether a picture is due that shows what is shown already.
-
-        Parameters
-        ----------
-        behind : readings wait, or taxels
-        news : something arrived
-        """
-        pause_s = DRAW_BEHIND_S if behind else DRAW_S if news else IDLE_S
-        return (now_ns - self._shown_ns) * 1e-9 >= pause_s
-
-    def show(self, now_ns: int) -> None:
-        """Note that a picture is shown now."""
-        self._shown_ns = now_ns
-
-    def worth_saying(self, unsolved: int, now_ns: int) -> int:
-        """Return how many taxels wait to be solved, once some have waited for long."""
-        self._solving_ns = (self._solving_ns or now_ns) if unsolved else 0
-        return unsolved if (now_ns - self._solving_ns) * 1e-9 >= SOLVING_S else 0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Tick:
-    """What a tick found."""
+    """State of the session at one tick."""
 
     snapshot: Snapshot
     live: LiveView
     now_ns: int
-    """Host's monotonic clock; while readings wait, the arrival of the newest that was worked on."""
+    """Time up to which readings were processed, host's monotonic clock, ns."""
     behind_s: float
-    """How long ago that was, while readings wait; else 0."""
+    """Backlog of readings, s; 0 without one."""
     evidence: Callable[[Collection[int]], Evidence]
-    """What the contacts of the newest snapshot say of some channels; holds until the next tick."""
+    """Contact evidence of some channels; valid until the next tick."""
     unsolved: int = 0
-    """How many taxels are still to be solved before there is a newer snapshot; 0 too where that takes no time to speak of."""
+    """Taxels that still have to be solved; 0 too while that is fast."""
 
 
 class Controller(QObject):
-    """What happens between devices and window.
+    """Owns the open session and the one timer, and does what the operator asks for.
+
+    A tick feeds the pipeline for a bounded time and publishes its state if something changed. Slow work runs in the background.
 
     Parameters
     ----------
-    documents : folder under which sessions are kept
+    documents : folder of the sessions
     """
 
     part_loaded = Signal(object)
-    """`Part`: the scene is known, views can be built."""
+    """`Part`: the scene is loaded."""
     session_opened = Signal(object)
-    """`Snapshot` of the session as it was opened."""
+    """`Snapshot` of the opened session."""
     ticked = Signal(object)
     """`Tick`."""
     running_changed = Signal(object)
@@ -188,31 +130,15 @@ class Controller(QObject):
     said = Signal(object)
     """`Message`."""
     reviewed = Signal(object)
-    """`Review`: what landmark pokes say of the rig; None where there is none any more."""
+    """`Review` of sensor and arm; `None` if there is none any more."""
     truth_found = Signal(object)
-    """`TaxelPositions`: where the taxels of a simulated rig are."""
+    """`TaxelPositions`: positions of the taxels of a simulated rig."""
     recorded_elsewhere = Signal(object, str)
-    """`Path` of a session that was to be opened, and a sentence: another process records it."""
+    """`Path` of a session that another process records, and a sentence."""
     confirmation_due = Signal(object)
-    """Addresses that a recorded session names: `go_on(confirmed=True)` connects them."""
+    """Addresses that a recorded session names: `resume(confirmed=True)` connects them."""
     stored = Signal(str)
-    """Where the recording is, in words."""
-
-    pace = 1
-    """Of a simulated operator, one of `PACES`."""
-    demo = False
-    simulated = False
-    """The rig is, or was, a simulated one."""
-    _targets: TargetServer | None = None
-    """Where a robot, or the simulated operator, is asked."""
-    guided: GuidedSession | None = None
-    """Guide, coach and checks of what is open; `None` before its part is loaded."""
-    _pose = ""
-    """Of the arm, in which a new session begins."""
-    _again: tuple[str, ...] = ()
-    """Serves the simulated rig of a recorded session again."""
-    _opened_with: tuple[tuple[HistoryEntry, ...], int] = (), 0
-    """What had been done in the session when it was opened, and how many pokes it had."""
+    """Sentence on the folder of the recording."""
 
     def __init__(self, documents: Path, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -221,46 +147,59 @@ class Controller(QObject):
         self._endings = ThreadService("ending", self)
         """Ends recordings. Closing the window waits for it."""
         self._applying = ThreadService("applying", self)
-        """Brings positions to a robot, which may be slow, and is never left half way."""
-        self._processes: ProcessService | None = None
-        """Made with the first review."""
-        self._jobs: JobService | None = None
-        """Made with the first job."""
-        self._news = False
-        """The background brought something that is not shown yet."""
+        """Sends positions to a robot, which may be slow and must not be interrupted."""
+        self._review_process: WorkerProcess | None = None
+        self._jobs: JobQueue | None = None
         self._server: DeviceProcess | None = None
-        self._links: tuple[LinkSpec, ...] = ()
-        self._truth = b""
-        self._storage: SessionFolder | None = None
-        self._part: Part | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
-        self._shown: Snapshot | None = None
-        self._schedule = TickSchedule()
+        self._targets: TargetServer | None = None
+        """Sends poke targets to a robot or the simulated operator."""
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
-        """Imports what shows a session; called beside the window, before a part is loaded."""
-        self._confirmed = True
-        """The links were named by the operator, or agreed to."""
+        """Imports the session's views; called in the background before a part is loaded."""
+        self.pace = 1
+        """Of the simulated operator, one of `PACES`."""
+        self.demo = False
+        self._reset()
         self._timer = QTimer(self)
         self._timer.setInterval(TICK_MS)
         self._timer.timeout.connect(self.tick)
 
+    def _reset(self) -> None:
+        """Forget everything of the session that was open."""
+        self.simulated = False
+        """The rig is or was simulated."""
+        self._part: Part | None = None
+        self._first_pose = ""
+        self._storage: SessionFolder | None = None
+        self._pending_links: tuple[LinkSpec, ...] = ()
+        """Links of a recording that has not started."""
+        self._truth = b""
+        self.guided: GuidedSession | None = None
+        """Guide, press coach and checks; `None` before the part is loaded."""
+        self._size_at_open: tuple[tuple[HistoryEntry, ...], int] = (), 0
+        self._links_confirmed = True
+        """The operator named the links or agreed to them."""
+        self._shown: Snapshot | None = None
+        self._shown_ns = self._solving_since_ns = 0
+        """Time of the last picture, and since when taxels wait (0: none do); host's monotonic clock."""
+        self._has_news = False
+        """Background work brought something that is not shown yet."""
+
     # Opening and closing
 
     def open(self, request: OpenRequest) -> None:
-        """Open something in place of what is open; returns at once, `part_loaded` and `session_opened` follow."""
+        """Open a session instead of the present one; returns at once, `part_loaded` and `session_opened` follow."""
         self._release()
         self._set_running(Running.OPENING)
         self._storage = storage = SessionFolder(request, self._documents)
-        self.demo, self.pace = request.demo, BRISK if request.demo else 1
-        self._pose = request.pose
+        self.demo, self.pace = request.demo, DEMO_PACE if request.demo else 1
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
-            links = None if request.look_on else link_specs(request.addresses)
-            self._links = links or ()
-            self._confirmed = bool(links)
+            links = None if request.read_only else link_specs(request.addresses)
+            self._links_confirmed = bool(links)
             self.compute(
                 lambda: self._load_session(storage, links),
                 lambda found: self._take_session(storage, found),
@@ -268,16 +207,15 @@ class Controller(QObject):
                 dropped=lambda found: None if isinstance(found, str) else _drop(found[1], storage),
             )
             return
-        self._confirmed = True
         if request.addresses:
-            self._links = link_specs(request.addresses)
+            self._pending_links = link_specs(request.addresses)
             self._serve_targets(request.targets)
         elif request.server:
             self._start_server(request.server)
-        self.compute(lambda: self._load_scene(request), self._take_part)
+        self.compute(lambda: self._load_scene(request), lambda part: self._take_part(part, request.pose))
 
     def _release(self) -> None:
-        """Let go of what is open; its end takes too long for the window and happens in the background."""
+        """Let go of the open session; what takes long ends in the background."""
         self._threads.renew()
         if self._jobs is not None:
             self._jobs.renew()
@@ -288,66 +226,56 @@ class Controller(QObject):
         if reviewing is not None:
             reviewing.stop()
             reviewing.deleteLater()
-        self._part = self._shown = self.guided = None
-        self._links, self._truth, self._schedule = (), b"", TickSchedule()
         self._close_targets()
-        self._again, self.simulated = (), False
         self._end_recording()
+        self._reset()
 
     def _end_recording(self) -> None:
         """End the recording in the background. A provisional one without changes is discarded."""
-        if self._recording is not None and not self.would_lose:
+        if self._recording is not None and not self.unsaved_pokes:
             self._recording.storage.discard()
-        recording, self._recording, self._storage = self._recording, None, None
+        recording, self._recording = self._recording, None
         if recording is not None:
             self._endings.submit(recording.end, lambda _: None, self._say_failure)
 
     def stop(self) -> None:
-        """Stop the timer, then the readers: nothing comes to the window any more."""
+        """Stop the timer and the readers: the window gets nothing any more."""
         self._timer.stop()
         self._threads.renew()
         if self._recording is not None:
-            stop_all(self._recording.let_go())
+            stop_all(self._recording.halt_readers())
 
     def close(self) -> None:
-        """Stop, end the process behind the links, and close the journal, in that order."""
+        """Stop, end all processes, and close the journal."""
         self.stop()
         self._end_recording()
         self._close_targets()
         if self._server is not None:
             self._server.stop()
-            self._server = None
         if self._reviewing is not None:
             self._reviewing.stop()
-            self._reviewing = None
-        if self._processes is not None:
-            self._processes.close()
-        if self._jobs is not None:
-            self._jobs.close()
-        self._threads.close()
-        # Without a limit: a slow disk must not cost what the operator recorded or keeps.
+        for service in (self._review_process, self._jobs, self._threads):
+            if service is not None:
+                service.close()
+        # Without a limit: a slow disk must not cost a recording, and a silent robot ends it within an answer's time.
         self._endings.wait()
         self._endings.deliver()
         self._endings.close()
-        # A robot that falls silent ends it within an answer's time.
         self._applying.wait()
         self._applying.close()
 
     def _start_server(self, command: tuple[str, ...]) -> None:
-        if self._server is not None:
-            self._server.release()
         self._server = DeviceProcess(self)
-        self._server.said_truth.connect(self._take_truth)
+        self._server.truth_printed.connect(self._take_truth)
         self._server.served.connect(self._take_links)
         self._server.failed.connect(self._fail)
-        if self._targets is None:
-            self._serve_targets(f"{ANY_PORT}")
+        # The simulated operator gets targets as a robot does.
+        self._serve_targets(ANY_PORT)
         targets = self._targets
-        # Its operator is asked as any robot is, and by nothing else.
         self._server.start(command if targets is None else (*command, "--targets", f"{targets.host}:{targets.port}"))
 
     def _serve_targets(self, port: str) -> None:
-        """Ask robots at a port, where one is named; say why not where it cannot be had."""
+        """Send poke targets at a port, `[HOST:]PORT`, if one is named."""
         if not port:
             return
         from skincal.robot.target_server import TargetServer, parse_port
@@ -366,52 +294,51 @@ class Controller(QObject):
         self._truth = truth
 
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
-        self._links = links
+        self._pending_links = links
         self.simulated = True
         if self.pace != 1:
             self.set_pace(self.pace)
-        if self._recording is None:
-            self._start_recording()
-            return
-        # The rig of a recorded session, served again.
-        self._recording.links, self._confirmed = links, True
-        self._connect(self._recording)
+        self._start_recording()
 
     def set_pace(self, pace: int) -> None:
-        """Have a simulated operator be so many times as quick between pokes; real devices are sent nothing."""
+        """Set the speed of the simulated operator; real devices get nothing."""
         self.pace = pace
         if self._server is not None:
-            self._server.tell(f"pace {pace}")
+            self._server.send_line(f"pace {pace}")
         if self._recording is not None:
             self.running_changed.emit(self.running)
 
     @property
-    def served(self) -> bool:
-        """Whether a simulated rig is there, or can be served again."""
-        return self._server is not None or bool(self._again)
+    def has_simulator(self) -> bool:
+        return self._server is not None
 
-    def _hear_robot(self, recording: Recording) -> None:
-        """Handle the answers of robots. A skip has to wait while an action would."""
-        if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > AT_ONCE:
+    def _take_robot_answers(self, recording: Recording) -> None:
+        """Handle the answers of robots; a skip has to wait as long as an action."""
+        if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > MAX_UNSOLVED:
             return
         sentences = self.guided.handle_answers(recording.pipeline, self._targets, time.monotonic_ns())
         for sentence in () if self.simulated else sentences:
             self.said.emit(Message(sentence, found=True))
 
-    def _take_part(self, part: Part, *, record: bool = True) -> None:
+    def _show_part(self, part: Part) -> None:
         from skincal.session.guided_session import GuidedSession
 
         self._part, self.guided = part, GuidedSession(part, self.compute)
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))
-        if record and not self._links and self._server is None:
+
+    def _take_part(self, part: Part, pose: str) -> None:
+        self._first_pose = pose
+        self._show_part(part)
+        if not self._pending_links and self._server is None:
             self._set_running(Running.OFFLINE)
-        elif record:
+        else:
             self._start_recording()
 
     def _start_recording(self) -> None:
-        part, links, storage, truth = self._part, self._links, self._storage, self._truth
+        """Start a new recording once part and links are there."""
+        part, links, storage, truth = self._part, self._pending_links, self._storage, self._truth
         if part is not None and links and storage is not None:
             self.compute(
                 lambda: begin_session(part, links, storage.prepare(), truth),
@@ -420,30 +347,26 @@ class Controller(QObject):
             )
 
     def _take_new(self, recording: Recording) -> None:
-        """Start with a new recording, in the arm pose that was named for it."""
-        if self._pose:
+        if self._first_pose:
             from skincal.model.actions import SetPose
 
-            recording.pipeline.act(SetPose(self._pose), time.monotonic_ns())
+            recording.pipeline.act(SetPose(self._first_pose), time.monotonic_ns())
         self._take_recording(recording)
 
-    def _take_session(self, storage: SessionFolder, found: tuple[Part, Pipeline, tuple[str, ...]] | str) -> None:
+    def _take_session(self, storage: SessionFolder, found: tuple[Part, Pipeline] | str) -> None:
         if isinstance(found, str):
             self._set_running(Running.OFFLINE)
             self.recorded_elsewhere.emit(storage.folder, found)
             return
-        part, pipeline, again = found
-        self.simulated = bool(again)
-        # Where nothing can be recorded, no rig is served.
-        self._again = again if pipeline.journal is not None else ()
-        self._take_part(part, record=False)
-        self._take_recording(Recording(pipeline, storage), connect=bool(self._links))
+        part, pipeline = found
+        self._show_part(part)
+        self._take_recording(Recording(pipeline, storage), connect=self._links_confirmed)
         if storage.shipped is not None:
             self.said.emit(Message(copy_words(storage.shipped), found=True))
 
     def _take_recording(self, recording: Recording, *, connect: bool = True) -> None:
         self._recording = recording
-        self._links, self._opened_with = recording.links, _had(recording.pipeline)
+        self._size_at_open = _session_size(recording.pipeline)
         if connect:
             recording.start()
         self._set_running(Running.STREAMING if connect else Running.OFFLINE)
@@ -456,35 +379,38 @@ class Controller(QObject):
 
     def _publish_truth(self, truth: TaxelPositions | None) -> None:
         if truth is not None:
+            # Only a simulated rig has one.
+            self.simulated = True
             self.truth_found.emit(truth)
 
     @property
     def links(self) -> tuple[LinkSpec, ...]:
-        """The links of what is open."""
-        return self._links
+        """Links of the open session."""
+        return self._pending_links if self._recording is None else self._recording.links
 
     # The tick
 
     def tick(self) -> None:
-        """Take what arrived, and publish it if something changed."""
+        """Process what arrived, and publish the state if something changed."""
         recording = self._recording
         if recording is None:
             return
-        self._hear_robot(recording)
+        self._take_robot_answers(recording)
         drained = self._take_in(recording)
         snapshot = recording.pipeline.snapshot(SOLVE_S)
-        behind = recording.behind or recording.pipeline.session.unsolved > 0
-        wanted = BEHIND_MS if behind else TICK_MS
-        # Qt starts a running timer anew with every interval that is set, also with the one that it has.
-        if self._timer.interval() != wanted:
-            self._timer.setInterval(wanted)
+        is_busy = recording.has_backlog or recording.pipeline.session.unsolved > 0
+        interval = BUSY_TICK_MS if is_busy else TICK_MS
+        # Setting the interval restarts the timer, even with the same value.
+        if self._timer.interval() != interval:
+            self._timer.setInterval(interval)
         now_ns = time.monotonic_ns()
-        if self._schedule.is_due(now_ns, behind=behind, news=drained or self._news) or snapshot is not self._shown:
+        pause_s = MIN_BUSY_PICTURE_S if is_busy else MIN_PICTURE_S if drained or self._has_news else IDLE_PICTURE_S
+        if snapshot is not self._shown or now_ns - self._shown_ns >= 1e9 * pause_s:
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        far = recording.behind and 0 < recording.reached_ns < time.monotonic_ns() - FAR_BEHIND_NS
-        drained = recording.drain(FAR_DRAIN_S if far else DRAIN_S)
+        is_far_behind = recording.has_backlog and 0 < recording.reached_ns < time.monotonic_ns() - BACKLOG_LIMIT_NS
+        drained = recording.drain(BACKLOG_DRAIN_S if is_far_behind else DRAIN_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:
             self._say_failure(refused_words(recording.pipeline.journal_failure))
@@ -492,117 +418,110 @@ class Controller(QObject):
         return drained
 
     def _publish(self, recording: Recording, snapshot: Snapshot, now_ns: int) -> None:
-        self._schedule.show(now_ns)
-        self._shown, self._news = snapshot, False
-        if snapshot.decisions.landmarks:
-            self._review(recording.pipeline.session, snapshot)
-        reached_ns = recording.seen_ns(now_ns)
+        self._shown, self._shown_ns, self._has_news = snapshot, now_ns, False
         pipeline, guided = recording.pipeline, self.guided
+        session = pipeline.session
+        if snapshot.decisions.landmarks:
+            self._review(session, snapshot)
+        reached_ns = recording.processed_ns(now_ns)
         live = pipeline.live(reached_ns)
         if guided is not None:
-            streaming = self.running is Running.STREAMING
-            guided.follow(pipeline, snapshot, now_ns, self._targets, is_recording=streaming, seen_ns=reached_ns)
-            target = None if guided.guidance is None else guided.guidance.target
-            guided.coach.follow(live.progress, target)
-        unsolved = self._schedule.worth_saying(pipeline.session.unsolved, now_ns)
-        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, pipeline.session.evidence, unsolved))
+            is_recording = self.running is Running.STREAMING
+            guided.follow(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
+            guided.coach.follow(live.progress, None if guided.guidance is None else guided.guidance.target)
+        self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
+        unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SOLVING_SHOWN_S else 0
+        self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, session.evidence, unsolved))
 
     def publish_again(self) -> None:
-        """Publish the newest snapshot again: what the operator wants of the guide or the panels changed."""
+        """Publish the newest snapshot again after a change of the guide or the panels."""
         if self._recording is not None and self._shown is not None:
             self._publish(self._recording, self._shown, time.monotonic_ns())
 
     def _review(self, session: Session, snapshot: Snapshot) -> None:
-        """Let another process work out what landmark pokes say of the rig."""
+        """Review sensor and arm in another process."""
         if self._reviewing is None:
-            from app.workers.processes import ProcessService, ReviewClient
+            from app.workers.processes import ReviewClient, WorkerProcess
 
-            self._processes = self._processes or ProcessService()
-            self._reviewing = ReviewClient(session, self._processes, self)
+            self._review_process = self._review_process or WorkerProcess()
+            self._reviewing = ReviewClient(session, self._review_process, self)
             self._reviewing.reviewed.connect(self.reviewed)
             self._reviewing.failed.connect(self._review_failed)
-        self._reviewing.follow(snapshot)
+        self._reviewing.follow_session(snapshot)
 
     def _review_failed(self, sentence: str) -> None:
         self._say_failure(sentence)
         self.reviewed.emit(None)
 
-    # What the operator wants
+    # What the operator asks for
 
     def toggle(self) -> None:
-        """Do the obvious thing: pause what streams, go on with what is paused, connect what is not."""
+        """Pause, resume, or connect the devices."""
         if self.running is Running.STREAMING:
             self.pause()
         elif self.running in (Running.PAUSED, Running.OFFLINE):
-            self.go_on()
+            self.resume()
 
     def pause(self) -> None:
-        """Let go of the devices; nothing is recorded until it goes on."""
+        """Close the devices; nothing is recorded until `resume`."""
         if self._recording is not None and self.running is Running.STREAMING:
-            readers = self._recording.let_go()
+            readers = self._recording.halt_readers()
             self._set_running(Running.PAUSED)
             self.compute(lambda: stop_all(readers))
 
-    def go_on(self, *, confirmed: bool = False) -> None:
-        """Take the devices, in a new segment of the recording; those of a recorded session once they are `confirmed`."""
+    def resume(self, *, confirmed: bool = False) -> None:
+        """Open the devices, in a new segment of the recording; those of a recorded session only if `confirmed`."""
         if self._recording is None or self.running is Running.STREAMING:
             return
-        self._confirmed |= confirmed
-        # What is only looked at has nothing to connect, and says so.
-        if self._confirmed or self._recording.pipeline.journal is None:
+        self._links_confirmed |= confirmed
+        # A read-only session connects nothing and says so.
+        if self._links_confirmed or self._recording.pipeline.journal is None:
             self._connect(self._recording)
-        elif not self._again:
-            self.confirmation_due.emit(tuple(link.address for link in self._links))
-        elif self._server is None or not self._server.running:
-            # Its own links follow; until then those that the file names are a stranger's.
-            self._start_server(self._again)
+        else:
+            self.confirmation_due.emit(tuple(link.address for link in self.links))
 
     def change_addresses(self, addresses: Addresses) -> None:
-        """Read the devices at these addresses from now on, in a new segment of the recording, which says so."""
+        """Read the devices at other addresses from now on, in a new segment of the recording."""
         recording = self._recording
         if recording is None:
             return
         self.pause()
-        recording.links = self._links = link_specs(addresses)
-        self._confirmed = True
+        recording.links = link_specs(addresses)
+        self._links_confirmed = True
         # After the readers of the pause have ended: a serial port has one reader.
         self.compute(lambda: None, lambda _: self._connect(recording))
 
     def _connect(self, recording: Recording) -> None:
-        # The operator may have gone on by a key while this was waited for.
+        # The operator may have resumed meanwhile.
         if self.running is Running.STREAMING:
             return
         try:
-            recording.go_on()
+            recording.resume()
         except InputError as failure:
             self._say_failure(str(failure))
             return
         self._set_running(Running.STREAMING)
 
     def act(self, action: Action) -> bool:
-        """Do an action on the session; return whether it could be done."""
-        if self._recording is None or self._is_solving():
+        """Do an action on the session; return whether it was possible."""
+        if self._recording is None:
             return False
+        if self._recording.pipeline.session.unsolved > MAX_UNSOLVED:
+            self._say_failure(STILL_SOLVING)
+            return False
+        pipeline = self._recording.pipeline
         try:
-            self._recording.pipeline.act(action, time.monotonic_ns())
+            pipeline.act(action, time.monotonic_ns())
         except InputError as error:
             self._say_failure(str(error))
             return False
-        pipeline = self._recording.pipeline
-        # Where all taxels are to be solved, that begins in the next tick.
-        shown = self._shown if pipeline.session.unsolved > AT_ONCE else None
+        # Solving all taxels starts in the next tick.
+        shown = self._shown if pipeline.session.unsolved > MAX_UNSOLVED else None
         self._publish(self._recording, shown or pipeline.snapshot(SOLVE_S), time.monotonic_ns())
         return True
 
-    def _is_solving(self) -> bool:
-        """Return whether so many taxels are unsolved that an action has to wait, and say so."""
-        if self._recording is None or self._recording.pipeline.session.unsolved <= AT_ONCE:
-            return False
-        self._say_failure(STILL_SOLVING)
-        return True
-
     def act_all(self, actions: Iterable[Action]) -> None:
-        """Do several actions, and stop at the first that cannot be done."""
+        """Do several actions up to the first that is impossible."""
         for action in actions:
             if not self.act(action):
                 return
@@ -615,13 +534,13 @@ class Controller(QObject):
             self._publish_storage()
 
     def discard(self) -> None:
-        """Have a provisional session removed from the disk once it is closed."""
+        """Delete a provisional session when it closes."""
         if self._recording is not None:
             self._recording.storage.discard()
 
     @property
     def can_keep(self) -> bool:
-        """Whether the operator has not decided yet to keep the session."""
+        """Whether the session is provisional."""
         return self._recording is not None and self._recording.storage.is_provisional
 
     @property
@@ -630,11 +549,17 @@ class Controller(QObject):
         return None if self._recording is None or self.can_keep else self._recording.storage.folder
 
     @property
-    def would_lose(self) -> int:
-        """Number of pokes that would be discarded with a provisional session; 0 if nothing changed since it was opened."""
-        if self._recording is None or not self.can_keep or _had(self._recording.pipeline) == self._opened_with:
+    def unsaved_pokes(self) -> int:
+        """Number of pokes in a provisional session; 0 if nothing changed since it was opened."""
+        if self._recording is None or not self.can_keep or _session_size(self._recording.pipeline) == self._size_at_open:
             return 0
         return len(self._recording.pipeline.snapshot().pokes)
+
+    def _why_no_results(self) -> str:
+        """Say why no results can be written now; empty if they can."""
+        if self._recording is None or self._part is None:
+            return NO_SESSION
+        return STILL_SOLVING if self._recording.pipeline.session.unsolved > MAX_UNSOLVED else ""
 
     def export(
         self,
@@ -650,19 +575,17 @@ class Controller(QObject):
 
         Parameters
         ----------
-        rig : what landmark pokes say; `None` if they were not reviewed
+        rig : result of the landmark pokes; `None` if they were not reviewed
         done : gets the verdict by `method` and the sentences of the file's lint
-        failed : gets a sentence if there is no file, whatever the reason is
+        failed : gets a sentence if there is no file
         ended : called last in every case, also if another session was opened meanwhile
         """
-        if self._recording is None or self._part is None:
-            failed(NO_SESSION)
+        refusal, recording, part = self._why_no_results(), self._recording, self._part
+        if refusal or recording is None or part is None:
+            failed(refusal)
             return
-        if self._recording.pipeline.session.unsolved > AT_ONCE:
-            failed(STILL_SOLVING)
-            return
-        # Made here, not in the thread: the session goes on while the file is written.
-        session, part = self._recording.pipeline.session, self._part
+        # Made here, not in the thread: the session continues while the file is written.
+        session = recording.pipeline.session
         calibration, snapshot = session.calibration(), session.snapshot()
 
         def write() -> tuple[Verdict, tuple[str, ...]]:
@@ -671,78 +594,72 @@ class Controller(QObject):
             from skincal.session.results import checked, verdicts_of
 
             methods = session.methods if ExportFormat(format_).holds_all_methods else (method,)
-            verdicts = verdicts_of(part, snapshot, methods, rig)
-            _make_folder(path.parent)
-            return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
+            with raise_sentences("The file is not written"):
+                verdicts = verdicts_of(part, snapshot, methods, rig)
+                _make_folder(path.parent)
+                return verdicts[method], write_calibration(checked(calibration, rig, verdicts), format_, path, method)
 
-        self.compute(_with_sentence(write), done, failed, ended=ended)
+        self.compute(write, done, failed, ended=ended)
 
     def apply(self, address: str, method: Method, done: Callable[..., None], ended: Callable[[], None] | None = None) -> None:
-        """Bring positions to a running robot in the background.
+        """Send positions to a running robot in the background.
 
         Parameters
         ----------
-        done : gets a sentence, every question with its answer, and `good`: whether all went well
+        done : gets a sentence, every question with its answer, and `good`: whether all succeeded
         ended : called last in every case
         """
-        if self._recording is None:
-            done(NO_SESSION, (), good=False)
+        refusal, recording = self._why_no_results(), self._recording
+        if refusal or recording is None:
+            done(refusal, (), good=False)
             return
-        if self._recording.pipeline.session.unsolved > AT_ONCE:
-            done(STILL_SOLVING, (), good=False)
-            return
-        calibration = self._recording.pipeline.session.calibration()
-        # The robot's own positions are written beside the recording, and must not go with it.
+        calibration = recording.pipeline.session.calibration()
+        # The robot's own positions are written next to the recording, and must not be deleted with it.
         self.keep()
-        folder = self._recording.storage.folder
+        folder = recording.storage.folder
         lines: list[str] = []
 
         def send() -> str:
             from skincal.robot.skin_manager import ANSWER_MAX_S, apply_positions, calibrated_positions, result_text
 
-            positions = calibrated_positions(calibration, method, None)
-            _make_folder(folder)
-            before = folder / f"before-{positions.part}.txt"
-            words = result_text(apply_positions(address, positions, before, ANSWER_MAX_S, lines.append), positions.part)
-            return f"{words[:1].upper()}{words[1:]}."
+            with raise_sentences("The positions are not sent"):
+                positions = calibrated_positions(calibration, method, None)
+                _make_folder(folder)
+                before = folder / f"before-{positions.part}.txt"
+                words = result_text(apply_positions(address, positions, before, ANSWER_MAX_S, lines.append), positions.part)
+                return f"{words[:1].upper()}{words[1:]}."
 
         self._applying.submit(
-            _with_sentence(send),
+            send,
             lambda words: done(words, lines, good=True),
             lambda words: done(words, lines, good=False),
             ended=ended,
         )
 
     def report(self, path: Path, method: Method, done: Callable[[str], None], failed: Callable[[str], None]) -> None:
-        """Write the report of what is recorded, in a process of its own.
-
-        Parameters
-        ----------
-        done : gets the verdict
-        failed : gets why there is no report
-        """
+        """Write the report in a process of its own; `done` gets the verdict, `failed` a sentence."""
         if self._recording is None:
             return
         from app.workers.processes import report_job
 
-        # What is still buffered is in no file that could be read.
+        # The process reads files, so nothing may be buffered.
         self._recording.pipeline.sync()
         self._start_job(report_job, (self._recording.storage.folder, path, method), done, failed)
 
-    def find_places(self, path: Path, done: Callable[[tuple[TaxelPositions, ...]], None]) -> None:
-        """Read the places in a file or another session, in a process of its own, and hand them to `done`."""
-        from app.workers.processes import places_job
+    def read_positions(self, path: Path, done: Callable[[tuple[TaxelPositions, ...]], None]) -> None:
+        """Read the positions in a file or another session, in a process of its own."""
+        from app.workers.processes import positions_job
 
         if self._part is not None:
             scene, channels = self._part.scene, self._part.channels.tolist()
-            self._start_job(places_job, (path, scene.link, channels), done, self._say_failure)
+            self._start_job(positions_job, (path, scene.link, channels), done, self._say_failure)
 
     def _start_job(
         self, job: Callable[..., Any], arguments: tuple[Any, ...], done: Callable[[Any], None], failed: Callable[[str], None]
     ) -> None:
-        from app.workers.processes import JobService
+        from app.workers.processes import JobQueue
 
-        self._jobs = self._jobs or JobService(self)
+        self._jobs = self._jobs or JobQueue(self)
         self._jobs.submit(job, arguments, done, failed)
 
     def compute(
@@ -753,34 +670,25 @@ class Controller(QObject):
         dropped: Callable[[Any], None] | None = None,
         ended: Callable[[], None] | None = None,
     ) -> None:
-        """Do `work` in the background; see `ThreadService.submit`.
-
-        Parameters
-        ----------
-        failed : by default the window says what failed
-        dropped : gets the result where something else was opened meanwhile
-        """
+        """Do `work` in the background, as `ThreadService.submit`; by default the window shows a failure."""
 
         def take(result: Any) -> None:
-            self._news = True
+            self._has_news = True
             if done is not None:
                 done(result)
 
         self._threads.submit(work, take, failed or self._fail, dropped, ended)
 
-    # Helpers
+    # In the background
 
     def _load_scene(self, request: OpenRequest) -> Part:
-        """Load a scene, and import what shows it, beside the window."""
         self.prepare()
         from skincal.session.part import load_part
 
         return load_part(find_scene(request.scene)) if request.mesh is None else load_mesh_part(request.mesh, self._documents)
 
-    def _load_session(
-        self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None
-    ) -> tuple[Part, Pipeline, tuple[str, ...]] | str:
-        """Return what a folder holds, to be looked at where there are no `links`; a sentence where another records it."""
+    def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline] | str:
+        """Load a session, read-only if `links` is `None`; return a sentence if another process records it."""
         self.prepare()
         # It may be the session that was open until now.
         self._endings.wait()
@@ -788,15 +696,15 @@ class Controller(QObject):
         from skincal.journal.lock import RecordedElsewhereError
 
         try:
-            part, pipeline = look_at(folder) if links is None else resume_pipeline(folder, links)
+            return open_recorded(folder, links)
         except RecordedElsewhereError as error:
             return str(error)
         except InputError:
             storage.discard()
             storage.finish()
             raise
-        again = () if links else rig_again(folder, pipeline.session.last_poke + 1)
-        return part, pipeline, again
+
+    # Helpers
 
     def _say_failure(self, sentence: str) -> None:
         self.said.emit(Message(sentence, error=True))

@@ -1,4 +1,4 @@
-"""What becomes of files and folders that are dropped onto the window: opened, imported, or a sentence says why not. No Qt."""
+"""Files and folders that are dropped onto the window: a request to open or import them, or a refusal. No Qt."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from app.session.opening import MESHES, OpenRequest, server_command
 from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
-EXPECTED = "drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
+EXPECTED = "Drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
 @dataclass(frozen=True, slots=True)
 class DroppedRecording:
-    """Files, or a folder of them, of another program's recording."""
+    """Files or a folder of another program's recording."""
 
     paths: tuple[Path, ...]
 
 
 def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
-    """Return what to open for what was dropped: a session, a scene with a simulated rig, a mesh, or a recording to import.
+    """Decide what to open: a session, a scene with simulated devices, a mesh, or a recording to import.
 
     Raises
     ------
     InputError
-        It cannot be opened; the sentence says what to do with it.
+        It cannot be opened; the sentence says what to do.
     """
     try:
         if len(paths) > 1 and all(map(is_recording, paths)):
@@ -34,8 +34,8 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
         if len(paths) == 1:
             return _request_of(paths[0])
     except OSError as error:
-        raise InputError(f"{paths[0]}: cannot be looked at ({error.strerror}); check its rights.") from None
-    raise InputError(f"{len(paths)} files were dropped that lie on this machine; expected one: {EXPECTED}")
+        raise InputError(f"{paths[0]}: cannot be read ({error.strerror}). Check its permissions.") from None
+    raise InputError(f"{len(paths)} files of this computer were dropped; expected one. {EXPECTED}")
 
 
 def _request_of(path: Path) -> OpenRequest | DroppedRecording:
@@ -47,11 +47,11 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     if is_recording(path):
         return DroppedRecording((path,))
     if path.is_dir():
-        raise InputError(f"{path}: is not the folder of a session; {EXPECTED}")
+        raise InputError(f"{path}: is not the folder of a session. {EXPECTED}")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; {EXPECTED}")
+        raise InputError(f"{path}: there is no such file. {EXPECTED}")
     if kind == ".toml":
         return OpenRequest(scene=path, server=server_command(path))
     if kind in MESHES:
         return OpenRequest(mesh=path)
-    raise InputError(f"{path}: is nothing that can be opened; {EXPECTED}")
+    raise InputError(f"{path}: cannot be opened. {EXPECTED}")

@@ -1,7 +1,4 @@
-"""What to open, and the work of opening it: a scene with links or with a process that serves them, or a recorded session.
-
-No Qt. What takes long runs beside the window; the imports stand inside the functions so that they do, too.
-"""
+"""Requests to open a session, and the slow work of opening, done in the background with its imports. No Qt."""
 
 from __future__ import annotations
 
@@ -26,7 +23,7 @@ MESHES = (".stl", ".obj", ".ply", ".off")
 
 @dataclass(frozen=True, slots=True)
 class Addresses:
-    """Where the devices are, as the user wrote it; empty where there is none."""
+    """Addresses of the devices as typed; empty if there is none."""
 
     wrench: str = ""
     skin: str = ""
@@ -39,87 +36,63 @@ class Addresses:
 
 @dataclass(frozen=True, slots=True)
 class OpenRequest:
-    """What to open; `session` goes before everything else."""
+    """What to open; `session` has priority."""
 
     scene: Path | None = None
     session: Path | None = None
     mesh: Path | None = None
-    """Of a part of which nothing else is known."""
+    """Mesh of a part without a scene."""
     addresses: Addresses = Addresses()
     server: tuple[str, ...] = ()
-    """A command that prints its links and serves them; used where no address is given."""
+    """Command of a device process, used without addresses."""
     folder: Path | None = None
     """Folder of the new session; `None` for a dated one, which the window offers to discard when it closes."""
     targets: str = ""
-    """Where a robot is asked for pokes, `[HOST:]PORT`; empty: nowhere."""
+    """Port that sends poke targets to a robot, `[HOST:]PORT`; empty for none."""
     demo: bool = False
-    """To look at: the simulated operator is brisk, a newcomer is told what matters, and the verdict comes by itself."""
-
+    """Demonstration: fast simulated operator, card for newcomers, and the verdict opens without a key."""
     pose: str = ""
-    """Name of the arm pose in which a new session begins; empty where nobody said."""
-
-    look_on: bool = False
-    """See the session as far as it is written, and change nothing in it: another process records it."""
+    """Arm pose at the start of a new session; empty if not chosen."""
+    read_only: bool = False
+    """Show what another process has recorded so far, and change nothing."""
 
     @property
     def copied(self) -> bool:
-        """Whether a copy of the session is opened: one that ships is never written into."""
+        """Whether a copy is opened: a shipped session is never changed."""
         from skincal.model.scene import ships
 
-        return self.session is not None and not self.look_on and ships(self.session)
+        return self.session is not None and not self.read_only and ships(self.session)
 
 
 def find_scene(scene: Path | None) -> Path:
-    """Return a scene's file: as given, by the name of one that ships, or the one that opens by default."""
+    """Find a scene's file by its path or the name of a shipped scene; `None` for the default scene."""
     from skincal.model.scene import scene_file
 
     return scene_file(Path(DEFAULT_SCENE) if scene is None else scene)
 
 
 def server_command(scene: Path | None) -> tuple[str, ...]:
-    """Return the command of the process that serves a rig for a scene, by default the usual one, over TCP.
+    """Make the command that simulates a scene's devices over TCP; `None` for the default scene.
 
-    Its operator pokes what the window asks for, over a port that the window names when it starts it.
+    The window appends the port that sends poke targets to its operator.
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
-    # A frozen program takes the commands itself. -P: nothing that lies in the working folder is imported.
+    # A frozen program runs the commands itself. -P: no file of the working folder is imported.
     program = () if getattr(sys, "frozen", False) else ("-P", "-m", "skincal.cli")
     return (sys.executable, *program, "simulate", "--serve", "--tcp", "--operator", "guided", "--scene", name, "--json")
 
 
-def rig_again(folder: Path, run: int) -> tuple[str, ...]:
-    """Return the command that serves the simulated rig of a recorded session again; empty where a real one was recorded.
-
-    Parameters
-    ----------
-    run : another number than before, or the operator's hand and the sensor's noise would repeat themselves
-    """
-    from skincal.files.reference import RIG_KEY, TRUTH_NAME
-    from skincal.journal.writer import SCENE_FILE, SCENE_FOLDER
-    from skincal.model.given import MAX_JSON_BYTES, parse_json, read_regular
-
-    try:
-        rig = parse_json(read_regular(folder / TRUTH_NAME, MAX_JSON_BYTES))[RIG_KEY]
-        seed, errors = rig["seed"], rig["errors"]
-    except (InputError, ValueError, KeyError, TypeError):
-        return ()
-    if not isinstance(seed, int) or seed < 0 or errors not in ("none", "noise", "paper"):
-        return ()
-    command = server_command(folder / SCENE_FOLDER / SCENE_FILE)
-    return (*command, "--seed", str(seed), "--errors", errors, "--run", str(run))
-
-
 def check_addresses(addresses: Addresses) -> None:
-    """Raise `InputError` where some device is named, but not both that a poke needs, or by an address that is not known."""
+    """Raise `InputError` if only one of the two devices that a poke needs is named, or an address has an unknown form."""
     if addresses and not (addresses.wrench and addresses.skin):
-        missing = "wrench" if not addresses.wrench else "skin"
-        raise InputError(f"No {missing} device is named; expected the addresses of both the wrench and the skin, or of none.")
+        missing = "force/torque sensor" if not addresses.wrench else "skin"
+        raise InputError(f"No address for the {missing}. A poke needs force/torque sensor and skin: enter both, or none.")
     if addresses:
         link_specs(addresses)
 
 
 def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
-    """Return the links for addresses; see `describe_links`."""
+    """Make the links for addresses; see `describe_links`."""
     from skincal.model.readings import Stream
     from skincal.streams.links import describe_links
 
@@ -128,20 +101,16 @@ def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
 
 
 def addresses_of(links: Sequence[LinkSpec]) -> Addresses:
-    """Return where each device is that links read."""
+    """Give the address of each device that links read."""
     named = {stream.value: link.address for link in links for stream in link.carries}
     return Addresses(**named)
 
 
 def dated_folder(parent: Path, now: datetime) -> Path:
-    """Return a folder for a new session, named by date and time, that does not exist yet."""
+    """Choose a folder for a new session, named by date and time, that does not exist."""
     name = now.strftime("%Y-%m-%d_%H-%M-%S")
-    folder = parent / name
-    number = 2
-    while folder.exists():
-        folder = parent / f"{name}_{number}"
-        number += 1
-    return folder
+    candidates = (parent / name, *(parent / f"{name}_{number}" for number in range(2, 1000)))
+    return next(folder for folder in candidates if not folder.exists())
 
 
 def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: bytes) -> Pipeline:
@@ -149,12 +118,12 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
 
     Parameters
     ----------
-    truth : what a simulated rig says of its taxels, laid beside the recording; empty of a real rig
+    truth : taxels of a simulated rig, saved next to the recording; empty for a real one
 
     Raises
     ------
     InputError
-        The folder cannot be made, or there is something in it.
+        The folder cannot be created or is not empty.
     """
     from skincal.files.atomic import write_atomically
     from skincal.files.reference import TRUTH_NAME
@@ -168,13 +137,13 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     except InputError:
         pipeline.close()
         raise
-    # The first snapshot looks at every taxel and so takes long: here it does not hold the window.
+    # The first snapshot visits every taxel: slow, and here it does not block the window.
     pipeline.snapshot()
     return pipeline
 
 
 def load_mesh_part(mesh: Path, documents: Path) -> Part:
-    """Load the scene of a part of which a mesh alone is known, among the documents; it says what is still missing.
+    """Make a scene of a mesh in the documents and load it; a finding lists its missing entries.
 
     Raises
     ------
@@ -188,24 +157,12 @@ def load_mesh_part(mesh: Path, documents: Path) -> Part:
     return replace(part, findings=(mesh_words(part), *part.findings))
 
 
-def look_at(folder: Path) -> tuple[Part, Pipeline]:
-    """Open a recorded session without touching it; `InputError` where the folder is no session."""
-    from skincal.session.part import lay_part
-    from skincal.session.replay import load
-
-    pipeline = load(folder)
-    pipeline.snapshot()
-    part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
-    pipeline.laid = part.laid
-    return part, pipeline
-
-
-def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipeline]:
-    """Open a recorded session where it stopped.
+def open_recorded(folder: Path, links: Sequence[LinkSpec] | None) -> tuple[Part, Pipeline]:
+    """Open a recorded session to continue it, or read-only if `links` is `None`.
 
     Parameters
     ----------
-    links : where readings come from now; none for those of the recording
+    links : source of new readings; empty for the links of the recording
 
     Raises
     ------
@@ -213,9 +170,9 @@ def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipe
         The folder is no session.
     """
     from skincal.session.part import lay_part
-    from skincal.session.replay import resume
+    from skincal.session.replay import load, resume
 
-    pipeline = resume(folder, links or None)
+    pipeline = load(folder) if links is None else resume(folder, links or None)
     pipeline.snapshot()
     part = lay_part(pipeline.scene, pipeline.session.surface, pipeline.findings)
     pipeline.laid = part.laid
@@ -223,7 +180,7 @@ def resume_pipeline(folder: Path, links: Sequence[LinkSpec]) -> tuple[Part, Pipe
 
 
 def find_truth_of(folder: Path, part: Part) -> TaxelPositions | None:
-    """Return the truth that lies beside a recording; None where there is none."""
+    """Read the true positions next to a recording; `None` if there are none."""
     from skincal.files.reference import find_truth
 
     return find_truth(folder, part.scene.link, part.channels.tolist())

@@ -1,4 +1,4 @@
-"""Links that are looked at before they are recorded: what is there, and what each brings. No Qt, and nothing waits here."""
+"""Previews of links before a recording. No Qt, and nothing waits here."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 
 CURVE_POINTS = 80
-"""Points of a small curve: eight seconds at ten looks a second."""
-LOOK_S = 0.010
-"""s of work a look at most; what is left waits."""
+"""Points of a small curve: eight seconds at ten updates per second."""
+MAX_UPDATE_S = 0.010
+"""Limit of work per update and link; the rest waits."""
 
 
-def places_here() -> list[tuple[str, str]]:
-    """Return address and description of each serial port, and of YARP ports if a name server answers; it may take seconds."""
+def list_ports() -> list[tuple[str, str]]:
+    """List address and description of serial ports, and of YARP ports if a name server answers; may take seconds."""
     try:
         ports = [(f"yarp:{name}", f"YARP port at {host}:{number}") for name, (host, number) in yarp_ports()]
     except LinkError:
@@ -33,17 +33,17 @@ def places_here() -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """What a link brings of one stream."""
+    """Readings of one stream."""
 
     health: LinkHealth
     now_ns: int
-    """Host's monotonic clock at the look."""
+    """Time of the update, host's monotonic clock."""
     curve: tuple[float, ...]
-    """Of each look the newest: N, the largest change of a raw value, or the largest turn in degrees."""
+    """Newest value of each update: force in N, largest change of a raw value, or largest joint motion in degrees."""
 
 
 class _Preview:
-    """One link while it is looked at."""
+    """One link."""
 
     def __init__(self, spec: LinkSpec, channels: int, joints: int) -> None:
         self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints)
@@ -53,18 +53,17 @@ class _Preview:
         self.reader = Reader(spec, self._inbox)
         self.reader.start()
 
-    def look(self) -> None:
-        """Work on what came, for a moment."""
-        end_s = time.perf_counter() + LOOK_S
+    def update(self) -> None:
+        end_s = time.perf_counter() + MAX_UPDATE_S
         self._now.clear()
         while not self._inbox.empty() and time.perf_counter() < end_s:
             item: Chunk | LinkEvent = self._inbox.get()
             for arrived in self._intake.feed(item):
-                self._take(arrived.batch)
+                self._take_batch(arrived.batch)
         for stream, value in self._now.items():
             self._curves[stream].append(value)
 
-    def _take(self, batch: Batch) -> None:
+    def _take_batch(self, batch: Batch) -> None:
         stream, newest = batch.stream, batch.values[-1]
         if stream is Stream.WRENCH:
             self._now[stream] = float(np.linalg.norm(newest[:3]))
@@ -74,14 +73,13 @@ class _Preview:
             change = float(np.nanmax(np.abs(newest - first), initial=0.0))
             self._now[stream] = change if stream is Stream.SKIN else float(np.degrees(change))
 
-    def of(self, stream: Stream) -> Preview:
-        """Return what came of a stream."""
+    def stream_preview(self, stream: Stream) -> Preview:
         now_ns = time.monotonic_ns()
         return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]))
 
 
 class Previews:
-    """The links of a page that is being filled in."""
+    """Links of a dialog that is being filled in."""
 
     def __init__(self) -> None:
         self._open: dict[tuple[LinkSpec, int, int], _Preview] = {}
@@ -89,14 +87,14 @@ class Previews:
         self._closed = False
 
     def choose(self, addresses: Mapping[Stream, str], scene: Scene | None) -> None:
-        """Look at these addresses and no others; returns at once, and does nothing once the links were let go.
+        """Preview these addresses and no others; returns at once, and does nothing after `stop_readers`.
 
-        Without a scene, which says how many values are right, at none.
+        Without a scene nothing is previewed, since it defines the expected numbers of values.
 
         Raises
         ------
         InputError
-            An address is of no link that is known.
+            An address has an unknown form.
         """
         if self._closed:
             return
@@ -109,15 +107,15 @@ class Previews:
         for new in wanted - self._open.keys():
             self._open[new] = _Preview(*new)
 
-    def look(self) -> dict[Stream, Preview]:
-        """Return what came of each stream."""
+    def update(self) -> dict[Stream, Preview]:
+        """Process new readings and give the preview of each stream."""
         self._ending = [reader for reader in self._ending if reader.running]
         for preview in self._open.values():
-            preview.look()
-        return {stream: preview.of(stream) for (spec, *_), preview in self._open.items() for stream in spec.carries}
+            preview.update()
+        return {stream: preview.stream_preview(stream) for (spec, *_), preview in self._open.items() for stream in spec.carries}
 
-    def let_go(self) -> list[Reader]:
-        """Close every link for good, and return the readers for another thread to wait for."""
+    def stop_readers(self) -> list[Reader]:
+        """Close every link for good; another thread must wait for the returned readers."""
         self._closed = True
         for each in list(self._open):
             self._end(each)

@@ -1,4 +1,4 @@
-"""One open recording, without Qt: its folder, its pipeline, and the readers that feed the pipeline through one queue."""
+"""An open recording: its folder, its pipeline, and the readers that feed the pipeline through one queue. No Qt."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from skincal.model.errors import InputError
 if TYPE_CHECKING:
     from skincal.model.readings import Chunk, LinkEvent
     from skincal.session.pipeline import Pipeline
-    from skincal.streams.links import ChunkQueue, LinkSpec, Reader
+    from skincal.streams.links import LinkSpec, Reader
 
 
 class SessionFolder:
-    """Folder of one recording: the one that was named, else a new dated one under `documents`.
+    """Folder of one recording: the named one, else a new dated one under `documents`.
 
-    A dated folder that nobody asked for by name is provisional, such as that of the demo or of a copied session. It stays on
-    the disk unless `discard` is called, so that a crash costs nothing.
+    A dated folder is provisional: the operator did not choose it. It stays on the disk unless `discard` is called, so that a
+    crash costs nothing.
     """
 
     def __init__(self, request: OpenRequest, documents: Path) -> None:
         self.shipped = request.session if request.copied else None
-        """The shipped session of which this is a copy; `None` otherwise."""
+        """Original of a copied session; `None` if it is no copy."""
         self._documents = documents
         self._folder = None if request.copied else request.session or request.folder
         self.is_provisional = self._folder is None
         self._discarded = False
         self._made: list[Path] = []
-        """Folders that did not exist before, the innermost first."""
+        """Created folders, the innermost first."""
 
     @property
     def folder(self) -> Path:
-        """Where the recording lies; a dated folder is known after `prepare`."""
+        """Folder of the recording; a dated one is known after `prepare`."""
         assert self._folder is not None
         return self._folder
 
@@ -65,8 +65,8 @@ class SessionFolder:
                 each.chmod(0o700)
         except (OSError, shutil.Error) as error:
             raise InputError(
-                f"{self.shipped}: cannot be copied to {folder} ({error}). A session that ships with skincal is "
-                "opened as a copy. Check that you may write there, and free some space."
+                f"{self.shipped}: cannot be copied to {folder} ({error}). A session that is part of skincal "
+                "opens as a copy. Check that you may write there, and free some space."
             ) from error
         return folder
 
@@ -79,7 +79,7 @@ class SessionFolder:
         self._discarded = self.is_provisional
 
     def finish(self) -> None:
-        """Remove a discarded session. Files that others put into its folder stay. Call it after the journal is closed."""
+        """Delete a discarded session, but no files of others. Call it after the journal is closed."""
         if self._discarded and self._folder is not None:
             from skincal.files.reference import TRUTH_NAME
             from skincal.session.importing import take_away
@@ -88,55 +88,53 @@ class SessionFolder:
             take_away(self._folder, self._made)
 
     def sentence(self) -> str:
-        """Say where the recording is, for the foot of the window."""
         return place_words(self.folder, provisional=self.is_provisional, copied=self.shipped is not None)
 
 
 class Recording:
-    """One session while it is open, its pipeline with an open journal."""
+    """One open session."""
 
     def __init__(self, pipeline: Pipeline, storage: SessionFolder) -> None:
         self.pipeline = pipeline
         self.links: tuple[LinkSpec, ...] = pipeline.links
         self.storage = storage
-        self._queue = self._new_inbox()
+        self._new_queue()
         self._readers: list[Reader] = []
         self.reached_ns = 0
-        """Arrival of the newest item that the pipeline has worked on."""
+        """Arrival of the newest processed item, host's monotonic clock."""
 
-    @staticmethod
-    def _new_inbox() -> ChunkQueue:
+    def _new_queue(self) -> None:
         from skincal.streams.links import ChunkQueue
 
-        return ChunkQueue()
+        self._queue = ChunkQueue()
 
     def start(self) -> None:
-        """Begin to read the links; returns at once."""
+        """Start to read the links; returns at once."""
         from skincal.streams.links import Reader
 
         self._readers = [Reader(link, self._queue) for link in self.links]
         for reader in self._readers:
             reader.start()
 
-    def let_go(self) -> list[Reader]:
-        """Have the readers halt, and return them for another thread to wait for: that may take longer than a picture."""
+    def halt_readers(self) -> list[Reader]:
+        """Halt the readers; another thread must wait for the returned readers, which may take long."""
         readers, self._readers = self._readers, []
-        # Here, not in that thread: it may have other work to do first, and what is read meanwhile would be recorded.
+        # Not in that thread: it may start late, and readings until then would be recorded.
         for reader in readers:
             reader.halt()
         return readers
 
     @property
-    def behind(self) -> bool:
+    def has_backlog(self) -> bool:
         """Whether readings wait."""
         return not self._queue.empty()
 
-    def seen_ns(self, now_ns: int) -> int:
-        """Return the moment that the pipeline has come to: while readings wait it is that of the newest, not now."""
-        return self.reached_ns if self.behind and self.reached_ns else now_ns
+    def processed_ns(self, now_ns: int) -> int:
+        """Time up to which readings were processed; `now_ns` if none wait."""
+        return self.reached_ns if self.has_backlog and self.reached_ns else now_ns
 
     def drain(self, limit_s: float = float("inf")) -> bool:
-        """Let the pipeline work on what arrived, for at most `limit_s`; return whether there was anything."""
+        """Process what arrived, for at most `limit_s`; return whether there was anything."""
         end = time.perf_counter() + limit_s
         drained = False
         while not self._queue.empty():
@@ -144,36 +142,35 @@ class Recording:
             item: Chunk | LinkEvent = self._queue.get()
             self.pipeline.feed(item)
             self.reached_ns = item.host_ns
-            # Asked after an item, so that every call gets on.
+            # After an item, so that every call makes progress.
             if time.perf_counter() > end:
                 break
         return drained
 
-    def go_on(self) -> None:
+    def resume(self) -> None:
         """Read again, in a new segment of the journal.
 
         Raises
         ------
         InputError
-            The disk takes no new segment. Nothing is read then; the session stays as it is, with its journal open, so that
-            what the operator does to it is still recorded.
+            The disk accepts no new segment. Nothing is read then; the journal stays open and records further actions.
         """
-        # What was read before the pause belongs to the segment that ends; what a reader still brings, to none.
+        # Readings before the pause belong to the segment that ends, later ones of the same reader to none.
         self._queue.finish()
         self.drain()
-        self._queue = self._new_inbox()
+        self._new_queue()
         self.pipeline.require_intact_journal()
         if self.pipeline.journal is None:
-            raise InputError(f"{self.storage.folder}: is only looked at. Open it again when its recording has ended.")
-        # Opened while the old segment is open: where the disk refuses, nothing has happened yet.
+            raise InputError(f"{self.storage.folder}: this view is read-only. Open it again after its recording has ended.")
+        # Opened while the old segment is open: if the disk refuses, nothing has changed.
         following = self.pipeline.journal.open_next(self.pipeline.scene, self.links)
         self.pipeline.close()
         self.pipeline.begin_segment(self.links, following)
         self.start()
 
     def end(self) -> None:
-        """Stop the readers, take in what they brought, close the journal, and remove a discarded session."""
-        stop_all(self.let_go())
+        """Stop the readers, process their readings, close the journal, and delete a discarded session."""
+        stop_all(self.halt_readers())
         self._queue.finish()
         try:
             self.drain()
@@ -183,6 +180,6 @@ class Recording:
 
 
 def stop_all(readers: Sequence[Reader]) -> None:
-    """Stop readers; each takes as long as its read."""
+    """Stop readers and wait for them."""
     for reader in readers:
         reader.stop()

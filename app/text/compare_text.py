@@ -22,7 +22,7 @@ MODULE_HINTS = (
     "Spacing of neighbouring taxels in the second set, divided by that of the layout",
 )
 MAX_LISTED_MODULES = 40
-"""The list has the modules with the largest difference: nobody reads 350, and each costs time with every poke."""
+"""The list has the modules with the largest difference: a list of 350 is not read, and each costs time with every poke."""
 ARROW_SCALES = (1, 3, 10)
 """Factors by which arrows can be lengthened."""
 
@@ -109,7 +109,7 @@ def save_hint(mend: LayoutRepair) -> str:
 
 
 def saved_words(path: Path, mend: LayoutRepair) -> str:
-    """Say where the corrected layout is, and how to use it."""
+    """Give the path of the corrected layout and its use."""
     changed = count(len(mend.changes), "module")
     return (
         f"The corrected layout is in {path}, {changed} changed. To solve this session with it: skincal solve SESSION "

@@ -75,7 +75,7 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
 
 
 def progress_words(series: ErrorSeries) -> str:
-    """Say what is still being computed, or how the points were thinned; may be empty."""
+    """Count missing points, or give the spacing of the shown ones; may be empty."""
     if series.missing:
         return f"computing {count(series.missing, 'earlier point')}"
     if not len(series.counts):
@@ -158,7 +158,7 @@ def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> 
 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
-    """Say how much a poke counts for a taxel, and why."""
+    """Give the trust in a poke for a taxel, and the reason."""
     words = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
     miss = miss_of(contact, estimate)
     return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"

@@ -29,7 +29,7 @@ from skincal.words.verdict_words import needs_clause
 MAX_NAMED_FINISHED = 3
 """Finished taxels named after one poke."""
 BETWEEN = "  \N{MIDDLE DOT}  "
-WHAT: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
+REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
 """The error that a poke should reduce: the free method errs mostly in depth, the others along the skin."""
 FOLLOWS: Mapping[Method, str] = {
     Method.FREE: "The guide serves the free method, which needs the tool leaning to all sides.",
@@ -40,7 +40,7 @@ FOLLOWS: Mapping[Method, str] = {
 
 
 def target_words(guidance: Guidance, target: Target, names: ChannelNames) -> str:
-    """Say what to press: `"Press taxel 17-04, lean 28° toward 17-05"`."""
+    """Ask for a poke: `"Press taxel 17-04, lean 28° toward 17-05"`."""
     if target.landmark:
         return f'Press the landmark "{target.landmark}"'
     if target.channel is None:
@@ -59,7 +59,7 @@ def landmark_words(landmark: LandmarkTarget) -> str:
 
 
 def gain_words(gain: Gain | None) -> str:
-    """Say how landmark pokes should reduce the error of sensor and arm; empty if unknown."""
+    """Predict the error of sensor and arm after more landmark pokes; empty if unknown."""
     if gain is None:
         return ""
     now, after = number(in_millimetres(gain.now), 1), millimetres(gain.after)
@@ -67,7 +67,7 @@ def gain_words(gain: Gain | None) -> str:
 
 
 def why_words(guidance: Guidance, target: Target, dead: Collection[int]) -> str:
-    """Say what the poke is for, then how far the session is."""
+    """Give the purpose of the poke, then the progress of the session."""
     if guidance.closing is not None:
         at = guidance.closing
         why = f"Final check {at.done + 1} of {at.places}: press an early point again to see if anything moved"
@@ -89,7 +89,7 @@ def _reason(guidance: Guidance, target: Target) -> str:
             return "A check: does this poke agree with the estimate?"
         clause = needs_clause(missing[:1])
         return clause[:1].upper() + clause[1:]
-    what = WHAT[guidance.method]
+    what = REDUCED_ERROR_WORDS[guidance.method]
     if not np.isfinite(guidance.rms[row]):
         return f"{what.capitalize()} not known yet"
     before = number(in_millimetres(target.rms_now), 1)
@@ -98,7 +98,7 @@ def _reason(guidance: Guidance, target: Target) -> str:
 
 def progress_words(guidance: Guidance, dead: Collection[int]) -> str:
     """Count the finished taxels among those in use."""
-    done, total = _done(guidance, dead)
+    done, total = _count_finished(guidance, dead)
     return f"{done} of {count(total, 'taxel')} finished"
 
 
@@ -116,8 +116,8 @@ def round_pokes(pokes: int) -> int:
 
 
 def enough_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Say that the session is finished: `"Finished: 80 of 84 (4 undetermined)"`."""
-    done, total = _done(guidance, dead)
+    """Announce the end of the session: `"Finished: 80 of 84 (4 undetermined)"`."""
+    done, total = _count_finished(guidance, dead)
     if not total:
         return "All taxels are disabled"
     return (
@@ -129,8 +129,8 @@ NOTHING_TO_CHECK = "The final check needs two points pressed before in this arm 
 
 
 def end_words(guidance: Guidance, dead: Collection[int]) -> str:
-    """Say what follows when all is finished, and what was left out."""
-    unused = len(guidance.channels) - _done(guidance, dead)[1]
+    """Give the next step after the end, and the number of disabled taxels."""
+    unused = len(guidance.channels) - _count_finished(guidance, dead)[1]
     left_out = f"{unused} disabled{BETWEEN}" if unused else ""
     return f"{left_out}Space: show the result and write the file"
 
@@ -165,7 +165,7 @@ def done_words(channels: Sequence[int], names: ChannelNames) -> str:
     return f"{named} and {more} more finished" if more > 0 else f"{named} finished"
 
 
-def _done(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
+def _count_finished(guidance: Guidance, dead: Collection[int]) -> tuple[int, int]:
     """Count finished taxels and all taxels in use."""
     used = set(guidance.channels.tolist()).difference(dead)
     return len(used & done_channels(guidance)), len(used)
@@ -193,7 +193,7 @@ def lean_words(lean: LeanDirection, names: ChannelNames) -> str:
 
 
 def hint_words(hint: PressHint, target: Target, names: ChannelNames) -> str:
-    """Say how to press better: `"Lean 8° more toward 17-05"`."""
+    """Correct the press: `"Lean 8° more toward 17-05"`."""
     if hint.ask is HintKind.AIM:
         where = "the ring" if target.channel is None else names.short(target.channel)
         return f"Move the tip {millimetres(hint.amount, 0)} toward {where}"
@@ -221,7 +221,7 @@ def _landed_words(channel: int, names: ChannelNames) -> str:
 
 
 def force_words(memory: CoachMemory, at: ViewState) -> tuple[str, str]:
-    """Say how to change the force, and the force with its limit; the first is empty if the force is right."""
+    """Ask for more or less force (empty if it is right), and give the force with its limit."""
     force, limits = newtons(float(np.linalg.norm(at.live.progress.force))), at.scene.contacts
     if memory.force is ForceLevel.LOW:
         return "Press harder", f"{force}, needs {newtons(limits.force_min)}"

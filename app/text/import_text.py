@@ -47,7 +47,7 @@ def curve_words(preview: RecordingPreview) -> str:
 
 
 def imported_words(imported: Imported) -> str:
-    """Say what became of a recording."""
+    """Announce the imported session."""
     pokes = count(imported.pokes, "poke")
     if imported.unpoked:
         return f"{imported.unpoked} The recording is the session {plain_text(str(imported.folder))}."

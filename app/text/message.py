@@ -34,7 +34,7 @@ class Message:
 
 
 def refused_words(failure: str) -> str:
-    """Say that the disk refuses data, for the reason `failure`."""
+    """Report that the disk refuses data, for the reason `failure`."""
     return (
         f"{failure} Recording is paused. The newest pokes are only in memory: export the calibration now, then open the "
         "session again."
@@ -55,12 +55,12 @@ def look_words(sentence: str) -> str:
 
 
 def kept_words(folder: Path) -> str:
-    """Say that a session is saved."""
+    """Report that a session is saved."""
     return f"This session is saved in {folder}."
 
 
 def report_words(path: Path, verdict: str) -> str:
-    """Say where a report is, and its verdict."""
+    """Give the path of a report, and its verdict."""
     return f"The report is in {path}. {verdict}"
 
 
@@ -87,12 +87,12 @@ def mesh_words(part: Part) -> str:
 
 
 def copy_words(shipped: Path) -> str:
-    """Say that a copy of a shipped session is open."""
+    """Report that a copy of a shipped session is open."""
     return f"{shipped} is part of skincal and is not changed. This is a copy; at closing you can keep it."
 
 
 def place_words(folder: Path, *, provisional: bool, copied: bool = False) -> str:
-    """Say where a recording is, for the status bar.
+    """Give the folder of a recording, for the status bar.
 
     Parameters
     ----------

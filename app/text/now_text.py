@@ -159,7 +159,7 @@ def _deed(memory: NowMemory, at: ViewState) -> Said | None:
 
 
 def deed_words(deed: LastOperation) -> str:
-    """Say what the operator did, and how to reverse it: `"poke 438 undone (Ctrl+Y: redo)"`."""
+    """Name the operator's last action, with the key that reverses it: `"poke 438 undone (Ctrl+Y: redo)"`."""
     if deed.kind is OperationKind.UNDONE:
         return f"{deed.name} undone (Ctrl+Y: redo)"
     if deed.kind is OperationKind.REDONE:
@@ -168,7 +168,7 @@ def deed_words(deed: LastOperation) -> str:
 
 
 def _costs(at: ViewState) -> Said | None:
-    """Say how many pokes each method needs, before the first poke on the skin; `None` if unknown."""
+    """Predict the pokes that each method needs, before the first poke on the skin; `None` if unknown."""
     known = [(method, pokes) for method, pokes in at.costs.items() if pokes]
     if len(known) < 2 or at.snapshot.contacts:
         return None
@@ -240,7 +240,7 @@ def _pressing(memory: NowMemory, at: ViewState) -> Now:
 
 
 def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
-    """Say what to do next, with the result of the newest poke."""
+    """Show the result of the newest poke above the next step."""
     said, detail = _ended(outcome, memory, at)
     # A quick operator pokes again while this is still shown.
     following = _calm(memory.phase, at) if at.guidance is None or at.unsolved else _guided(at)
@@ -248,7 +248,7 @@ def _verdict(outcome: Outcome, memory: NowMemory, at: ViewState) -> Now:
 
 
 def _ended(outcome: Outcome, memory: NowMemory, at: ViewState) -> tuple[Said, str]:
-    """Say how a poke ended, and what it changed or what to do better."""
+    """Describe the outcome of a poke, and its effect or advice."""
     number = f"Poke {outcome.poke}"
     name = at.snapshot.at_landmarks.get(outcome.poke)
     if name is not None:
@@ -280,7 +280,7 @@ def _calm(phase: PressPhase, at: ViewState) -> Now:
 
 
 def _next(at: ViewState) -> str:
-    """Say what to do next, or that all is finished; empty without a guide."""
+    """Name the next step, or the end; empty without a guide."""
     if at.guidance is not None and at.guidance.phase is GuidePhase.ENOUGH:
         return enough_words(at.guidance, at.snapshot.dead)
     if at.guidance is None or at.target is None:
@@ -333,7 +333,7 @@ def _no_data(at: ViewState) -> Now:
 
 
 def modules_enough_words() -> str:
-    """Say that the modules method is finished while another method is shown."""
+    """Announce that the modules method is finished while another method is shown."""
     settings = GuideSettings()
     pokes, wanted = settings.module_pokes, 1e3 * settings.module_wanted
     words = f"The modules method is finished: {pokes} pokes on every module, expected errors of at most {wanted:g} mm."

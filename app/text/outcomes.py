@@ -55,13 +55,13 @@ def peak_channel(outcome: Outcome) -> int | None:
 
 
 def landed_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Say what a poke away from its landmark counts for: `"accepted for 17-04: "`."""
+    """Describe the outcome of a poke away from its landmark: `"accepted for 17-04: "`."""
     peak = peak_channel(outcome)
     return f"accepted for {names.short(peak)}: " if isinstance(outcome, Contact) and peak is not None else "rejected: "
 
 
 def verdict_words(outcome: Outcome, names: ChannelNames) -> str:
-    """Say how a poke ended; `verdict_detail` has the numbers of a long reason."""
+    """Describe the outcome of a poke; `verdict_detail` has the numbers of a long reason."""
     if isinstance(outcome, Rejection):
         return f"rejected: {_headline_reason(outcome)}"
     return accepted_words(outcome, names)
@@ -77,7 +77,7 @@ def accepted_words(contact: Contact, names: ChannelNames, asked: int | None = No
 
 
 def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: ChannelNames) -> str:
-    """Say what a poke changed, or what to do better."""
+    """Describe the effect of a poke, or give advice."""
     if isinstance(outcome, Rejection):
         words = rejection_words(outcome)
         left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(REASON_WORDS[outcome.reason]).strip(': ')}. "
@@ -190,12 +190,12 @@ def link_lines(at: ViewState) -> tuple[LinkWords, ...]:
 
 
 def link_detail(link: LinkHealth, at: ViewState) -> str:
-    """Say what is wrong with a link; empty if nothing is."""
+    """Describe the problem of a link; empty if there is none."""
     return _link_detail(link, at.look(link), _last_words(link, at.clock_offset))
 
 
 def preview_words(health: LinkHealth) -> str:
-    """Say what a previewed link carries, or why it does not open."""
+    """Describe the readings of a previewed link, or why it does not open."""
     words = link_verdict_words(health.verdict)
     return f"{words}: {health.text}" if health.text and health.verdict.answer is LinkAnswer.NO_ANSWER else words
 

@@ -48,7 +48,7 @@ def corrected_words(action: Correct) -> str:
 
 
 def moved_words(review: Review, method: Method, estimates: Sequence[Estimate]) -> str:
-    """Say how far a correction moves, or has moved, the taxels of a method; empty if unknown."""
+    """Give the distance by which a correction moves, or has moved, the taxels of a method; empty if unknown."""
     other = review.before.get(method, review.after.get(method))
     if other is None:
         return ""
@@ -76,7 +76,7 @@ def review_words(review: Review, snapshot: Snapshot, method: Method, estimates: 
 
 
 def rig_state(offers: Sequence[Offer], used: Iterable[UsedCorrection], review: Review | None) -> str:
-    """Say what is known about errors of sensor and arm, which held-out pokes of the skin hardly show."""
+    """Summarise the errors of sensor and arm, which held-out pokes of the skin hardly show."""
     if offers:
         return f"{offer_words(offers[0])} C: apply. Rig tab: details."
     in_use = " ".join(correction_sentence(correction) for correction in used)

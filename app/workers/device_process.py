@@ -1,7 +1,7 @@
-"""The process that simulates devices: kept, read and told its pace, without ever blocking the window.
+"""The process of the simulated devices; nothing here blocks the window.
 
-It prints one line of JSON that names its links, and, where it simulates them, its taxels; it runs until its standard input
-closes. What its operator pokes it is asked as a robot is (`skincal/robot/target_server.py`).
+It prints one line of JSON with its links and, if it simulates a rig, its taxels. It runs until its standard input closes. Its
+operator gets poke targets as a robot does (`skincal/robot/target_server.py`).
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
 import skincal
 
 STOP_MS = 700
-"""The process gets this long to end by itself after its input closed, before it is terminated."""
-TAIL = 400
-"""Characters of its error output that are shown where it ends too early."""
-INPUT_AT_FAULT = 2
-"""Exit code of a command whose input is at fault, and which says in one sentence how."""
-SPEAKER = "skincal: "
-"""What such a sentence begins with."""
+"""Time for the process to end after its input closed, before it is terminated, then killed."""
+SHOWN_ERROR_LENGTH = 400
+"""Characters of its error output that are shown."""
+INPUT_ERROR_CODE = 2
+"""Exit code of a command with wrong input, which prints one sentence."""
+SENTENCE_PREFIX = "skincal: "
 
 
 class DeviceProcess(QObject):
-    """One process; `served` once it said its links, `failed` where it did not or ended by itself."""
+    """One process."""
 
     served = Signal(object)
     """tuple of `LinkSpec`."""
-    said_truth = Signal(object)
-    """bytes that serve as a `truth.json`, before `served`: a simulated rig knows where its taxels are."""
+    truth_printed = Signal(object)
+    """bytes for a `truth.json`, before `served`: the taxels of a simulated rig."""
     failed = Signal(str)
+    """It did not start, printed no links, or ended without `stop`."""
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -40,53 +40,49 @@ class DeviceProcess(QObject):
         self._line = b""
         self._stopping = False
         self._process.readyReadStandardOutput.connect(self._read)
-        self._process.finished.connect(self._finished)
-        self._process.errorOccurred.connect(self._error)
+        self._process.finished.connect(self._on_finished)
+        self._process.errorOccurred.connect(self._on_error)
 
     def start(self, command: Sequence[str]) -> None:
         """Start the process; returns at once."""
         environment = QProcessEnvironment.systemEnvironment()
-        # The process finds the package where this one did.
+        # It imports the same package as this process.
         paths = [str(Path(skincal.__file__).resolve().parent.parent), environment.value("PYTHONPATH")]
         environment.insert("PYTHONPATH", os.pathsep.join(filter(None, paths)))
         self._process.setProcessEnvironment(environment)
         self._process.start(command[0], list(command[1:]))
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         """Whether the process runs or starts."""
         return self._process.state() is not QProcess.ProcessState.NotRunning
 
-    def tell(self, line: str) -> None:
-        """Write a line to the process, without waiting for it to be read; nothing where it has ended."""
-        if self.running and not self._stopping:
+    def send_line(self, line: str) -> None:
+        """Write a line to its input, unless it has ended; returns at once."""
+        if self.is_running and not self._stopping:
             self._process.write(f"{line}\n".encode())
 
     def release(self) -> None:
-        """Ask the process to end, without waiting; this object goes when it has."""
+        """Ask the process to end and delete this object afterwards; returns at once."""
         self._stopping = True
         self._process.finished.connect(self.deleteLater)
-        if self.running:
+        if self.is_running:
             self._process.closeWriteChannel()
         else:
             self.deleteLater()
 
     def stop(self) -> None:
-        """End the process: by closing its input, then by asking, then by force."""
+        """End the process and wait for it."""
         self._stopping = True
-        if not self.running:
-            return
-        self._process.closeWriteChannel()
-        if self._process.waitForFinished(STOP_MS):
-            return
-        self._process.terminate()
-        if not self._process.waitForFinished(STOP_MS):
-            self._process.kill()
+        for end in (self._process.closeWriteChannel, self._process.terminate, self._process.kill):
+            if not self.is_running:
+                return
+            end()
             self._process.waitForFinished(STOP_MS)
 
     def _read(self) -> None:
         if self._stopping:
-            return  # What it says now is of a session that is closed.
+            return
         self._line += bytes(self._process.readAllStandardOutput().data())
         head, newline, _ = self._line.partition(b"\n")
         if not newline:
@@ -96,41 +92,35 @@ class DeviceProcess(QObject):
         try:
             links = parse_links(head)
         except (ValueError, KeyError, TypeError) as error:
-            self.failed.emit(f"The device process said {head[:80]!r}; expected its links as JSON ({error}).")
+            self.failed.emit(f"The device process printed {head[:80]!r}; expected its links as JSON ({error}).")
             return
         if b'"taxels"' in head:
-            self.said_truth.emit(head)
+            self.truth_printed.emit(head)
         self.served.emit(links)
 
-    def _finished(self) -> None:
+    def _on_finished(self) -> None:
         if not self._stopping:
-            said = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()
-            killed = self._process.exitStatus() is QProcess.ExitStatus.CrashExit
-            self.failed.emit(end_words(None if killed else self._process.exitCode(), said))
+            printed = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()
+            was_killed = self._process.exitStatus() is QProcess.ExitStatus.CrashExit
+            self.failed.emit(end_words(None if was_killed else self._process.exitCode(), printed))
 
-    def _error(self, error: QProcess.ProcessError) -> None:
-        # A process that does not start is never said to have finished.
+    def _on_error(self, error: QProcess.ProcessError) -> None:
+        # A process that fails to start emits no `finished`.
         if error is QProcess.ProcessError.FailedToStart and not self._stopping:
             self.failed.emit(f"The device process cannot be started: {self._process.errorString()}.")
 
 
-def end_words(code: int | None, said: str) -> str:
-    """Return what is said of a process that ended by itself.
-
-    Parameters
-    ----------
-    code : it ended with; None where it was killed
-    said : its error output
-    """
-    last = said.rpartition("\n")[2]
-    if code == INPUT_AT_FAULT and last.startswith(SPEAKER):
-        return last.removeprefix(SPEAKER)
+def end_words(code: int | None, printed: str) -> str:
+    """Describe the end of a process: `code` is `None` if it was killed, `printed` its error output."""
+    last = printed.rpartition("\n")[2]
+    if code == INPUT_ERROR_CODE and last.startswith(SENTENCE_PREFIX):
+        return last.removeprefix(SENTENCE_PREFIX)
     how = "was killed" if code is None else f"ended (code {code})"
-    return f"The device process {how}. {said[-TAIL:]}".strip()
+    return f"The device process {how}. {printed[-SHOWN_ERROR_LENGTH:]}".strip()
 
 
 def parse_links(line: bytes) -> tuple[object, ...]:
-    """Return the links that a process named, as `LinkSpec`.
+    """Parse the printed links into `LinkSpec`.
 
     Raises
     ------

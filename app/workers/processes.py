@@ -1,25 +1,23 @@
-"""Processes for work that would hold the window even from a thread: the review of landmark pokes, and single jobs.
+"""Processes for work that would block the window even from a thread: the review of landmark pokes, and single jobs.
 
-The fit of a rig's errors keeps Python's lock for some tenths of a second. The process starts with the first poke at a landmark
-and ends with the window. It does one review at a time, which gives way to a newer request. The process imports this module.
+The calculation of sensor and arm errors holds Python's lock for tenths of a second. Its process starts with the first landmark
+poke and ends with the window. A newer request replaces the one in work. The process imports this module, too.
 """
 
 from __future__ import annotations
 
-import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from PySide6.QtCore import QObject, Signal
 
-from app.workers.threads import ThreadService
-from skincal.model.errors import InputError
+from app.workers.threads import LOG, ThreadService, raise_sentences
 from skincal.session.review import Review, ReviewRequest, SentReview, review_sent
 from skincal.session.session import Session
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -34,85 +32,98 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 T = TypeVar("T")
-LOG = logging.getLogger(__name__)
-NICE = 5
-"""The process stands back behind the window, which waits for a hand."""
+NICE_INCREMENT = 5
+"""The process gives way to the window."""
 STOP_S = 0.7
-"""s. Closing waits this long for the end of a process that was killed. It keeps nothing that could be lost."""
+"""Closing waits this long for a killed process, which holds nothing that could be lost."""
+SKIN_POKES_PER_REVIEW = 10
+"""A single poke on the skin changes the result by less than is shown."""
 
 
 class ProcessLostError(Exception):
-    """The process ended while it was asked, and so did the one in its place; or it was closed."""
+    """The process and its replacement ended during a request, or the service is closed."""
+
+    def __repr__(self) -> str:
+        return str(self)
 
 
-class ProcessService:
-    """One process, asked from any thread; a pool of one, since the window's machine has little to spare.
+class WorkerProcess:
+    """One process that answers requests from any thread, one at a time.
 
-    Not `concurrent.futures`: where a worker of its pool is killed while a request is on its way, closing the pool hangs for
-    ever with Python 3.11.2 (docs/decisions/work-beside-the-window.md).
+    Not `concurrent.futures`: if a worker of its pool is killed during a request, closing the pool hangs for ever with Python
+    3.11.2 (docs/decisions/work-beside-the-window.md).
     """
 
     def __init__(self) -> None:
         self._asking = threading.Lock()
-        """Held while the process is asked: one thing at a time."""
         self._starting = threading.Lock()
         self._process: BaseProcess | None = None
         self._connection: Connection[Any, Any] | None = None
-        self._ticket = 0
-        self._newest: Any = None
-        """The newest ticket in shared memory, once there is a process."""
+        self._newest_id = 0
+        self._shared_id: Any = None
+        """The same number in shared memory; `None` before the first process."""
         self._closed = False
 
     @property
     def pid(self) -> int | None:
-        """Of the process; None while none was started."""
+        """Of the process; `None` before the first one."""
         return None if self._process is None else self._process.pid
 
-    def ticket(self) -> int:
-        """Return a number for the next request; work on requests with earlier ones is no longer wanted."""
-        self._ticket += 1
-        if self._newest is not None:
-            self._newest.value = self._ticket
-        return self._ticket
+    def next_id(self) -> int:
+        """Assign a number to the next request; work on earlier ones is no longer wanted."""
+        self._newest_id += 1
+        if self._shared_id is not None:
+            self._shared_id.value = self._newest_id
+        return self._newest_id
 
-    def ask(self, ticket: int, work: Callable[..., Any], *arguments: Any, watch: Watch | None = None) -> Any:
-        """Return what `work(*arguments, wanted)` returns in the process; blocks, so call it in a thread.
+    def ask(
+        self,
+        request_id: int,
+        work: Callable[..., Any],
+        *arguments: Any,
+        on_share: Callable[[float], object] | None = None,
+        on_lost: Callable[[], object] | None = None,
+    ) -> Any:
+        """Run `work(*arguments, progress)` in the process and return its result; blocks, so call it in a thread.
 
-        Where the process ends meanwhile another takes its place, and is asked the same once. It knows nothing of what the first
-        was asked before.
+        If the process ends meanwhile, another one without its memory is asked the same once.
 
         Parameters
         ----------
-        ticket : from `ticket`; `wanted` is a function that returns whether it is the newest
-        work : a function of a module, which the process imports; raises whatever it raises there
-        watch : hears of the work, in this thread
+        request_id : from `next_id`
+        work : importable function whose last parameter is a `Progress`; its exceptions are raised here
+        on_share : called in this thread with the finished share of the work, 0 to 1
+        on_lost : called in this thread if the process ended
 
         Raises
         ------
         ProcessLostError
-            The second process ended, too, or the service is closed.
+            The replacement ended, too, or the service is closed.
         """
         with self._asking:
-            for last in (False, True):
+            for is_last in (False, True):
                 try:
                     connection = self._connection or self._start()
-                    connection.send((ticket, work, arguments))
-                    result, error = _answer(connection, watch)
+                    connection.send((request_id, work, arguments))
+                    while isinstance(answer := connection.recv(), float):
+                        if on_share is not None:
+                            on_share(answer)
                 except (EOFError, OSError) as lost:
-                    code = self._bury()
-                    if watch is not None:
-                        watch.lost()
-                    if last or self._closed:
+                    code = self._discard_dead()
+                    if on_lost is not None:
+                        on_lost()
+                    if is_last or self._closed:
                         raise ProcessLostError(f"its process ended (code {code})") from lost
-                    LOG.warning("a process ended (code %s) while it was asked; another takes its place", code)
+                    LOG.warning("a process ended (code %s) during a request; another one replaces it", code)
                     continue
+                result, error = answer
                 if error is not None:
                     raise error
                 return result
         raise AssertionError
 
     def close(self) -> None:
-        """End the process, by force, and start none any more; who waits for an answer gets a ProcessLostError."""
+        """Kill the process and start no other; a waiting `ask` raises `ProcessLostError`."""
         with self._starting:
             self._closed = True
             process = self._process
@@ -121,106 +132,77 @@ class ProcessService:
             process.join(STOP_S)
 
     def _start(self) -> Connection[Any, Any]:
-        """Start the process; `multiprocessing` is imported only now, in the asking thread."""
+        # Imported late: the window starts without it.
         from multiprocessing import get_context
 
         context = get_context("spawn")
-        # Nothing that lies in the working folder is run.
+        # No file of the working folder is imported.
         os.environ["PYTHONSAFEPATH"] = "1"
-        # Without a lock: the window alone writes it, and who reads it late only goes on for a little longer.
-        self._newest = newest = context.RawValue("q", 0)
-        newest.value = self._ticket
+        # Without a lock: only the window writes, and a late reader only works a little longer.
+        self._shared_id = shared_id = context.RawValue("q", 0)
+        shared_id.value = self._newest_id
         connection, its_end = context.Pipe()
         with self._starting:
-            # Under the same lock as in `close`, so that no process starts behind it.
+            # The same lock as in `close`: no process starts after it.
             if self._closed:
                 raise ProcessLostError("it is closed")
-            self._process = process = context.Process(target=serve, args=(its_end, newest), name="skincal-heavy", daemon=True)
+            self._process = process = context.Process(
+                target=serve, args=(its_end, shared_id), name="skincal-heavy", daemon=True
+            )
             process.start()
-        # A copy of the other end that stays open here would hide that the process went.
+        # An open copy of the other end would hide the end of the process.
         its_end.close()
         self._connection = connection
         return connection
 
-    def _bury(self) -> int | None:
-        """Forget a process that ended; return its exit code."""
+    def _discard_dead(self) -> int | None:
+        """Forget an ended process and return its exit code."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
-        process = self._process
-        if process is None:
+        if self._process is None:
             return None
-        process.join(STOP_S)
-        return process.exitcode
+        self._process.join(STOP_S)
+        return self._process.exitcode
 
 
-@dataclass(frozen=True, slots=True)
-class Watch:
-    """Hears of work in a process, in the thread that waits for it."""
-
-    told: Callable[[float], object] = lambda _: None
-    """Gets what share of it is done."""
-    lost: Callable[[], object] = lambda: None
-    """Called where the process ended in the middle of it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """What share of the work is done; on its way from the process."""
-
-    value: float
-
-
-class Wanted:
-    """Given to work in the process: whether it is still wanted, and a way to say how far it is.
+class Progress:
+    """Link of work in the process to the window.
 
     Parameters
     ----------
-    newest : shared memory whose `value` is the newest ticket
+    newest : shared memory with the number of the newest request
     """
 
-    def __init__(self, connection: Connection[Any, Any], ticket: int, newest: Any) -> None:
-        self._connection, self._ticket, self._newest = connection, ticket, newest
+    def __init__(self, connection: Connection[Any, Any], request_id: int, newest: Any) -> None:
+        self._connection, self._request_id, self._newest = connection, request_id, newest
 
-    def __call__(self) -> bool:
-        """Return whether it is still wanted."""
-        return self._newest.value == self._ticket
+    def is_wanted(self) -> bool:
+        """Whether there is no newer request."""
+        return self._newest.value == self._request_id
 
-    def tell(self, share: float) -> bool:
-        """Say what share of the work is done; return whether the rest is still wanted: it is not where the window is gone."""
+    def tell_share(self, share: float) -> bool:
+        """Send the finished share, 0 to 1; return whether the rest is wanted: not if the window is gone."""
         try:
-            self._connection.send(Share(share))
+            self._connection.send(float(share))
         except OSError:
             return False
-        return self()
-
-
-def _answer(connection: Connection[Any, Any], watch: Watch | None) -> tuple[Any, Exception | None]:
-    """Return the answer that comes, and have shares of the work heard until then."""
-    while isinstance(answer := connection.recv(), Share):
-        if watch is not None:
-            watch.told(answer.value)
-    return answer
+        return self.is_wanted()
 
 
 def serve(connection: Connection[Any, Any], newest: Any) -> None:
-    """Do what comes, in the process, until the window's end of the connection is closed, however the window ended.
-
-    Parameters
-    ----------
-    newest : shared memory whose `value` is the newest ticket
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the window, which closes this
+    """Answer requests, in the process, until the window's end of the connection closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the window, which ends this process
     if hasattr(os, "nice"):
-        os.nice(NICE)
+        os.nice(NICE_INCREMENT)
     while True:
         try:
-            ticket, work, arguments = connection.recv()
+            request_id, work, arguments = connection.recv()
         except (EOFError, OSError):
             return
         try:
-            answer = work(*arguments, Wanted(connection, ticket, newest)), None
-        except Exception as error:  # noqa: BLE001 - it is raised where the answer is waited for
+            answer = work(*arguments, Progress(connection, request_id, newest)), None
+        except Exception as error:  # noqa: BLE001 - raised again where the answer is awaited
             answer = None, error
         try:
             connection.send(answer)
@@ -228,16 +210,13 @@ def serve(connection: Connection[Any, Any], newest: Any) -> None:
             return
 
 
-class JobService:
-    """Does single jobs that take seconds, one after another, each in a process of its own that ends with it.
-
-    Apart from the one that reviews the rig: that one has memory of its session, and its work gives way to newer requests.
-    """
+class JobQueue:
+    """Does jobs of some seconds one after another, each in a process of its own."""
 
     def __init__(self, owner: QObject) -> None:
         self._threads = ThreadService("jobs", owner)
-        self._waiting: list[ProcessService] = []
-        """Of each job that is not done yet, the first in work."""
+        self.waiting: list[WorkerProcess] = []
+        """Processes of the unfinished jobs, the one in work first."""
 
     def submit(
         self,
@@ -245,193 +224,157 @@ class JobService:
         arguments: tuple[Any, ...],
         done: Callable[[T], None],
         failed: Callable[[str], None],
-        watch: Watch | None = None,
-        dropped: Callable[[T], None] | None = None,
+        on_share: Callable[[float], object] | None = None,
+        undo: Callable[..., None] | None = None,
     ) -> None:
-        """Do `job(*arguments)` in a process; returns at once.
+        """Do `job(*arguments, progress)` in a process; returns at once.
 
         Parameters
         ----------
-        job : a function of a module, which the process imports
-        done : gets its answer, in the window's thread; nothing where something else was opened meanwhile (`renew`)
-        failed : gets why there is none, in a sentence
-        watch : hears of the job in its thread; the job then gets a `Wanted` as its last argument
-        dropped : gets, in place of `done`, an answer that comes after `renew` or `drop`
+        job : importable function whose last parameter is a `Progress`
+        done, failed : get the result or a sentence, in the window's thread; not after `renew` or `drop`
+        on_share : called with the finished share, 0 to 1, in another thread
+        undo : removes traces of the job, in another thread if its process ended, in the window's with a result that is too late
         """
-        # With its ticket, so that it can be interrupted before its process is there.
-        process = ProcessService()
-        self._waiting.append(process)
-        asked = (do_job, job, arguments) if watch is None else (job, *arguments)
-        work = partial(process.ask, process.ticket(), *asked, watch=watch)
-        self._threads.submit(partial(self._do, process, work), done, failed, dropped)
+        # Numbered now, so that it can be interrupted before its process starts.
+        process = WorkerProcess()
+        self.waiting.append(process)
+        ask = partial(process.ask, process.next_id(), job, *arguments, on_share=on_share, on_lost=undo)
+        self._threads.submit(partial(self._do, process, ask), done, failed, undo)
 
     def interrupt(self) -> None:
-        """Let what is done know that it is not wanted any more; it ends in its own way, and says so."""
-        for process in tuple(self._waiting):
-            process.ticket()
+        """Tell the jobs that they are not wanted; they end by themselves."""
+        for process in tuple(self.waiting):
+            process.next_id()
 
     def drop(self) -> None:
-        """End what is done, by force; no answer comes."""
+        """Kill the jobs; no answer comes."""
         self.renew()
-        for process in tuple(self._waiting):
+        for process in tuple(self.waiting):
             process.close()
 
     def renew(self) -> None:
-        """Begin anew: answers to what was asked before come too late, though what it writes is written."""
+        """Ignore the answers to earlier requests."""
         self._threads.renew()
 
     def close(self) -> None:
-        """End what is done, by force, and do nothing any more."""
+        """Kill the jobs and accept no others."""
         self.drop()
         self._threads.close()
 
-    def _do(self, process: ProcessService, ask: Callable[[], Any]) -> Any:
-        """Do a job; in a thread. InputError where it cannot be done, whatever the reason is."""
+    def _do(self, process: WorkerProcess, ask: Callable[[], Any]) -> Any:
         try:
-            return ask()
-        except InputError:
-            raise
-        except ProcessLostError as lost:
-            raise InputError(f"It is not done: {lost}. Try again.") from lost
-        except Exception as error:
-            LOG.exception("a job beside the window failed")
-            raise InputError(f"It is not done: {error!r}; details are in the log.") from error
+            with raise_sentences("This failed"):
+                return ask()
         finally:
             process.close()
-            self._waiting.remove(process)
+            self.waiting.remove(process)
 
 
-def do_job(job: Callable[..., T], arguments: tuple[Any, ...], _wanted: Callable[[], bool]) -> T:
-    """Do a job, in the process."""
-    return job(*arguments)
-
-
-def report_job(session: Path, path: Path, method: Method) -> str:
-    """Write a session's report, and return its verdict; in the process, which alone imports what that needs."""
+def report_job(session: Path, path: Path, method: Method, _progress: Progress) -> str:
+    """Write a session's report and return its verdict."""
     from skincal.reporting.page import write_report
 
     return write_report(session, path, method)
 
 
-def places_job(path: Path, link: str, channels: Collection[int]) -> tuple[TaxelPositions, ...]:
-    """Return the places in a file or a session; see `places_for`."""
+def positions_job(path: Path, link: str, channels: Collection[int], _progress: Progress) -> tuple[TaxelPositions, ...]:
+    """Read the positions in a file or a session; see `places_for`."""
     from skincal.session.named_places import places_for
 
     return places_for(path, link, channels)
 
 
-def look_job(files: RecordingFiles, wanted: Wanted) -> RecordingPreview:
-    """Look at a recording of another program."""
+def preview_job(files: RecordingFiles, progress: Progress) -> RecordingPreview:
+    """Preview a recording of another program."""
     from skincal.files.importers.preview import preview_recording
 
-    return preview_recording(files, wanted)
+    return preview_recording(files, progress.is_wanted)
 
 
-def import_job(request: ImportRequest, wanted: Wanted) -> Imported:
+def import_job(request: ImportRequest, progress: Progress) -> Imported:
     """Make a session of a recording of another program."""
     from skincal.session.importing import import_recording
 
-    return import_recording(request, wanted.tell)
+    return import_recording(request, progress.tell_share)
 
 
-SKIN = 10
-"""Pokes on the skin after which the rig is reviewed anew: a single poke moves what is found by less than is shown."""
-
-
-def _rig_facts(snapshot: Snapshot) -> tuple[object, ...]:
-    """Everything that a review depends on besides the pokes."""
-    return snapshot.at_landmarks, snapshot.decisions.landmarks, snapshot.decisions.corrections, snapshot.dead
+def review_job(sent: SentReview, progress: Progress) -> Review | None:
+    """Review sensor and arm; `None` if the work gave way to a newer request."""
+    return review_sent(sent, progress.is_wanted)
 
 
 class ReviewClient(QObject):
-    """Asks for the reviews of a session.
-
-    Parameters
-    ----------
-    processes : where the work is done
-    """
+    """Requests the reviews of a session."""
 
     reviewed = Signal(object)
     """`Review` of the newest request, or of an earlier one that had taken long."""
     failed = Signal(str)
-    """A sentence; nothing is reviewed any more."""
+    """A sentence; there are no reviews any more."""
 
-    def __init__(self, session: Session, processes: ProcessService, parent: QObject | None = None) -> None:
+    def __init__(self, session: Session, process: WorkerProcess, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._session = session
-        self._processes = processes
+        self._process = process
         self._threads = ThreadService("review", self)
-        self._seen: Snapshot | None = None
-        self._shown: Snapshot | None = None
-        """The snapshot whose review was asked for last; None before the first poke at a landmark."""
-        self._waits = self._again = False
+        self._newest: Snapshot | None = None
+        self._requested: Snapshot | None = None
+        """Snapshot of the last request; `None` before the first landmark poke."""
+        self._is_busy = self._must_repeat = False
         self._stopped = False
 
-    def follow(self, snapshot: Snapshot) -> None:
-        """Ask for a review of the session where its newest snapshot has enough that is new since the last."""
-        seen, self._seen = self._seen, snapshot
-        if self._stopped or not (self._shown or snapshot.at_landmarks) or seen is snapshot:
+    def follow_session(self, snapshot: Snapshot) -> None:
+        """Request a review if enough has changed since the last one."""
+        before, self._newest = self._newest, snapshot
+        if self._stopped or not (self._requested or snapshot.at_landmarks) or before is snapshot:
             return
-        if self._shown is None or _due(self._shown, snapshot):
-            self._ask(snapshot)
+        if self._requested is None or _is_due(self._requested, snapshot):
+            self._request(snapshot)
 
     def stop(self) -> None:
-        """Ask no more, and hear no answer; what the process works on is given up. Returns at once."""
+        """Give up the request and make no other; returns at once."""
         self._stopped = True
-        self._processes.ticket()
+        self._process.next_id()
         self._threads.close(0.0)
 
-    def _ask(self, snapshot: Snapshot) -> None:
-        self._shown = snapshot
-        ticket = self._processes.ticket()
-        self._again = self._waits
-        if self._again:
-            return  # what is worked on gives way; then the newest is asked about
-        self._waits = True
+    def _request(self, snapshot: Snapshot) -> None:
+        self._requested = snapshot
+        request_id = self._process.next_id()
+        self._must_repeat = self._is_busy
+        if self._must_repeat:
+            return  # the work in progress gives way, then the newest snapshot is sent
+        self._is_busy = True
         request = ReviewRequest.of(self._session)
-        self._threads.submit(partial(_review, self._processes, ticket, request), self._take, self._fail)
+        self._threads.submit(partial(self._ask, request_id, request), self._take_review, self._fail)
 
-    def _take(self, review: Review | None) -> None:
-        self._waits = False
+    def _ask(self, request_id: int, request: ReviewRequest) -> Review | None:
+        with raise_sentences("Sensor and arm are no longer checked", "Open the session again."):
+            review: Review | None = self._process.ask(request_id, review_job, SentReview.of(request))
+        # The window compares corrections by identity.
+        return review and replace(review, used=request.used)
+
+    def _take_review(self, review: Review | None) -> None:
+        self._is_busy = False
         if review is not None:
             self.reviewed.emit(review)
-        if self._again and self._seen is not None and not self._stopped:
-            self._ask(self._seen)
+        if self._must_repeat and self._newest is not None and not self._stopped:
+            self._request(self._newest)
 
     def _fail(self, sentence: str) -> None:
         self._stopped = True
         self.failed.emit(sentence)
 
 
-def _review(processes: ProcessService, ticket: int, request: ReviewRequest) -> Review | None:
-    """Have a session reviewed in the process; in a thread. `None` if the work gave way to a newer request.
+def _is_due(asked: Snapshot, now: Snapshot) -> bool:
+    """Whether a review is due: after any change of landmark pokes, corrections or exclusions, else every 10 pokes."""
 
-    Raises
-    ------
-    InputError
-        There will be no reviews, whatever the reason is.
-    """
-    try:
-        review: Review | None = processes.ask(ticket, review_sent, SentReview.of(request))
-    except InputError:
-        raise
-    except ProcessLostError as lost:
-        raise InputError(f"The rig is not reviewed any more: {lost}, twice. Open the session again.") from lost
-    except Exception as error:
-        LOG.exception("a review of the rig failed")
-        raise InputError(f"The rig is not reviewed any more: {error!r}; details are in the log.") from error
-    # The window compares corrections by identity.
-    return review and replace(review, used=request.used)
+    def facts(snapshot: Snapshot) -> tuple[object, ...]:
+        return snapshot.at_landmarks, snapshot.decisions.landmarks, snapshot.decisions.corrections, snapshot.dead
 
+    def has_changed(before: PokeRecord, after: PokeRecord) -> bool:
+        has_final_tare = before.outcome is not after.outcome and after.outcome.poke in now.at_landmarks
+        return before.excluded != after.excluded or has_final_tare
 
-def _due(asked: Snapshot, now: Snapshot) -> bool:
-    """Return whether a session is to be reviewed anew: at once where landmark pokes, corrections or taken out pokes changed."""
-    if _rig_facts(asked) != _rig_facts(now) or len(now.pokes) >= len(asked.pokes) + SKIN:
+    if facts(asked) != facts(now) or len(now.pokes) >= len(asked.pokes) + SKIN_POKES_PER_REVIEW:
         return True
-    return any(_changed(before, after, now) for before, after in zip(asked.pokes, now.pokes, strict=False))
-
-
-def _changed(before: PokeRecord, now: PokeRecord, snapshot: Snapshot) -> bool:
-    """Return whether a poke counts that did not, or no more, or is a landmark poke whose outcome came again."""
-    came_again = before.outcome is not now.outcome and now.outcome.poke in snapshot.at_landmarks
-    return before.excluded != now.excluded or came_again
+    return any(map(has_changed, asked.pokes, now.pokes))

@@ -1,7 +1,6 @@
-"""Slow work beside the window: a thread that is there while there is work, and answers that come back in the window's thread.
+"""Threads for slow work; answers come back in the window's thread.
 
-Each owner of slow work has a service of its own: its requests are done one after another, those of several services side by
-side. The work may touch nothing of Qt.
+Each owner of slow work has a service with one thread at most, which does its requests in order. The work must not use Qt.
 """
 
 from __future__ import annotations
@@ -10,7 +9,8 @@ import logging
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, TypeVar
@@ -21,13 +21,25 @@ from skincal.model.errors import InputError
 
 LOG = logging.getLogger(__name__)
 STOP_S = 2.0
-"""s. Closing waits this long for work that was asked for; the thread is a daemon and dies with the program."""
+"""Closing waits this long for requested work; the thread is a daemon and ends with the program."""
 T = TypeVar("T")
+
+
+@contextmanager
+def raise_sentences(failure: str, advice: str = "Try again.") -> Iterator[None]:
+    """Raise every exception as an `InputError` that begins with `failure`; log those that are not one already."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        LOG.exception("work in the background failed")
+        raise InputError(f"{failure} ({error!r}). {advice} Details are in the log.") from error
 
 
 @dataclass(frozen=True, slots=True)
 class ThreadRequest:
-    """What is to be done, and who gets the answer."""
+    """Work, and the receivers of its answer."""
 
     generation: int
     work: Callable[[], Any]
@@ -38,12 +50,12 @@ class ThreadRequest:
 
 
 class ThreadService:
-    """Does one piece of work after another beside the window. Made and used in the window's thread.
+    """Does requests in order in a thread, which exists while there is work. Made and used in the window's thread.
 
     Parameters
     ----------
     name : of the thread
-    owner : with its end this is closed, and nothing is called any more
+    owner : its end closes the service, and no receiver is called after it
     """
 
     def __init__(self, name: str, owner: QObject) -> None:
@@ -53,7 +65,7 @@ class ThreadService:
         self._closed = False
         self._bridge = _bridge()
         self._lock = threading.Lock()
-        """Held while the next request is looked for: the thread ends only where there is none."""
+        """Held while the thread gets its next request or ends."""
         self._requests: deque[ThreadRequest] = deque()
         self._thread: threading.Thread | None = None
         self._answers: queue.SimpleQueue[tuple[ThreadRequest, Any, BaseException | None]] = queue.SimpleQueue()
@@ -66,16 +78,16 @@ class ThreadService:
         dropped: Callable[[T], None] | None = None,
         ended: Callable[[], None] | None = None,
     ) -> None:
-        """Do `work` in the thread, and give its answer to one of the others in the window's thread. Nothing once it is closed.
+        """Do `work` in the thread, and call one receiver in the window's thread; no effect after `close`.
 
         Parameters
         ----------
-        work : shares nothing with the window that changes meanwhile
-        done : gets what `work` returns
-        failed : gets the sentence of an InputError. Without it, and for every other exception, the exception is raised in the
-            window's thread, where it reaches the operator
-        dropped : gets, in place of `done`, what `work` returns after `renew` or `close`: something to be given back
-        ended : called last in every case: after an answer, a failure, and an answer that comes too late
+        work : must not share changing data with the window
+        done : gets the result
+        failed : gets the sentence of an `InputError`. Any other exception, or without `failed` every one, is raised in the
+            window's thread, which shows it to the operator
+        dropped : gets a result that comes after `renew` or `close`, to release it
+        ended : called last in every case
         """
         if self._closed:
             return
@@ -86,18 +98,18 @@ class ThreadService:
                 self._thread.start()
 
     def renew(self) -> None:
-        """Begin a new generation: answers to what was asked before come too late."""
+        """Ignore the answers to earlier requests."""
         self._generation += 1
 
     def wait(self) -> None:
-        """Wait until all that was asked for is done, however long that takes; from any thread."""
-        # Taken once: the thread forgets itself as it ends.
+        """Wait without limit for all requested work; from any thread."""
+        # Read once: the thread clears it at its end.
         thread = self._thread
         if thread is not None:
             thread.join()
 
     def close(self, limit_s: float = STOP_S) -> None:
-        """Take no more, and wait so long for what was asked; all its answers come too late."""
+        """Accept no more, wait for requested work up to a limit, and ignore its answers."""
         self._closed = True
         self.renew()
         thread = self._thread
@@ -106,11 +118,11 @@ class ThreadService:
         self.deliver()
 
     def deliver(self) -> None:
-        """Hand over the answers that wait; the bridge calls it. Where one raises, the rest is handed over all the same."""
+        """Call the receivers of waiting answers; if one raises, the others follow."""
         while not self._answers.empty():
             request, result, error = self._answers.get()
             try:
-                self._hand_over(request, result, error)
+                self._answer(request, result, error)
             except BaseException:
                 self._bridge.answered.emit(self)
                 raise
@@ -125,36 +137,31 @@ class ThreadService:
             result, error = None, None
             try:
                 result = request.work()
-            except BaseException as raised:  # noqa: BLE001 - it is raised in the window's thread
+            except BaseException as raised:  # noqa: BLE001 - raised again in the window's thread
                 error = raised
             self._answers.put((request, result, error))
             self._bridge.answered.emit(self)
 
-    def _hand_over(self, request: ThreadRequest, result: Any, error: BaseException | None) -> None:
+    def _answer(self, request: ThreadRequest, result: Any, error: BaseException | None) -> None:
+        is_late = request.generation != self._generation
         try:
-            self._answer(request, result, error)
+            if error is None:
+                take = request.dropped if is_late else request.done
+                if take is not None:
+                    take(result)
+            elif self._closed and not isinstance(error, InputError):
+                LOG.error("work in the background failed while the window closed", exc_info=error)
+            elif not isinstance(error, InputError) or (request.failed is None and not is_late):
+                raise error
+            elif request.failed is not None and not is_late:
+                request.failed(str(error))
         finally:
             if request.ended is not None:
                 request.ended()
 
-    def _answer(self, request: ThreadRequest, result: Any, error: BaseException | None) -> None:
-        late = request.generation != self._generation
-        if error is None:
-            take = request.dropped if late else request.done
-            if take is not None:
-                take(result)
-        elif late and isinstance(error, InputError):
-            return
-        elif self._closed:
-            LOG.error("work beside the window failed while the window closed", exc_info=error)
-        elif request.failed is not None and isinstance(error, InputError):
-            request.failed(str(error))
-        else:
-            raise error
-
 
 class _Bridge(QObject):
-    """Lives in the window's thread, as long as the program: a signal from a thread never meets an object that is gone."""
+    """Lives in the window's thread as long as the program, so that no signal reaches a deleted object."""
 
     answered = Signal(object)
     """`ThreadService` with an answer."""

@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QApplication, QMessageBox
 from app.dialogs.history_dialog import HistoryDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.first_minute import FirstMinute
-from app.session.controller import BRISK
+from app.session.controller import DEMO_PACE
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
@@ -55,7 +55,7 @@ def test_a_newcomer_is_told_four_things_once(bench, qtbot, tmp_path):
 def test_it_says_that_it_is_simulated_and_how_quick_and_shift_p_changes_that(bench):
     bench.open(demo())
     line, action = bench.window.session_view.workspace.now.simulated, bench.window.commands.actions["pace"]
-    assert line.text() == simulated_words(BRISK, Running.STREAMING)
+    assert line.text() == simulated_words(DEMO_PACE, Running.STREAMING)
     for pace in (4, 1, 2):
         bench.key(Key.Key_P, Qt.KeyboardModifier.ShiftModifier)
         assert bench.controller.pace == pace
@@ -111,7 +111,7 @@ def test_before_another_session_is_opened_it_is_asked_too_and_nothing_happens_un
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         answer(bench, "Do not keep")
     assert not bench.documents.exists()
-    assert bench.controller.would_lose == 0
+    assert bench.controller.unsaved_pokes == 0
     bench.window.close()
     assert not bench.window.isVisible(), "a recording in its own folder is not asked about"
 

@@ -199,7 +199,7 @@ def test_a_scene_that_cannot_be_read_is_said_once_without_the_process_around_it(
     bad.write_text("name = 3")
     bench.window.open(OpenRequest(scene=bad, server=server_command(bad)))
     server = bench.controller.findChild(DeviceProcess)
-    bench.until(lambda: not server.running and len(bench.messages) == 2)
+    bench.until(lambda: not server.is_running and len(bench.messages) == 2)
     assert bench.messages[0] == bench.messages[1], "from the window's own reading of the scene, and from the process"
     assert bench.messages[0].text.startswith(str(bad))
     bench.key(Qt.Key.Key_Escape)
@@ -306,7 +306,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
     create_session(tmp_path / "strange", scene, links).close()
     bench.open(OpenRequest(session=tmp_path / "strange"))
     assert bench.controller.running is Running.OFFLINE
-    bench.controller.go_on(confirmed=True)
+    bench.controller.resume(confirmed=True)
     view = bench.window.session_view
     bench.until(
         lambda: all(approved("links.refused_scheme_state", scheme="spy") in link.text for link in view.state.live.links)
@@ -332,7 +332,7 @@ def test_a_device_process_that_fails_is_told(qtbot, command, said):
         server.start((sys.executable, *command) if command else ("there-is-no-such-program",))
     assert said in failed.args[0]
     server.stop()
-    assert not server.running
+    assert not server.is_running
 
 
 def test_an_exception_that_nobody_caught_reaches_the_operator(bench):

@@ -14,7 +14,7 @@ from PySide6.QtWidgets import QFileDialog
 from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.compare_panel import ComparePanel
 from app.session.opening import OpenRequest
-from app.workers.processes import ProcessService
+from app.workers.processes import WorkerProcess
 from skincal.cli import main
 from skincal.files.reference import compare_sets
 from skincal.session.named_places import find_places
@@ -25,7 +25,7 @@ from tests.approved import approved
 @pytest.fixture
 def processes(monkeypatch) -> list[int | None]:
     """The numbers of the processes that were asked."""
-    pids, ask = [], ProcessService.ask
+    pids, ask = [], WorkerProcess.ask
 
     def noted(self, *arguments, **watch):
         try:
@@ -33,7 +33,7 @@ def processes(monkeypatch) -> list[int | None]:
         finally:
             pids.append(self.pid)
 
-    monkeypatch.setattr(ProcessService, "ask", noted)
+    monkeypatch.setattr(WorkerProcess, "ask", noted)
     return pids
 
 

@@ -250,7 +250,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
         (pipeline.session, ("act", "add", "set_detected_dead", "finalize_outcomes")),
         (view.guided.guide, ("next_target", "skip")),
         (view.guided.errors, ("follow", "choose")),
-        (bench.controller, ("act", "publish_again", "tick", "pause", "go_on")),
+        (bench.controller, ("act", "publish_again", "tick", "pause", "resume")),
     ):
         for name in names:
             monkeypatch.setattr(owner, name, lambda *_, name=name: touched.append(name))
@@ -343,7 +343,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
 
 def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(poked, monkeypatch, tmp_path):
     bench, refusals = poked.bench, []
-    monkeypatch.setattr(controller, "AT_ONCE", 10)
+    monkeypatch.setattr(controller, "MAX_UNSOLVED", 10)
     monkeypatch.setattr(controller, "SOLVE_S", 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     ticks = next(

@@ -173,13 +173,13 @@ def first_look(keys: Keys) -> None:
 
     keys.tap(Key.Key_F)
     dialog = keys.dialog(VerdictDialog)
-    assert dialog.sentence.text().startswith("Not enough yet: 0 of 8 taxels")
+    assert dialog.sentence.text().startswith("Not finished: 0 of 8 taxels")
     keys.tap(Key.Key_Escape)
     keys.back_in_the_window()
 
     keys.tap(Key.Key_F3)
     keys.dialog(PedalsDialog)
-    keys.tap(Key.Key_Space, Key.Key_F13, Key.Key_Space)
+    keys.tap(Key.Key_F13, Key.Key_Space)
     keys.back_in_the_window()
     keys.tap(Key.Key_F13)
     assert bench.controller.running is Running.STREAMING

@@ -17,7 +17,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QLabel, QMessageBox
 
-from app.dialogs.new_session import NO_DEVICE, WAITS, NewSessionDialog
+from app.dialogs.new_session import NO_DEVICE, RECORDING_PAUSED, NewSessionDialog
 from app.session.opening import Addresses, OpenRequest
 from app.session.recording import Recording
 from app.state.running import Running
@@ -207,7 +207,7 @@ def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypat
 def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, monkeypatch):
     skin = device(noisy(CHANNELS))
     monkeypatch.setattr(
-        "app.dialogs.new_session.places_here", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
+        "app.dialogs.new_session.list_ports", lambda: [("/dev/ttyUSB7", "FT232R USB UART"), (skin.address, "x")]
     )
     dialog = NewSessionDialog(PATCH, tmp_path / "new", None, ("socket://192.168.0.9:7000",))
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose, on=False)
@@ -231,7 +231,7 @@ def test_what_is_there_is_listed_and_chosen_by_keys(qtbot, tmp_path, device, mon
 
 def test_who_only_passes_through_a_field_connects_nothing(qtbot, page):
     with closing(TcpOutlet()) as outlet:
-        page.rows[Stream.WRENCH].put(outlet.address, agreed=False)
+        page.rows[Stream.WRENCH].set_address(outlet.address, agreed=False)
         for stream in ("wrench", "skin", "wrench"):
             page.fields[stream].setFocus()
             qtbot.wait(100)
@@ -253,7 +253,7 @@ def test_a_scene_that_cannot_be_read_is_said_and_no_link_is_judged_by_the_one_be
 
 def test_ports_that_are_found_leave_the_cursor_where_it_is(page):
     row = page.rows[Stream.WRENCH]
-    row.put("/dev/ttyUSB0", agreed=False)
+    row.set_address("/dev/ttyUSB0", agreed=False)
     row.field.setCursorPosition(4)
     row.offer([("/dev/ttyUSB7", "FT232R")])
     QTest.keyClicks(row.field, "x")
@@ -453,7 +453,7 @@ def test_a_page_that_is_left_changes_nothing_and_reads_on(bench, device):
     bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
     page = shown_page(bench)
     assert bench.controller.running is Running.PAUSED
-    assert any(WAITS in label.text() for label in page.findChildren(QLabel))
+    assert any(RECORDING_PAUSED in label.text() for label in page.findChildren(QLabel))
     QTest.keyClick(page, Key.Key_Escape)
     bench.until(lambda: bench.controller.running is Running.STREAMING, 5000)
     bench.key(Key.Key_A)

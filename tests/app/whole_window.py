@@ -102,7 +102,7 @@ class Bench:
         """Wait after a pause until the readers ended, and what they had read is worked on and shown."""
         recording = self.recording
         self.until(lambda: not any(thread.name.startswith("reader ") for thread in threading.enumerate()), 5000)
-        self.until(lambda: not recording.behind and not recording.pipeline.session.unsolved)
+        self.until(lambda: not recording.has_backlog and not recording.pipeline.session.unsolved)
 
     def key(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
         self.window.activateWindow()

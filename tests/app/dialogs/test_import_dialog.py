@@ -8,12 +8,13 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
 
-from app.dialogs import import_dialog
+from app.dialogs import form_widgets, import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
 from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, NO_RECORDING, imported_words, stream_row
@@ -135,7 +136,7 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
     bench.until(lambda: "gone.toml" in dialog.objection.text(), 5000)
     dialog.scene.setEditText(str(scene))
     bench.until(dialog.start.isEnabled, 5000)
-    for place, said in ((recorded, HOLDS_SESSION), (" ", NO_FOLDER), (tmp_path / ("n" * 300), "cannot be looked at")):
+    for place, said in ((recorded, HOLDS_SESSION), (" ", NO_FOLDER), (tmp_path / ("n" * 300), "cannot be read")):
         dialog.folder.setText(str(place))
         bench.until(lambda said=said: said in dialog.objection.text(), 5000)
         assert not dialog.start.isEnabled()
@@ -154,9 +155,9 @@ def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene,
 def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monkeypatch):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     threads = []
-    for name in ("load_scene", "guess_streams", "missing_folders"):
-        real = getattr(import_dialog, name)
-        monkeypatch.setattr(import_dialog, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
+    for module, name in ((form_widgets, "load_scene"), (import_dialog, "guess_streams"), (import_dialog, "missing_folders")):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
     dialog.folder.setText(str(tmp_path / "elsewhere"))
     dialog.scene.setEditText("flat-patch")
     dialog.take([tmp_path / "log"])
@@ -213,7 +214,7 @@ def test_an_import_that_hears_nothing_is_stopped_within_a_second(bench, scene, s
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     dialog.folder.setText(str(tmp_path / "deep" / "session"))
     monkeypatch.setattr(import_dialog, "import_job", process_support.deaf_import)
-    dialog._import()
+    dialog._start_import()
     bench.until((tmp_path / "deep" / "session" / "segment-0001.mcap").exists, OPEN_MS)
     tap(bench, Key.Key_Escape)
     bench.until(lambda: not dialog.importing, 1000)
@@ -224,9 +225,9 @@ def test_an_import_that_hears_nothing_is_stopped_within_a_second(bench, scene, s
 
 def test_a_page_that_looks_at_a_large_log_closes_within_a_second(bench, scene, samples, tmp_path, monkeypatch):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
-    monkeypatch.setattr(import_dialog, "look_job", process_support.deaf_look)
+    monkeypatch.setattr(import_dialog, "preview_job", process_support.deaf_look)
     dialog.take([tmp_path / "log"])
-    bench.until(lambda: bool(dialog._jobs._waiting) and dialog._jobs._waiting[0].pid is not None, 5000)
+    bench.until(lambda: bool(dialog._jobs.waiting) and dialog._jobs.waiting[0].pid is not None, 5000)
     assert dialog.kind.text() == LOOKING
     began = time.monotonic()
     tap(bench, Key.Key_Escape)
@@ -236,7 +237,7 @@ def test_a_page_that_looks_at_a_large_log_closes_within_a_second(bench, scene, s
 
 def test_a_process_that_is_killed_leaves_nothing_behind_and_another_takes_its_place(bench, scene, tmp_path):
     dialog, where = long_import(bench, scene, tmp_path)
-    (process,) = dialog._jobs._waiting
+    (process,) = dialog._jobs.waiting
     os.kill(process.pid, signal.SIGTERM)
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         pass
@@ -284,11 +285,8 @@ def test_it_fits_the_screen_in_every_size_of_the_text(bench, scene, samples, tmp
 def test_the_curve_is_drawn(bench, scene, samples, tmp_path):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     with_curve = pixels(dialog.curve)
-    preview = dialog._preview
-    dialog.curve.show_preview(None)
-    assert changed(with_curve, pixels(dialog.curve)) > 200
-    dialog.curve.show_preview(preview)
-    assert changed(with_curve, pixels(dialog.curve)) == 0
+    dialog.curve.show_curve(np.empty((0, 2)), "")
+    assert changed(with_curve, pixels(dialog.curve)) > 100
 
 
 def test_what_is_said_of_a_stream():

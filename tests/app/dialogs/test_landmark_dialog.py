@@ -8,7 +8,7 @@ from PySide6.QtCore import QLocale, QPoint, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 
-from app.dialogs.landmark_dialog import ASK, LandmarkDialog, LandmarkPicking, free_name, objection_to
+from app.dialogs.landmark_dialog import ASK, LandmarkDialog, LandmarkPicking, free_name, name_problem
 from app.panels.message_bar import MessageBar
 from app.session.opening import OpenRequest
 from app.text.message import Message
@@ -51,7 +51,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     assert not window.messages.isVisible()
     dialog = the_dialog(bench)
     surface = window.session_view.workspace.part.surface
-    there = dialog.place()
+    there = dialog.position()
     assert np.linalg.norm(nearest_points(surface, there[None])[0][0] - there) < 1e-5
     assert dialog.name.text() == "landmark 1"
     QTest.keyClicks(dialog.name, "screw 4")
@@ -75,7 +75,7 @@ def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench
     bench.until_all_is_there()
     before = len(bench.snapshot.decisions.landmarks)
     bench.key(Key.Key_K)
-    assert "K again" in ASK.text
+    assert "K: type" in ASK.text
     bench.key(Key.Key_K)
     dialog = the_dialog(bench)
     assert not bench.window.session_view.workspace.view.picking
@@ -136,7 +136,7 @@ def test_coordinates_are_asked_for_at_once_where_there_is_no_surface(qtbot):
     assert said == []
     (dialog,) = dialogs()
     assert dialog.name.text() == "landmark 2"
-    assert dialog.place().tolist() == [0.0, 0.0, 0.0]
+    assert dialog.position().tolist() == [0.0, 0.0, 0.0]
     for box_, typed in zip(dialog.coordinates, ("12.5", "-3", "0.25"), strict=True):
         box_.selectAll()
         QTest.keyClicks(box_, typed)
@@ -178,16 +178,16 @@ def test_the_place_is_shown_in_millimetres_and_can_be_changed(dialog):
     assert [field.text() for field in dialog.coordinates] == ["x  12.34 mm", "y  -45.60 mm", "z  0.00 mm"]
     assert all(field.locale() == QLocale.c() for field in dialog.coordinates)
     dialog.coordinates[2].setValue(1.5)
-    np.testing.assert_allclose(dialog.place(), [0.01234, -0.0456, 0.0015], atol=1e-12)
+    np.testing.assert_allclose(dialog.position(), [0.01234, -0.0456, 0.0015], atol=1e-12)
     dialog.coordinates[2].setValue(1e9)
-    assert dialog.place()[2] == pytest.approx(10.0), "no part reaches farther"
+    assert dialog.position()[2] == pytest.approx(10.0), "no part reaches farther"
 
 
 def test_the_names_that_are_proposed_and_refused():
     assert free_name(()) == "landmark 1"
     assert free_name({"landmark 1", "landmark 2", "x"}) == "landmark 3"
-    assert objection_to("a", {"b"}) == ""
-    assert objection_to("", ()) != ""
+    assert name_problem("a", {"b"}) == ""
+    assert name_problem("", ()) != ""
 
 
 def test_what_is_asked_stays_until_it_is_done(qtbot):

@@ -268,8 +268,8 @@ def test_where_it_is_not_enough_the_space_bar_and_enter_go_on_with_the_session(q
 
 
 def test_what_speaks_against_it_or_is_offered_goes_before_the_file(qtbot):
-    assert shown(qtbot, checked=Check(14, 7)).focusWidget().text() == "Go on"
-    assert shown(qtbot, rig="It can be corrected.", settled=False).focusWidget().text() == "Go on"
+    assert shown(qtbot, checked=Check(14, 7)).focusWidget().text() == "Continue poking"
+    assert shown(qtbot, rig="It can be corrected.", settled=False).focusWidget().text() == "Continue poking"
     assert shown(qtbot, rig="nothing to correct").focusWidget().text().startswith("Export")
 
 
@@ -317,7 +317,7 @@ def test_what_is_known_of_the_rig_is_said():
 
 def test_a_taxel_that_is_not_done_is_chosen_by_keys(qtbot):
     dialog = shown(qtbot, UNUSED, GIVEN_UP, NOT_POKED_ENOUGH)
-    assert "3 taxels not done" in dialog.heading.text()
+    assert "3 taxels not finished" in dialog.heading.text()
     wanted: list[int] = []
     dialog.taxel_wanted.connect(wanted.append)
     for _ in range(6):

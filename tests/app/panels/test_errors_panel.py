@@ -334,7 +334,7 @@ def test_a_simulated_rig_sends_its_truth_and_the_session_keeps_it(qtbot, tmp_pat
         "taxels": [{"channel": channel, "position_m": [0.0, 0.1, 0.2]}],
     }
     server, truths = DeviceProcess(), []
-    server.said_truth.connect(truths.append)
+    server.truth_printed.connect(truths.append)
     with qtbot.waitSignal(server.served, timeout=OPEN_MS) as served:
         server.start((sys.executable, "-c", f"print({json.dumps(announced)!r}, flush=True); input()"))
     server.stop()

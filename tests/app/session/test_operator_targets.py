@@ -14,7 +14,7 @@ import pytest
 from PySide6.QtCore import Qt
 
 from app.__main__ import main
-from app.session.controller import AT_ONCE
+from app.session.controller import MAX_UNSOLVED
 from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
@@ -46,10 +46,10 @@ def test_a_line_reaches_the_process_without_waiting(qtbot, tmp_path):
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", listen))
     for line in ("pace 2", "pace 1"):
-        server.tell(line)
+        server.send_line(line)
     server.stop()
     assert heard.read_text() == "pace 2\npace 1\n"
-    server.tell("pace 2")  # nobody is there any more: nothing happens
+    server.send_line("pace 2")  # nobody is there any more: nothing happens
 
 
 def test_a_process_that_never_reads_holds_nothing_up(qtbot):
@@ -57,9 +57,9 @@ def test_a_process_that_never_reads_holds_nothing_up(qtbot):
     with qtbot.waitSignal(server.served, timeout=OPEN_MS):
         server.start((sys.executable, "-c", f"import time; print('{LINKS}', flush=True); time.sleep(60)"))
     for _ in range(5000):
-        server.tell("x" * 100)  # eight times what a pipe holds
+        server.send_line("x" * 100)  # eight times what a pipe holds
     server.stop()
-    assert not server.running
+    assert not server.is_running
 
 
 def test_the_rig_that_opens_by_default_follows():
@@ -184,7 +184,7 @@ def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resti
         first = targets(on_the_side(bench, peer.line))
         assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
         with monkeypatch.context() as solving:
-            solving.setattr(Session, "unsolved", AT_ONCE + 1)
+            solving.setattr(Session, "unsolved", MAX_UNSOLVED + 1)
             peer.say(f"skip {first.number}")
             bench.qtbot.wait(300)
         # What it says while all taxels are being solved is done once they are.

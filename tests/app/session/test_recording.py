@@ -47,7 +47,7 @@ def test_no_number_is_skipped_after_a_recovery(recording, tmp_path):
     killed(recording.pipeline)
     pipeline = resume(tmp_path / "s")
     assert (tmp_path / "s" / "segment-0001.mcap.damaged").exists()
-    Recording(pipeline, recording.storage).go_on()
+    Recording(pipeline, recording.storage).resume()
     pipeline.close()
     assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap", "segment-0003.mcap"]
     assert len(replay(tmp_path / "s").snapshot().pokes) == 2
@@ -60,10 +60,10 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
 
     monkeypatch.setattr(writer, "JournalWriter", refuse)
     with pytest.raises(InputError, match="No space left"):
-        recording.go_on()
+        recording.resume()
     monkeypatch.setattr(writer, "JournalWriter", type(recording.pipeline.journal))
     recording.pipeline.act(Exclude(1), 1)  # still recorded
-    recording.go_on()
+    recording.resume()
     recording.pipeline.act(Exclude(2), 2)
     recording.pipeline.close()
     assert segments(tmp_path / "s") == ["segment-0001.mcap", "segment-0002.mcap"]
@@ -73,7 +73,7 @@ def test_a_disk_without_room_for_a_segment_leaves_the_session_alive(recording, t
 def test_a_journal_that_failed_is_not_followed_by_another_segment(recording, tmp_path):
     recording.pipeline.journal_failure = "the disk is full"
     with pytest.raises(InputError, match=approved_pattern("session.open_again")):
-        recording.go_on()
+        recording.resume()
     assert segments(tmp_path / "s") == ["segment-0001.mcap"]
 
 
@@ -146,19 +146,19 @@ def test_the_copy_of_a_session_that_ships_may_be_written_though_nobody_may_write
 
 def test_pokes_that_were_all_rejected_are_not_lost_without_a_question_either(bench):
     bench.open(OpenRequest(session=SAMPLE))
-    assert bench.controller.would_lose == 0
+    assert bench.controller.unsaved_pokes == 0
     session = bench.controller._recording.pipeline.session
     session.add(slip(session.last_poke + 1, Reason.NOT_STILL, 0.21, 0.3, "s"))
-    assert bench.controller.would_lose > 0
+    assert bench.controller.unsaved_pokes > 0
 
 
 def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
     before = sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*"))
     bench.open(OpenRequest(session=SAMPLE))
     assert copy_words(SAMPLE) in [message.text for message in bench.messages]
-    assert bench.controller.would_lose == 0
+    assert bench.controller.unsaved_pokes == 0
     assert bench.controller.act(Exclude(bench.accepted()[0].poke))
-    assert bench.controller.would_lose > 0
+    assert bench.controller.unsaved_pokes > 0
     folder = bench.recording.storage.folder
     bench.window.leave()
     assert load(folder).session.excluded, "nobody was asked, so the copy stays"

@@ -10,7 +10,18 @@ import pytest
 from guide_support import guidance, target
 from window_support import NAMES, frame, link, reading, session, slip, touch
 
-from app.sound.cues import ALARM_S, EDGE_S, LEVEL, LONGEST_S, RATE, Cue, CueMemory, DueCue, due_cue, samples_of
+from app.sound.cues import (
+    ALARM_PERIOD_S,
+    FADE_S,
+    MAX_LENGTH_S,
+    PEAK_LEVEL,
+    SAMPLE_RATE,
+    Cue,
+    CueMemory,
+    DueCue,
+    due_cue,
+    samples_of,
+)
 from app.state.running import Running
 from app.text.now_text import NowMemory, now_line
 from skincal.contacts.outcome import PressPhase, Reason
@@ -38,17 +49,46 @@ def cues_of(*frames, memory=None):
     return sounds
 
 
-def test_a_poke_is_heard_from_its_touch_to_its_verdict():
-    one = (touch(1),)
-    phases = (READY, PRESSING, PRESSING, STILL, HELD, HELD)
-    assert cues_of(*map(at, phases), at(READY, one), at(READY, one)) == [
-        None, Cue.CONTACT, None, None, Cue.HELD, None, Cue.ACCEPTED, None,
-    ]  # fmt: skip
+ONE, AGAIN = (touch(1),), (touch(1),)
+EVERY = tuple(range(24))
+NONE_DONE, ONE_DONE = guidance(target(5)), guidance(target(5), done=(3,))
+NEARLY, ENOUGH = guidance(target(5), done=EVERY[:-1]), guidance(done=EVERY)
+SURFACE = guidance(target(5), done=(3, 4), method=Method.SURFACE)
 
 
-def test_enough_is_heard_once_a_press_and_again_in_the_next():
-    assert cues_of(*map(at, (HELD, STILL, HELD))) == [Cue.HELD, None, None]
-    assert cues_of(*map(at, (HELD, READY, PRESSING, HELD))) == [Cue.HELD, None, Cue.CONTACT, Cue.HELD]
+@pytest.mark.parametrize(
+    ("frames", "heard"),
+    [
+        (
+            [*map(at, (READY, PRESSING, PRESSING, STILL, HELD, HELD)), at(pokes=ONE), at(pokes=ONE)],
+            [None, Cue.CONTACT, None, None, Cue.HELD, None, Cue.ACCEPTED, None],
+        ),
+        (map(at, (HELD, STILL, HELD)), [Cue.HELD, None, None]),
+        (map(at, (HELD, READY, PRESSING, HELD)), [Cue.HELD, None, Cue.CONTACT, Cue.HELD]),
+        # The final form of an outcome is not heard again, another outcome is.
+        (
+            [at(), at(pokes=ONE), at(pokes=AGAIN), at(pokes=(slip(1, Reason.TARE_CHANGED),))],
+            [None, Cue.ACCEPTED, None, Cue.REJECTED],
+        ),
+        # A finished taxel rings instead of the accepted poke, also if the tare after the poke finishes it.
+        ([at(guided=NONE_DONE), at(pokes=ONE, guided=ONE_DONE)], [None, Cue.DONE]),
+        (
+            [at(guided=NONE_DONE), at(pokes=ONE, guided=NONE_DONE), at(pokes=AGAIN, guided=ONE_DONE)],
+            [None, Cue.ACCEPTED, Cue.DONE],
+        ),
+        # Only a poke rings: not the guide, a change of the method, a later calculation or undo.
+        ([at(pokes=ONE), at(pokes=ONE, guided=ONE_DONE)], [Cue.ACCEPTED, None]),
+        ([at(pokes=ONE, guided=NONE_DONE), at(pokes=ONE, guided=SURFACE)], [Cue.ACCEPTED, None]),
+        ([at(pokes=ONE, guided=NONE_DONE), at(pokes=ONE, guided=ONE_DONE)], [Cue.ACCEPTED, None]),
+        ([at(pokes=(*ONE, slip(2)), guided=NONE_DONE), at(pokes=ONE, guided=ONE_DONE)], [Cue.REJECTED, None]),
+        # The end of the session is a chord, once, if it comes while the guide serves the same method.
+        ([at(guided=NEARLY), at(pokes=ONE, guided=ENOUGH), at(pokes=ONE, guided=ENOUGH)], [None, Cue.ENOUGH, None]),
+        ([at(), at(guided=ENOUGH)], [None, None]),
+        ([at(guided=NEARLY), at(guided=guidance(done=EVERY, method=Method.SURFACE))], [None, None]),
+    ],
+)
+def test_what_is_heard_in_each_frame(frames, heard):
+    assert cues_of(*frames) == heard
 
 
 def test_a_rejection_comes_with_its_word():
@@ -57,54 +97,21 @@ def test_a_rejection_comes_with_its_word():
     assert due == DueCue(Cue.REJECTED, "too soft")
 
 
-def test_the_final_form_of_a_verdict_is_not_heard_again_but_another_is():
-    first = touch(1)
-    again, but = touch(1), slip(1, Reason.TARE_CHANGED)
-    assert cues_of(at(), at(pokes=(first,)), at(pokes=(again,)), at(pokes=(but,))) == [
-        None, Cue.ACCEPTED, None, Cue.REJECTED,
-    ]  # fmt: skip
-
-
-def test_pokes_that_were_there_before_or_are_taken_back_are_not_heard():
+def test_earlier_and_undone_pokes_are_not_heard():
     three = (touch(1), touch(2), slip(3))
     memory = CueMemory.of(session(pokes=three))
     assert cues_of(at(pokes=three), at(pokes=three[:2]), at(pokes=three[:1]), at(), memory=memory) == [None] * 4
     assert cues_of(at(pokes=three), at(pokes=(*three, touch(4))), memory=memory) == [None, Cue.ACCEPTED]
 
 
-def test_a_taxel_that_is_done_rings_in_place_of_accepted():
-    before, after = guidance(target(5)), guidance(target(5), done=(3,))
-    one, final = (touch(1),), (touch(1),)
-    assert cues_of(at(guided=before), at(pokes=one, guided=after)) == [None, Cue.DONE]
-    # With the tare after the poke, too.
-    assert cues_of(at(guided=before), at(pokes=one, guided=before), at(pokes=final, guided=after)) == [
-        None, Cue.ACCEPTED, Cue.DONE,
-    ]  # fmt: skip
-
-
-def test_only_a_poke_rings():
-    one, two = (touch(1),), (touch(1), slip(2))
-    before, after = guidance(target(5)), guidance(target(5), done=(3,))
-    surface = guidance(target(5), done=(3, 4), method=Method.SURFACE)
-    assert cues_of(at(pokes=one, guided=None), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
-    assert cues_of(at(pokes=one, guided=before), at(pokes=one, guided=surface)) == [Cue.ACCEPTED, None]
-    assert cues_of(at(pokes=one, guided=before), at(pokes=one, guided=after)) == [Cue.ACCEPTED, None]
-    assert cues_of(at(pokes=two, guided=before), at(pokes=one, guided=after)) == [Cue.REJECTED, None]
-
-
-def test_enough_for_the_session_is_a_chord_and_only_when_it_comes_about():
-    every = tuple(range(24))
-    nearly, enough = guidance(target(5), done=every[:-1]), guidance(done=every)
-    one = (touch(1),)
-    assert cues_of(at(guided=nearly), at(pokes=one, guided=enough), at(pokes=one, guided=enough)) == [None, Cue.ENOUGH, None]
-    assert cues_of(at(guided=None), at(guided=enough)) == [None, None]
-    assert cues_of(at(guided=nearly), at(guided=guidance(done=every, method=Method.SURFACE))) == [None, None]
-
-
 def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
-    times = np.arange(100.0, 100.0 + 2.5 * ALARM_S, 0.5)
+    times = np.arange(100.0, 100.0 + 2.5 * ALARM_PERIOD_S, 0.5)
     sounds = cues_of(*(at(now_s=t, lost=("skin",)) for t in times))
-    assert [t - 100.0 for t, sound in zip(times, sounds, strict=True) if sound is Cue.LOST] == [0.0, ALARM_S, 2 * ALARM_S]
+    assert [t - 100.0 for t, sound in zip(times, sounds, strict=True) if sound is Cue.LOST] == [
+        0.0,
+        ALARM_PERIOD_S,
+        2 * ALARM_PERIOD_S,
+    ]
     assert cues_of(at(now_s=1, lost=("skin",)), at(now_s=2, lost=("skin", "wrench"))) == [Cue.LOST, Cue.LOST]
     assert cues_of(at(lost=("skin",)), at(PRESSING, (touch(1),), lost=("skin",)), at(READY, (touch(1),))) == [
         Cue.LOST,
@@ -167,15 +174,15 @@ def rhythm(sound: Cue) -> list[tuple[float, float]]:
     """Begin and length of each beat of a sound, s, by how loud it is."""
     loud = np.convolve(np.abs(wave(sound)), np.ones(96) / 96.0, "same") > 0.02
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
-    return [(a / RATE, (b - a) / RATE) for a, b in edges.reshape(-1, 2)]
+    return [(a / SAMPLE_RATE, (b - a) / SAMPLE_RATE) for a, b in edges.reshape(-1, 2)]
 
 
 @pytest.mark.parametrize("sound", Cue)
 def test_a_sound_is_short_never_too_loud_and_begins_and_ends_softly(sound):
     heard_ = wave(sound)
-    assert 0.01 < len(heard_) / RATE <= LONGEST_S
-    assert np.abs(heard_).max() == pytest.approx(LEVEL, abs=1e-3)
-    edge = round(0.1 * EDGE_S * RATE)
+    assert 0.01 < len(heard_) / SAMPLE_RATE <= MAX_LENGTH_S
+    assert np.abs(heard_).max() == pytest.approx(PEAK_LEVEL, abs=1e-3)
+    edge = round(0.1 * FADE_S * SAMPLE_RATE)
     assert np.abs(heard_[:edge]).max() < 0.03
     assert np.abs(heard_[-edge:]).max() < 0.03
     assert abs(heard_.mean()) < 0.01
@@ -195,8 +202,8 @@ def test_any_two_sounds_differ_in_rhythm(one, other):
 
 def test_a_rejection_sounds_low_and_an_acceptance_rises():
     def pitch(part: np.ndarray) -> float:
-        return float(np.argmax(np.abs(np.fft.rfft(part, RATE))))
+        return float(np.argmax(np.abs(np.fft.rfft(part, SAMPLE_RATE))))
 
     low, rising = wave(Cue.REJECTED), wave(Cue.ACCEPTED)
     assert pitch(low) < 250
-    assert pitch(rising[: round(0.03 * RATE)]) + 200 < pitch(rising[round(0.045 * RATE) :])
+    assert pitch(rising[: round(0.03 * SAMPLE_RATE)]) + 200 < pitch(rising[round(0.045 * SAMPLE_RATE) :])

@@ -76,8 +76,8 @@ def test_enter_takes_back_down_to_a_line_or_brings_again(qtbot):
         dialog.show()
     assert [dialog.list.topLevelItem(row).text(1) for row in range(3)] == ["poke 3 (undone)", "mark of channel 7", "poke 1"]
     back, again = [], []
-    dialog.taken_back.connect(back.append)
-    dialog.brought_again.connect(again.append)
+    dialog.undo_wanted.connect(back.append)
+    dialog.redo_wanted.connect(again.append)
     dialog.activateWindow()
     qtbot.waitUntil(dialog.isActiveWindow)
     for key in (Qt.Key.Key_Return, Qt.Key.Key_Down, Qt.Key.Key_Down, Qt.Key.Key_Return):

@@ -9,19 +9,19 @@ import time
 from skincal.model.errors import InputError
 
 
-def own_pid(_wanted):
+def own_pid(_progress):
     return os.getpid()
 
 
-def double(number, _wanted):
+def double(number, _progress):
     return 2 * number
 
 
-def refuse(sentence, _wanted):
+def refuse(sentence, _progress):
     raise InputError(sentence)
 
 
-def end_once(path, _wanted):
+def end_once(path, _progress):
     """End the process the first time, as where somebody kills it."""
     if not path.exists():
         path.touch()
@@ -30,23 +30,23 @@ def end_once(path, _wanted):
     return "the second time"
 
 
-def end(_wanted):
+def end(_progress):
     os._exit(3)
 
 
-def until_unwanted(path, wanted):
+def until_unwanted(path, progress):
     path.touch()
-    while wanted():
+    while progress.is_wanted():
         time.sleep(0.001)
     return "unwanted"
 
 
-def deaf_look(_files, _wanted):
+def deaf_look(_files, _progress):
     """Look for ever, and ask nobody whether that is wanted."""
     time.sleep(60)
 
 
-def deaf_import(request, _wanted):
+def deaf_import(request, _progress):
     """Begin a session, and hear nothing from then on."""
     request.folder.mkdir(parents=True)
     (request.folder / "segment-0001.mcap").touch()

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.workers.processes import SKIN, ProcessService, ReviewClient
+from app.workers.processes import SKIN_POKES_PER_REVIEW, ReviewClient, WorkerProcess
 from app.workers.threads import ThreadService
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.mesh.load import load_surface
@@ -54,7 +54,7 @@ def session(part):
 
 @pytest.fixture
 def processes():
-    made = ProcessService()
+    made = WorkerProcess()
     yield made
     made.close()
 
@@ -85,7 +85,7 @@ def tell(session, client, *numbers):
     """Say that pokes were at the landmarks in turn, and show that to the client."""
     for number in numbers:
         session.act(AtLandmark(number, session.decisions.landmarks[number - 1].name))
-        client.follow(session.snapshot())
+        client.follow_session(session.snapshot())
 
 
 def is_running(pid: int | None) -> bool:
@@ -97,11 +97,11 @@ def is_running(pid: int | None) -> bool:
 
 
 def test_no_process_is_started_before_the_first_poke_at_a_landmark(qtbot, session, client, processes):
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     qtbot.wait(50)
     assert processes.pid is None
     client.stop()
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     tell(session, client, 1)
     qtbot.wait(50)
     assert processes.pid is None, "what was stopped stays so"
@@ -211,21 +211,21 @@ def asked(monkeypatch):
 
 def test_only_what_is_reviewed_is_asked_about(session, client, asked):
     tell(session, client, 1)
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     session.act(SetPose("2"))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     assert len(asked) == 1, "where the arm stands tells nothing"
     tell(session, client, 2)
     session.act(AddLandmark("screw", 0.01, 0.02, 0.03))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     session.act(MarkDead(session.channels[0]))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     # A landmark poke that is reported again.
     session.add(replace(session.outcome(1), end_s=9.0))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     assert [len(request.rig.landmarks) for request in asked] == [1, 2, 2, 2, 2]
     session.act(correct_action(RIG, Correction(1.01 * np.eye(6)), 0.01, 0.001, 6))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     assert [RIG in request.used for request in asked] == [False] * 5 + [True]
 
 
@@ -240,33 +240,33 @@ def on_skin(session, number: int) -> Contact:
 
 def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
     tell(session, client, 1)
-    for number in range(11, 11 + SKIN):
+    for number in range(11, 11 + SKIN_POKES_PER_REVIEW):
         assert len(asked) == 1, number
         session.add(on_skin(session, number))
-        client.follow(session.snapshot())
-    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN))
+        client.follow_session(session.snapshot())
+    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN_POKES_PER_REVIEW))
     session.add(replace(on_skin(session, 11), final=True))
-    client.follow(session.snapshot())
+    client.follow_session(session.snapshot())
     assert len(asked) == 2, "with the tare after it, it tells nearly the same"
     session.act(Exclude(12))
-    client.follow(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN - 1)
+    client.follow_session(session.snapshot())
+    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN_POKES_PER_REVIEW - 1)
     session.act(Undo())
-    client.follow(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN)
+    client.follow_session(session.snapshot())
+    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN_POKES_PER_REVIEW)
 
 
 def test_one_review_at_a_time_and_the_newest_next(session, client, processes, heard, monkeypatch):
     waiting, tickets = [], []
     monkeypatch.setattr(ThreadService, "submit", lambda _service, work, done, _failed: waiting.append((work.args, done)))
-    ticket = processes.ticket
-    monkeypatch.setattr(processes, "ticket", lambda: tickets.append(ticket()) or tickets[-1])
+    next_id = processes.next_id
+    monkeypatch.setattr(processes, "next_id", lambda: tickets.append(next_id()) or tickets[-1])
     tell(session, client, 1, 2, 3)
     ((arguments, done),) = waiting
-    assert arguments[1] < tickets[-1], "the work gives way"
+    assert arguments[0] < tickets[-1], "the work gives way"
     done(None)
     (_, (newest, finish)) = waiting
-    assert newest[1] == tickets[-1]
+    assert newest[0] == tickets[-1]
     assert [poke.poke for poke in newest[-1].rig.landmarks] == [1, 2, 3]
     finish(None)
     assert len(waiting) == 2

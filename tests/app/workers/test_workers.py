@@ -14,7 +14,7 @@ import pytest
 from PySide6.QtCore import QEvent, QObject
 from PySide6.QtWidgets import QApplication
 
-from app.workers.processes import ProcessLostError, ProcessService
+from app.workers.processes import ProcessLostError, WorkerProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
@@ -146,7 +146,7 @@ def test_nothing_is_called_once_the_owner_is_gone(qtbot):
 
 @pytest.fixture
 def processes():
-    made = ProcessService()
+    made = WorkerProcess()
     yield made
     made.close()
 
@@ -161,39 +161,39 @@ def is_running(pid: int) -> bool:
 
 def test_a_process_is_there_from_the_first_question_to_the_end(processes):
     assert processes.pid is None
-    assert processes.ask(processes.ticket(), double, 21) == 42
+    assert processes.ask(processes.next_id(), double, 21) == 42
     pid = processes.pid
-    assert processes.ask(processes.ticket(), own_pid) == pid != os.getpid()
+    assert processes.ask(processes.next_id(), own_pid) == pid != os.getpid()
     with pytest.raises(InputError, match="too far"):
-        processes.ask(processes.ticket(), refuse, "too far")
-    assert processes.ask(processes.ticket(), own_pid) == pid, "it lives on"
+        processes.ask(processes.next_id(), refuse, "too far")
+    assert processes.ask(processes.next_id(), own_pid) == pid, "it lives on"
     processes.close()
     assert not is_running(pid)
     with pytest.raises(ProcessLostError):
-        processes.ask(processes.ticket(), double, 1)
+        processes.ask(processes.next_id(), double, 1)
     processes.close()
 
 
 def test_a_process_that_was_killed_is_replaced_and_asked_again_once(processes, tmp_path):
-    first = processes.ask(processes.ticket(), own_pid)
+    first = processes.ask(processes.next_id(), own_pid)
     os.kill(first, signal.SIGKILL)
-    second = processes.ask(processes.ticket(), own_pid)
+    second = processes.ask(processes.next_id(), own_pid)
     assert second != first
-    assert processes.ask(processes.ticket(), end_once, tmp_path / "ended") == "the second time"
+    assert processes.ask(processes.next_id(), end_once, tmp_path / "ended") == "the second time"
     with pytest.raises(ProcessLostError, match=approved_pattern("workers.gone", code=3)):
-        processes.ask(processes.ticket(), end)
-    assert processes.ask(processes.ticket(), double, 4) == 8
+        processes.ask(processes.next_id(), end)
+    assert processes.ask(processes.next_id(), double, 4) == 8
 
 
 def test_work_hears_that_something_newer_is_asked(processes, tmp_path):
     heard = []
-    ticket = processes.ticket()
+    ticket = processes.next_id()
     asking = threading.Thread(target=lambda: heard.append(processes.ask(ticket, until_unwanted, tmp_path / "begun")))
     asking.start()
     while not (tmp_path / "begun").exists():
         time.sleep(0.01)
     assert heard == []
-    processes.ticket()
+    processes.next_id()
     asking.join(5)
     assert heard == ["unwanted"]
 
@@ -205,7 +205,7 @@ def test_closing_ends_the_process_at_once_whatever_it_does(processes, tmp_path, 
 
     def ask():
         with pytest.raises(ProcessLostError) as lost:
-            processes.ask(processes.ticket(), until_unwanted, b"x" * size if size > 1 else tmp_path / "begun")
+            processes.ask(processes.next_id(), until_unwanted, b"x" * size if size > 1 else tmp_path / "begun")
         heard.append(lost.value)
 
     asking = threading.Thread(target=ask)
@@ -223,16 +223,16 @@ def test_closing_ends_the_process_at_once_whatever_it_does(processes, tmp_path, 
 def test_a_process_that_cannot_be_started_is_said(processes, monkeypatch):
     monkeypatch.setattr(multiprocessing.spawn, "_python_exe", os.fsencode("/there-is-no-such-program"))
     with pytest.raises(ProcessLostError):
-        processes.ask(processes.ticket(), own_pid)
+        processes.ask(processes.next_id(), own_pid)
 
 
 ORPHAN = """
 import os, signal
-from app.workers.processes import ProcessService
+from app.workers.processes import WorkerProcess
 from tests.app.workers.process_support import own_pid
 if __name__ == "__main__":
-    processes = ProcessService()
-    print(processes.ask(processes.ticket(), own_pid), flush=True)
+    processes = WorkerProcess()
+    print(processes.ask(processes.next_id(), own_pid), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -268,5 +268,5 @@ def test_a_process_runs_nothing_of_the_working_folder(processes, tmp_path, monke
         (tmp_path / name).write_text("open('ran', 'w').close()\nraise SystemExit(99)\n", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
-    assert processes.ask(processes.ticket(), double, 3) == 6
+    assert processes.ask(processes.next_id(), double, 3) == 6
     assert not (tmp_path / "ran").exists()

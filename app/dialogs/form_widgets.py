@@ -1,0 +1,116 @@
+"""Widgets that several dialogs share: the choice of a scene, a field with a button to choose a path, and a small curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import QPointF, Qt, Signal
+from PySide6.QtGui import QColor, QPainter, QPen, QPolygonF
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QScrollArea, QWidget
+
+from app.panels.widgets import Painted
+from app.theme import Colours
+from app.workers.threads import ThreadService
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.scene import load_scene, resource
+
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
+
+
+def shipped_scenes() -> list[tuple[str, Path]]:
+    """List name and file of the shipped scenes."""
+    try:
+        folder = resource("scenes")
+    except InputError:
+        return []
+    return [(path.parent.name, path) for path in sorted(folder.glob("*/scene.toml"))]
+
+
+class ScenePicker(QComboBox):
+    """Editable list of the shipped scenes. Each choice is read in the background."""
+
+    scene_read = Signal(object, str)
+    """`Scene`, or `None` and the reason."""
+
+    def __init__(self, scene: Path | None) -> None:
+        super().__init__()
+        self.setEditable(True)
+        self.setAccessibleName("scene")
+        for name, path in shipped_scenes():
+            self.addItem(name, str(path))
+        if scene is not None:
+            index = self.findData(str(scene))
+            self.setCurrentIndex(index) if index >= 0 else self.setEditText(str(scene))
+        self._threads = ThreadService("scenes", self)
+        self.currentTextChanged.connect(self.read)
+
+    def file(self) -> Path:
+        """Give the path of the chosen scene."""
+        # Not the current index, which does not follow typed text.
+        index = self.findText(self.currentText())
+        return Path(self.itemData(index) if index >= 0 else self.currentText())
+
+    def read(self) -> None:
+        """Read the chosen scene; `scene_read` follows."""
+        path = self.file()
+        self._threads.renew()
+        self._threads.submit(
+            lambda: load_scene(path),
+            lambda scene: self.scene_read.emit(scene, ""),
+            lambda why: self.scene_read.emit(None, why),
+        )
+
+    def close_threads(self) -> None:
+        self._threads.close(0.0)
+
+
+def path_row(title: str, field: QWidget, choose: Callable[[], object]) -> tuple[QLabel, QHBoxLayout]:
+    """Make the label of a field, and a row of the field with a button that calls `choose`."""
+    label, button = QLabel(title), QPushButton(f"Choose{ELLIPSIS}")
+    label.setBuddy(field)
+    name = title.replace("&", "")
+    field.setAccessibleName(name)
+    button.setAccessibleName(f"choose: {name}")
+    button.clicked.connect(lambda: choose())
+    row = QHBoxLayout()
+    row.addWidget(field, 1)
+    row.addWidget(button)
+    return label, row
+
+
+def scrolled(inner: QWidget) -> QScrollArea:
+    """Put a form into an area that scrolls if the screen is too low. It follows the focus of the fields."""
+    area = QScrollArea()
+    area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+    area.setWidgetResizable(True)
+    area.setWidget(inner)
+    return area
+
+
+class Sparkline(Painted):
+    """Small curve without axes."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self._points = np.empty((0, 2))
+        self.setAccessibleName(name)
+
+    def show_curve(self, points: FloatArray, words: str) -> None:
+        """Draw (n, 2) points, from 0 to 1 on both axes; `words` describe the curve to screen readers."""
+        if not np.array_equal(points, self._points):
+            self._points = points
+            self.update()
+        self.setAccessibleDescription(words)
+
+    def paint(self, painter: QPainter, colours: Colours) -> None:
+        if len(self._points) < 2:
+            return
+        width, height = self.width() - 4.0, self.height() - 4.0
+        painter.setPen(QPen(QColor(colours.line), 1.0))
+        painter.drawLine(QPointF(2.0, height + 2.0), QPointF(width + 2.0, height + 2.0))
+        painter.setPen(QPen(QColor(colours.accent), 1.5))
+        painter.drawPolyline(QPolygonF([QPointF(2.0 + x * width, 2.0 + (1.0 - y) * height) for x, y in self._points.tolist()]))
