@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import PART, GuidedBench, after, make_guide
+from guided_bench import PART, GuidedBench, after, make_guide
 
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import MAX_SKIPS_PER_SIDE

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import PART, STEADY, GuidedBench, make_guide, tilted
+from guided_bench import PART, STEADY, GuidedBench, make_guide, tilted
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide.believed_positions import PlannedPlaces

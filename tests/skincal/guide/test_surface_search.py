@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guide_support import PART
+from guided_bench import PART
 
 from skincal.contacts.outcome import Reason, Rejection
 from skincal.guide.believed_positions import DEFAULT_SPACING_M, plan_without_positions
