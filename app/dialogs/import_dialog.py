@@ -41,11 +41,11 @@ from app.panels.widgets import (
 from app.text.import_text import (
     HEADINGS,
     HOLDS_SESSION,
-    IMPORTING,
-    LOOKING,
+    IMPORTING_TEXT,
     NO_FOLDER,
     NO_RECORDING,
-    STOPPING,
+    READING_TEXT,
+    STOPPING_TEXT,
     curve_words,
     kind_words,
     stream_row,
@@ -71,8 +71,8 @@ PROGRESS_MS = 100
 STOP_PATIENCE_MS = 500
 """A stopped import ends within this time, or is killed: while it reads a large log, it does not react."""
 FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in IMPORTERS for suffix in each.suffixes)});;All files (*)"
-TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
-HINTS = {
+STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
+STREAM_HINTS = {
     Stream.WRENCH: "a folder with data.log, or a table",
     Stream.SKIN: "a folder with data.log, or a table",
     Stream.JOINTS: "optional",
@@ -122,7 +122,7 @@ class ImportDialog(QDialog):
         """Finished share of the import; written in another thread."""
         self.importing = False
         self.take_folder, self.take_files = QPushButton(f"F&older{ELLIPSIS}"), QPushButton(f"Fi&les{ELLIPSIS}")
-        self.fields = {stream: QLineEdit() for stream in TITLES}
+        self.fields = {stream: QLineEdit() for stream in STREAM_TITLES}
         self.form = QWidget()
         self.scene, self.pose, self.folder = ScenePicker(scene), QComboBox(), QLineEdit(str(folder))
         self.kind = secondary_label(wrap=True)
@@ -152,8 +152,8 @@ class ImportDialog(QDialog):
         row.addStretch(1)
         form.addRow("Recording", row)
         for stream, field in self.fields.items():
-            field.setPlaceholderText(HINTS[stream])
-            form.addRow(*path_row(TITLES[stream], field, lambda field=field: self._choose_file(field)))
+            field.setPlaceholderText(STREAM_HINTS[stream])
+            form.addRow(*path_row(STREAM_TITLES[stream], field, lambda field=field: self._choose_file(field)))
         form.addRow(*path_row("&Scene", self.scene, lambda: choose_scene(self.scene, self)))
         self.pose.setAccessibleName("arm pose")
         form.addRow("Arm &pose", self.pose)
@@ -217,7 +217,7 @@ class ImportDialog(QDialog):
         """Assign files, or those of a folder, to the streams by their content."""
         if self.importing:
             return
-        self.kind.setText(LOOKING)
+        self.kind.setText(READING_TEXT)
         self._finds.renew()
         self._finds.submit(lambda: _find_streams(paths), self._show_files, lambda why: self._take_preview(None, why))
 
@@ -291,7 +291,7 @@ class ImportDialog(QDialog):
         except InputError as error:
             self._take_preview(None, str(error) if any(field.text().strip() for field in self.fields.values()) else "")
             return
-        self.kind.setText(LOOKING)
+        self.kind.setText(READING_TEXT)
         self._jobs.submit(preview_job, (files,), self._take_preview, lambda sentence: self._take_preview(None, sentence))
 
     def _take_preview(self, preview: RecordingPreview | None, trouble: str = "") -> None:
@@ -357,7 +357,7 @@ class ImportDialog(QDialog):
         self.start.setEnabled(not importing)
         self.progress.setVisible(importing)
         self.progress.setValue(0)
-        self.progress.setFormat(f"{IMPORTING} %p %")
+        self.progress.setFormat(f"{IMPORTING_TEXT} %p %")
         self.stop.setText("Stop" if importing else "Cancel")
         self.stop.setEnabled(True)
         self._patience.stop()
@@ -383,7 +383,7 @@ class ImportDialog(QDialog):
         """Close; during an import stop it and delete its files instead."""
         if self.importing:
             self.stop.setEnabled(False)
-            self.progress.setFormat(STOPPING)
+            self.progress.setFormat(STOPPING_TEXT)
             self._jobs.interrupt()
             self._patience.start()
             return

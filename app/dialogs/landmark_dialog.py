@@ -27,10 +27,10 @@ from skincal.model.actions import Action, AddLandmark
 from skincal.model.tables import LENGTH_MAX
 from skincal.words.units import UNITS, in_metres, in_millimetres
 
-DECIMALS = 2
-PICKED = "The point that you clicked, in the frame {link}. A drawing may be more accurate."
-TYPED = "From a drawing, in the frame {link}."
-ASK = Message("Click the point on the part. K: type its position. Esc: cancel.", asks=True)
+MM_DECIMALS = 2
+PICKED_NOTE = "The point that you clicked, in the frame {link}. A drawing may be more accurate."
+TYPED_NOTE = "From a drawing, in the frame {link}."
+CLICK_REQUEST = Message("Click the point on the part. K: type its position. Esc: cancel.", asks=True)
 
 
 class LandmarkDialog(QDialog):
@@ -73,7 +73,7 @@ class LandmarkDialog(QDialog):
         form = QFormLayout()
         form.addRow("&Name", self.name)
         form.addRow(label, row)
-        form.addRow("", secondary_label((TYPED if position is None else PICKED).format(link=link), wrap=True))
+        form.addRow("", secondary_label((TYPED_NOTE if position is None else PICKED_NOTE).format(link=link), wrap=True))
         column = QVBoxLayout(self)
         column.addLayout(form)
         column.addWidget(self.objection)
@@ -116,7 +116,7 @@ def _millimetre_field(axis: str) -> QDoubleSpinBox:
     box.setLocale(QLocale.c())
     limit = float(in_millimetres(LENGTH_MAX))
     box.setRange(-limit, limit)
-    box.setDecimals(DECIMALS)
+    box.setDecimals(MM_DECIMALS)
     box.setPrefix(f"{axis}  ")
     box.setSuffix(f" {UNITS['m'].text}")
     box.setAccessibleName(f"{axis} in {UNITS['m'].text}")
@@ -152,15 +152,15 @@ class LandmarkPicking(QObject):
             self._open_dialog(None)
             return
         self._view.set_picking(True)
-        self.said.emit(ASK)
+        self.said.emit(CLICK_REQUEST)
 
     def stop(self) -> None:
         """Stop waiting for a click."""
         self._view.set_picking(False)
-        self.unsaid.emit(ASK)
+        self.unsaid.emit(CLICK_REQUEST)
 
     def _take_click(self, position: FloatArray) -> None:
-        self.unsaid.emit(ASK)
+        self.unsaid.emit(CLICK_REQUEST)
         self._open_dialog(position)
 
     def _open_dialog(self, position: FloatArray | None) -> None:

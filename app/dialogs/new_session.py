@@ -57,7 +57,7 @@ RECORDING_PAUSED = (
 )
 NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"
-LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
+STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
 SWAP_KEY = "F6"
 UPDATE_MS = 100
 CURVE_SIZE_PX = 120, 26
@@ -79,7 +79,7 @@ class StreamRow(QWidget):
     def __init__(self, stream: Stream) -> None:
         super().__init__()
         name = STREAM_NAMES[stream]
-        self.label = QLabel(LABELS[stream])
+        self.label = QLabel(STREAM_LABELS[stream])
         self.box = compact_combo(f"address of the {name}")
         self.box.setEditable(True)
         self.box.setInsertPolicy(QComboBox.InsertPolicy.NoInsert)

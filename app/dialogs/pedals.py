@@ -26,7 +26,7 @@ from PySide6.QtWidgets import (
 from app.panels.widgets import plain_buttons, secondary_label, set_bold
 
 Key = Qt.Key
-PORTABLE = QKeySequence.SequenceFormat.PortableText
+PORTABLE_FORMAT = QKeySequence.SequenceFormat.PortableText
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ def key_name(event: QKeyEvent) -> str:
     key = Key(event.key())
     if key is Key.Key_unknown or event.key() == 0:
         return ""
-    return QKeySequence(QKeyCombination(event.modifiers() & ~IGNORED_MODIFIER, key)).toString(PORTABLE)
+    return QKeySequence(QKeyCombination(event.modifiers() & ~IGNORED_MODIFIER, key)).toString(PORTABLE_FORMAT)
 
 
 def key_problem(name: str, taken: Mapping[str, str]) -> str:
@@ -218,7 +218,7 @@ class PedalsDialog(QDialog):
         self.fields["space"].setFocus()
 
     def _set_key(self, pedal: Pedal) -> None:
-        key = self.fields[pedal.name].keySequence().toString(PORTABLE)
+        key = self.fields[pedal.name].keySequence().toString(PORTABLE_FORMAT)
         if not key or key == self._pedals.keys.get(pedal.name):
             return
         refusal = self._pedals.set_key(pedal.name, key)

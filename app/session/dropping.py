@@ -10,7 +10,7 @@ from app.session.opening import MESHES, OpenRequest, server_command
 from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
-EXPECTED = "Drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
+DROP_ADVICE = "Drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
             return _request_of(paths[0])
     except OSError as error:
         raise InputError(f"{paths[0]}: cannot be read ({error.strerror}). Check its permissions.") from None
-    raise InputError(f"{len(paths)} files of this computer were dropped; expected one. {EXPECTED}")
+    raise InputError(f"{len(paths)} files of this computer were dropped; expected one. {DROP_ADVICE}")
 
 
 def _request_of(path: Path) -> OpenRequest | DroppedRecording:
@@ -47,11 +47,11 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
     if is_recording(path):
         return DroppedRecording((path,))
     if path.is_dir():
-        raise InputError(f"{path}: is not the folder of a session. {EXPECTED}")
+        raise InputError(f"{path}: is not the folder of a session. {DROP_ADVICE}")
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file. {EXPECTED}")
+        raise InputError(f"{path}: there is no such file. {DROP_ADVICE}")
     if kind == ".toml":
         return OpenRequest(scene=path, server=server_command(path))
     if kind in MESHES:
         return OpenRequest(mesh=path)
-    raise InputError(f"{path}: cannot be opened. {EXPECTED}")
+    raise InputError(f"{path}: cannot be opened. {DROP_ADVICE}")

@@ -10,7 +10,7 @@ from skincal.session.undo import ActionEntry, HistoryEntry, describe_entry
 
 MAX_LINES = 500
 """The list has the newest lines."""
-EARLIER = "earlier"
+EARLIER_TIME = "earlier"
 """Time of an entry that has no known time."""
 
 
@@ -38,7 +38,7 @@ def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
         if isinstance(entry, ActionEntry):
             return _time_words(entry.at_s, now_s)
         clock = next((clock for before, clock in reversed(snapshot.clocks) if entry > before), None)
-        return EARLIER if clock is None or entry not in ends else _time_words(clock.at(ends[entry]), now_s)
+        return EARLIER_TIME if clock is None or entry not in ends else _time_words(clock.at(ends[entry]), now_s)
 
     # The entry that redo restores last comes first.
     lines = [
@@ -54,6 +54,6 @@ def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
 def _time_words(at_s: float, now_s: float) -> str:
     # The clock of an imported recording may be in the future.
     if not at_s <= now_s + 1.0:
-        return EARLIER
+        return EARLIER_TIME
     at, now = time.localtime(at_s), time.localtime(now_s)
     return time.strftime("%H:%M:%S" if at[:3] == now[:3] else "%Y-%m-%d %H:%M", at)

@@ -13,9 +13,9 @@ from skincal.words.units import DASH, count, number, rate
 NAMES = {Stream.WRENCH: "Force/torque sensor", Stream.SKIN: "Skin", Stream.JOINTS: "Joints"}
 UNITS_OF = {Stream.WRENCH: "N, N m", Stream.SKIN: "raw", Stream.JOINTS: "\N{DEGREE SIGN}"}
 HEADINGS = ("Stream", "Rows", "Rate", "Lasts, s", "Values", "First row")
-LOOKING = "Looking at the recording \N{HORIZONTAL ELLIPSIS}"
-IMPORTING = "Importing \N{HORIZONTAL ELLIPSIS}"
-STOPPING = "Stopping \N{HORIZONTAL ELLIPSIS}"
+READING_TEXT = "Looking at the recording \N{HORIZONTAL ELLIPSIS}"
+IMPORTING_TEXT = "Importing \N{HORIZONTAL ELLIPSIS}"
+STOPPING_TEXT = "Stopping \N{HORIZONTAL ELLIPSIS}"
 HOLDS_SESSION = "This folder already has a session. Choose another one."
 NO_RECORDING = "This is not a recording of another program. Close this dialog and drop it onto the window."
 NO_FOLDER = "Choose a folder for the session."

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import QLineEdit, QPushButton, QWidget
 from app.dialogs import form_widgets, import_dialog
 from app.dialogs.import_dialog import ImportDialog
 from app.session.opening import OpenRequest
-from app.text.import_text import HOLDS_SESSION, LOOKING, NO_FOLDER, NO_RECORDING, imported_words, stream_row
+from app.text.import_text import HOLDS_SESSION, NO_FOLDER, NO_RECORDING, READING_TEXT, imported_words, stream_row
 from app.text_size import STEPS
 from skincal.files.importers.preview import StreamPreview
 from skincal.model.readings import Stream
@@ -228,7 +228,7 @@ def test_a_page_that_looks_at_a_large_log_closes_within_a_second(bench, scene, s
     monkeypatch.setattr(import_dialog, "preview_job", process_support.deaf_look)
     dialog.take([tmp_path / "log"])
     bench.until(lambda: bool(dialog._jobs.waiting) and dialog._jobs.waiting[0].pid is not None, 5000)
-    assert dialog.kind.text() == LOOKING
+    assert dialog.kind.text() == READING_TEXT
     began = time.monotonic()
     tap(bench, Key.Key_Escape)
     assert time.monotonic() - began < 1.0

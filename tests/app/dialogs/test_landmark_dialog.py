@@ -8,7 +8,7 @@ from PySide6.QtCore import QLocale, QPoint, Qt, QTimer
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QDialogButtonBox, QWidget
 
-from app.dialogs.landmark_dialog import ASK, LandmarkDialog, LandmarkPicking, free_name, name_problem
+from app.dialogs.landmark_dialog import CLICK_REQUEST, LandmarkDialog, LandmarkPicking, free_name, name_problem
 from app.panels.message_bar import MessageBar
 from app.session.opening import OpenRequest
 from app.text.message import Message
@@ -45,7 +45,7 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     bench.key(Key.Key_K)
     assert view.picking
     assert window.messages.isVisible()
-    assert ASK.text in window.messages.text.text()
+    assert CLICK_REQUEST.text in window.messages.text.text()
     bench.qtbot.wait(100)
     click_part(view)
     assert not window.messages.isVisible()
@@ -75,7 +75,7 @@ def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench
     bench.until_all_is_there()
     before = len(bench.snapshot.decisions.landmarks)
     bench.key(Key.Key_K)
-    assert "K: type" in ASK.text
+    assert "K: type" in CLICK_REQUEST.text
     bench.key(Key.Key_K)
     dialog = the_dialog(bench)
     assert not bench.window.session_view.workspace.view.picking
@@ -193,16 +193,16 @@ def test_the_names_that_are_proposed_and_refused():
 def test_what_is_asked_stays_until_it_is_done(qtbot):
     bar = MessageBar()
     qtbot.addWidget(bar)
-    bar.tell(ASK)
+    bar.tell(CLICK_REQUEST)
     timer = bar.findChild(QTimer)
     assert not timer.isActive()
     bar.tell(Message("Written."))
     timer.timeout.emit()
-    assert ASK.text in bar.text.text()
+    assert CLICK_REQUEST.text in bar.text.text()
     assert "\N{CHECK MARK}" not in bar.text.text(), "nothing is done yet"
     timer.timeout.emit()
-    assert ASK.text in bar.text.text()
-    bar.withdraw(ASK)
-    bar.withdraw(ASK)
+    assert CLICK_REQUEST.text in bar.text.text()
+    bar.withdraw(CLICK_REQUEST)
+    bar.withdraw(CLICK_REQUEST)
     assert not bar.isVisible()
     bar.stop()

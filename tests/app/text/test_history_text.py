@@ -10,7 +10,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
 from app.dialogs.history_dialog import HistoryDialog
-from app.text.history_text import EARLIER, HistoryLine, history_lines
+from app.text.history_text import EARLIER_TIME, HistoryLine, history_lines
 from skincal.journal.documents import WallClock
 from skincal.journal.writer import create_session
 from skincal.model.actions import MarkDead
@@ -50,7 +50,7 @@ def test_each_part_of_a_session_has_its_clock_and_another_day_is_told():
 def test_what_no_clock_tells_is_not_dated():
     for clocks in ((), ((0, None),), ((0, WallClock(50.0, NOON)),), ((0, WallClock(1.0, NOON + 1e6)),)):
         whens = [line.when for line in history_lines(replace(known(), clocks=clocks), NOON + 200.0)]
-        assert whens == [EARLIER, "12:01:40", EARLIER], clocks
+        assert whens == [EARLIER_TIME, "12:01:40", EARLIER_TIME], clocks
 
 
 @pytest.mark.parametrize("again", [load, replay])
