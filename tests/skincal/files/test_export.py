@@ -1,8 +1,6 @@
 import csv
 import json
 import math
-import subprocess
-import sys
 import threading
 from dataclasses import replace
 
@@ -208,7 +206,7 @@ def test_a_taxel_whose_digits_round_to_the_origin_is_said(part, tmp_path):
     items = tuple(replace(e, position=np.full(3, 4e-7)) if e.channel == 1 else e for e in calibration.estimates[Method.FREE])
     moved = replace(calibration, estimates={Method.FREE: items})
     said = write_calibration(moved, "icub", tmp_path / "p.txt", Method.FREE)
-    assert approved("export.position_lost", channel=1) in said
+    assert any(sentence.startswith(approved("lint.at_origin", channels=1)) for sentence in said)
 
 
 def test_a_mesh_that_changed_or_went_is_said_and_the_file_written(tmp_path):
@@ -229,10 +227,8 @@ def test_a_mesh_that_changed_or_went_is_said_and_the_file_written(tmp_path):
     assert (tmp_path / "p.txt").exists()
 
 
-def test_unknown_formats_and_methods_are_refused(part, tmp_path):
+def test_a_method_without_estimates_is_refused(part, tmp_path):
     calibration = make_calibration(part)
-    with pytest.raises(InputError, match=approved_pattern("export.unknown_format", format="xml")):
-        write_calibration(calibration, "xml", tmp_path / "c", Method.FREE)
     free = replace(calibration, estimates={Method.FREE: calibration.estimates[Method.FREE]})
     with pytest.raises(InputError, match=approved_pattern("export.no_estimates", method="surface", others="free")):
         write_calibration(free, "csv", tmp_path / "c", Method.SURFACE)
@@ -268,12 +264,6 @@ def test_a_missing_folder_and_a_folder_in_the_way_are_refused(tmp_path):
     (tmp_path / "taken").mkdir()
     with pytest.raises(InputError, match=approved_pattern("export.is_folder")):
         write_atomically(tmp_path / "taken", b"")
-
-
-def test_export_imports_no_window():
-    code = "import skincal.files.export, sys; print([m for m in sys.modules if m.startswith(('PySide6', 'vtk', 'pyvista'))])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_a_file_that_takes_the_place_of_an_older_one_says_where_that_is(part, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from skincal.files.export import lint, write_calibration
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.files.files_support import Part, make_calibration, make_part
+from tests.skincal.files.files_support import CHANNELS, Part, make_calibration, make_part
 
 
 @pytest.fixture(scope="module")
@@ -58,21 +58,14 @@ def test_a_faulty_taxel_is_named(part, tmp_path, edit, said):
     assert any(sentence.startswith(said) for sentence in found), found
 
 
-def test_copies_of_a_position_are_named(part):
-    twice = {7: {"position": part.places[3] + 1e-8}}
-    assert "channels 3, 7." in lint(changed(make_calibration(part), twice), Method.FREE)[0]
-
-
-def test_a_typo_of_ten_centimetres_is_named(part, tmp_path):
-    typo = {9: {"position": part.places[9] + [0, 0.15, 0]}}
-    found = exported(changed(make_calibration(part), typo), tmp_path)
+def test_copies_typos_and_a_wrong_unit_are_named(part, tmp_path):
+    made = make_calibration(part)
+    assert "channels 3, 7." in lint(changed(made, {7: {"position": part.places[3] + 1e-8}}), Method.FREE)[0]
+    found = exported(changed(made, {9: {"position": part.places[9] + [0, 0.15, 0]}}), tmp_path)
     assert any(approved("lint.outside_surface") in sentence and "channels 9;" in sentence for sentence in found)
-
-
-def test_millimetres_taken_for_metres_are_named(part, tmp_path):
-    found = exported(moved(make_calibration(part), lambda p: p * 1000), tmp_path)
-    assert any(approved("lint.outside_surface") in sentence for sentence in found)
-    assert any(approved("lint.too_far_apart") in sentence for sentence in found)
+    found = exported(moved(made, lambda p: p * 1000), tmp_path)
+    for said in (approved("lint.outside_surface"), approved("lint.too_far_apart")):
+        assert any(said in sentence for sentence in found)
 
 
 def test_without_a_surface_the_plan_is_the_reference(part, tmp_path):
@@ -84,33 +77,25 @@ def test_without_a_surface_the_plan_is_the_reference(part, tmp_path):
     assert any(approved("lint.inward_by_plan", channels=9) in sentence for sentence in found)
 
 
-def test_a_mirrored_part_is_named(part):
-    """A left part written with the right one's positions: mirrored in place, normals too."""
-    mirror = np.array([-1.0, 1, 1])
-    edits = {
-        e.channel: {"position": e.position * mirror, "normal": e.normal * mirror}
-        for e in make_calibration(part).estimates[Method.FREE]
-    }
-    found = lint(changed(make_calibration(part), edits), Method.FREE)
-    assert found == (approved("lint.mirrored", modules="17, 21, 25"),)
+def test_a_mirrored_part_is_named_and_a_turned_one_is_not(part):
+    """A left part written with the right one's positions; six taxels at least show that."""
 
+    def turned(calibration, matrix, below=CHANNELS):
+        return changed(
+            calibration,
+            {
+                e.channel: {"position": matrix @ e.position, "normal": matrix @ e.normal}
+                for e in calibration.estimates[Method.FREE]
+                if e.channel < below
+            },
+        )
 
-def test_a_turned_part_is_not_mirrored(part):
-    """A rotation of everything must change nothing."""
+    mirror, made = np.diag([-1.0, 1.0, 1.0]), make_calibration(part)
+    assert lint(turned(made, mirror), Method.FREE) == (approved("lint.mirrored", modules="17, 21, 25"),)
     turn, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
-    turn *= np.linalg.det(turn)
-    edits = {
-        e.channel: {"position": turn @ e.position, "normal": turn @ e.normal}
-        for e in make_calibration(part).estimates[Method.FREE]
-    }
-    assert lint(changed(make_calibration(part), edits), Method.FREE) == ()
-
-
-def test_five_taxels_do_not_show_handedness(part):
-    mirror = np.array([-1.0, 1, 1])
-    calibration = make_calibration(part, unseen=tuple(range(5, 48)))
-    edits = {e.channel: {"position": e.position * mirror} for e in calibration.estimates[Method.FREE] if e.channel < 5}
-    assert not any("mirrored" in sentence for sentence in lint(changed(calibration, edits), Method.FREE))
+    assert lint(turned(made, turn * np.linalg.det(turn)), Method.FREE) == ()
+    five = turned(make_calibration(part, unseen=tuple(range(5, CHANNELS))), mirror, below=5)
+    assert not any("mirrored" in sentence for sentence in lint(five, Method.FREE))
 
 
 def test_a_module_without_its_centre_is_named(part):
