@@ -54,10 +54,11 @@ def session(tmp_path_factory) -> Path:
 
 
 def test_a_recording_without_a_reading_says_of_which_link(run, tmp_path):
-    options = ["record", "--wrench", "/dev/ttyNone1", "--skin", "/dev/ttyNone2", *SCENE, "--out", tmp_path / "s"]
+    options = ["record", "--wrench", "/dev/ttyNone1", "--skin", tmp_path, *SCENE, "--out", tmp_path / "s"]
     code, out, err = run(*options, "--seconds", "0.5", "--json")
     assert code == 2
     assert approved("links.nothing_usable_no_port", link="force/torque sensor", port="/dev/ttyNone1") in err
+    assert approved("links.no_serial_port_path", path=tmp_path) in err
     assert json.loads(out)["links"]["skin"]["readings"] == 0
 
 
@@ -202,8 +203,6 @@ REFUSALS = [
     (["record", *LOGS, "--scene", "icub-forearm", "--pose", "99"], UNKNOWN_POSE),
     (["record", *LOGS, "--scene", "icub-forearm"], "add --joints, or --pose"),
     (["record", "--wrench", "socket://[::1", "--skin", "x", *SCENE], approved("links.no_tcp_address", address="socket://[::1")),
-    (["record", "--wrench", "/dev/ttyNone1", "--skin", "{given}", *SCENE],
-     approved("links.no_serial_port_path", path="{given}")),
     # pyserial would write to the file that its `spy` names.
     (["record", "--wrench", "spy:///dev/null?file={given}/kept", "--skin", "/dev/null", *SCENE],
      approved("links.refused_scheme_by_command", address="spy:///dev/null?file={given}/kept", scheme="spy")),
