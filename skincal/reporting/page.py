@@ -217,7 +217,7 @@ def _map(facts: SessionFacts) -> ReportSection:
     if layout is None:
         return ReportSection("Map", ("The scene has no layout, so there is no map.",))
     words = f"The layout unrolled, its modules with their numbers, taxels coloured by {error_name(facts)}."
-    note = "Rings are taxels without a position, crosses those that are not used."
+    note = "Rings are taxels that are not located, crosses those that are not used."
     return ReportSection("Map", (note,), (_picture(draw_map(facts, layout), "svg", words),))
 
 

@@ -114,11 +114,10 @@ def test_every_section_is_there_with_its_pictures_and_every_taxel(facts, page):
 
 
 def test_only_a_verdict_is_coloured_and_no_name_that_reads_like_one(facts):
-    marks = (Landmark("agrees", np.zeros(3), None),)
-    misses = {"agrees": (0.001,)}
-    named = replace(
-        facts, results=other_results(facts, snapshot=replace(facts.results.snapshot, landmarks=marks)), misses=misses
-    )
+    marks, misses = (Landmark("agrees", np.zeros(3), None),), {"agrees": (0.001,)}
+    snapshot = facts.results.snapshot
+    named_snapshot = replace(snapshot, decisions=replace(snapshot.decisions, landmarks=marks))
+    named = replace(facts, results=other_results(facts, snapshot=named_snapshot), misses=misses)
     coloured = [Page(report_page(each)).attributes.count(("class", "agrees")) for each in (facts, named)]
     assert coloured[0] == coloured[1] > 0
 
