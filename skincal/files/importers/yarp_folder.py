@@ -253,12 +253,10 @@ def _whole_lines(path: Path) -> Iterator[list[bytes]]:
 
 
 def _ends_open(path: Path) -> bool:
-    """Return whether the last line of a file has no end."""
+    """Return whether the last line of a file has no end, from its last byte alone."""
     with path.open("rb") as file:
-        # The last byte alone: logs are large.
-        size = file.seek(0, 2)
-        file.seek(max(size - 1, 0))
-        return size > 0 and file.read(1) != b"\n"
+        file.seek(max(file.seek(0, 2) - 1, 0))
+        return file.read(1) not in (b"\n", b"")
 
 
 def _read_through(log: _Log) -> tuple[Timeline, _Contents]:
@@ -287,14 +285,16 @@ def _stamps(log: _Log, contents: _Contents) -> Iterator[FloatArray]:
             contents.widths[width - 1 - log.stamps] += len(block)
             yield times[:, -1]
             continue
+        stamps: list[float] = []
         for data in block:
             line = split_line(data, log.stamps)
             if line is not None:
                 contents.untimed += line.stamps[0] == 0
                 _count_line(line.payload, contents)
-                yield np.array(line.stamps[-1:])
+                stamps.append(line.stamps[-1])
             elif not is_header(data):
                 contents.unreadable += 1
+        yield np.array(stamps)
 
 
 def _count_line(payload: bytes, contents: _Contents) -> None:
