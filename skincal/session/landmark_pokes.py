@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,6 @@ from skincal.rig.expected_gain import expected_miss
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
-    from skincal.session.decisions import Decisions
 
 REACTION_S = 0.25
 """s, visual reaction time. A poke that starts sooner after a new request was on its way to the landmark before."""
@@ -74,7 +73,13 @@ class LandmarkFinder:
         self.asked, self._asked_s = name, host_s
 
     def find(
-        self, new: Iterable[Outcome], named: Iterable[LandmarkPoke], decisions: Decisions, noise: NoiseSettings
+        self,
+        new: Iterable[Outcome],
+        named: Iterable[LandmarkPoke],
+        landmarks: Iterable[Landmark],
+        missed: Collection[int],
+        by_hand: Collection[int],
+        noise: NoiseSettings,
     ) -> list[FoundAtLandmark | MissedLandmark]:
         """Find which new pokes were at the requested landmark, and which missed it.
 
@@ -87,14 +92,15 @@ class LandmarkFinder:
         ----------
         new : in the order of their numbers, after the frame's correction
         named : earlier landmark pokes
+        missed, by_hand : numbers of the pokes that missed, and of those that the operator named
         """
-        known = {landmark.name: landmark for landmark in decisions.landmarks}
+        known = {landmark.name: landmark for landmark in landmarks}
         landmark = known.get(self.asked)
         if landmark is None:
             return []
         misses = {poke.poke: self._miss(poke, known[poke.name], noise) for poke in named}
         near = sum(each is None for each in misses.values())
-        far = len(misses) - near + len(decisions.missed_landmarks)
+        far = len(misses) - near + len(missed)
         found: list[FoundAtLandmark | MissedLandmark] = []
         for outcome in new:
             poke = poke_at(outcome, landmark)
@@ -104,7 +110,6 @@ class LandmarkFinder:
             found.append(FoundAtLandmark(outcome.poke, landmark.name) if miss is None or near <= far else miss)
             near, far = near + (miss is None), far + (miss is not None)
         if near > far:
-            by_hand = decisions.named_by_hand
             found[:0] = [miss for poke, miss in misses.items() if miss is not None and poke not in by_hand]
         return found
 

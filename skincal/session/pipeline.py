@@ -277,8 +277,10 @@ class Pipeline:
         new = sorted({outcome.poke for outcome in outcomes if outcome.poke > last})
         if new and self._landmarks.asked:
             session = self.session
+            decisions, fresh = session.decisions, session.frame_corrected(new)
+            missed, by_hand = decisions.missed_landmarks.keys(), decisions.named_by_hand
             found_now = self._landmarks.find(
-                session.frame_corrected(new), session.landmark_pokes, session.decisions, self.scene.noise
+                fresh, session.landmark_pokes, decisions.landmarks, missed, by_hand, self.scene.noise
             )
             for found in found_now:
                 self.act(found, item.host_ns)

@@ -105,7 +105,10 @@ class Landmarks(LandmarkGuide):
         """Return which new pokes were at the landmark that was asked for."""
         new = [poke.outcome for poke in snapshot.pokes if poke.outcome.poke > self._seen]
         self.begin(snapshot)
-        return self._finder.find(new, (), snapshot.decisions, part().scene.noise)
+        decisions = snapshot.decisions
+        return self._finder.find(
+            new, (), decisions.landmarks, decisions.missed_landmarks, decisions.named_by_hand, part().scene.noise
+        )
 
 
 def asking(now_s: float = 100.0, snapshot: Snapshot | None = None, of: Part | None = None) -> Landmarks:

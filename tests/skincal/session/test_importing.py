@@ -236,23 +236,26 @@ FRAMES = 300
 """Of `Script.quiet(6.0)`."""
 
 
-NO_POKE = {
-    "answered": (weak, write_yarp, {"force": 0.43, "taxels": "2 taxels"}),
-    "fell": (lambda scene: weak(scene, -1.0), write_csv, {"force": 0.43, "fell": 2}),
-    "nothing": (lambda scene: Script(scene, force_noise=0.01).quiet(6.0), write_yarp, {"force": 0.04}),
-    "restless": (lambda scene: Script(scene, force_noise=0.5).quiet(6.0), write_yarp, {}),
-}
-"""Recordings without a poke: samples, format, and the numbers of the sentence."""
+LENGTH = {"frames": FRAMES, "seconds": 6}
+NO_POKE = [
+    (weak, write_yarp, approved("import.no_poke_answered", **LENGTH, force=0.43, taxels="2 taxels")),
+    (lambda scene: weak(scene, -1.0), write_csv, approved("import.no_poke_fell", **LENGTH, force=0.43, fell=2)),
+    (
+        lambda scene: Script(scene, force_noise=0.01).quiet(6.0),
+        write_yarp,
+        approved("import.no_poke_nothing", **LENGTH, force=0.04),
+    ),
+    (lambda scene: Script(scene, force_noise=0.5).quiet(6.0), write_yarp, approved("import.no_poke_restless", **LENGTH)),
+]
+"""Recordings without a poke: samples, format, and what is said."""
 
 
-@pytest.mark.parametrize("why", NO_POKE)
-def test_a_recording_without_a_poke_says_why(tmp_path, why):
-    samples, write, numbers = NO_POKE[why]
+@pytest.mark.parametrize(("samples", "write", "said"), NO_POKE, ids=["answered", "fell", "nothing", "restless"])
+def test_a_recording_without_a_poke_says_why(tmp_path, samples, write, said):
     scene = write_scene(tmp_path / "source")
     logs = write(tmp_path / "logs", samples(scene).samples)
     done = import_recording(ImportRequest(guess_streams([logs]), scene.path, "", tmp_path / "s"))
-    assert (done.pokes, done.accepted) == (0, 0)
-    assert done.unpoked == approved(f"import.no_poke_{why}", frames=FRAMES, seconds=6, **numbers)
+    assert (done.pokes, done.accepted, done.unpoked) == (0, 0, said)
     assert no_poke_sentence(ContactDetector(scene).before_pokes, scene.contacts) == approved("import.no_poke_apart")
 
 
