@@ -12,38 +12,21 @@ class _Settings:
         self.__dict__[name] = value
 
 
-class BotaDriverConfig(_Settings):
-    socket_communication_interface_params = None
-    FIELDS = (
-        "product_name",
-        "serial_number",
-        "communication_interface_name",
-        "binary_communication_interface_params",
-        "socket_communication_interface_params",
-        "dummy_communication_interface_params",
-        "genA_sensor_operation_params",
-        "driver_operation_params",
-    )
+def _settings(name, fields=""):
+    return type(name, (_Settings,), {"FIELDS": tuple(fields.split()), "socket_communication_interface_params": None})
 
 
-class BotaBinaryCommunicationInterfaceConfig(_Settings):
-    FIELDS = ("com_port", "baudrate")
-
-
-class BotaSocketCommunicationInterfaceConfig(_Settings):
-    FIELDS = ("sensor_ip_address",)
-
-
-class BotaDummyCommunicationInterfaceConfig(_Settings):
-    FIELDS = ()
-
-
-class GenASensorOperationConfig(_Settings):
-    FIELDS = ("app_mode", "app_submode")
-
-
-class DriverOperationConfig(_Settings):
-    FIELDS = ("runtime_verbosity",)
+BotaDriverConfig = _settings(
+    "BotaDriverConfig",
+    "product_name serial_number communication_interface_name binary_communication_interface_params "
+    "socket_communication_interface_params dummy_communication_interface_params genA_sensor_operation_params "
+    "driver_operation_params",
+)
+BotaBinaryCommunicationInterfaceConfig = _settings("BotaBinaryCommunicationInterfaceConfig", "com_port baudrate")
+BotaSocketCommunicationInterfaceConfig = _settings("BotaSocketCommunicationInterfaceConfig", "sensor_ip_address")
+BotaDummyCommunicationInterfaceConfig = _settings("BotaDummyCommunicationInterfaceConfig")
+GenASensorOperationConfig = _settings("GenASensorOperationConfig", "app_mode app_submode")
+DriverOperationConfig = _settings("DriverOperationConfig", "runtime_verbosity")
 
 
 class DataStatus:

@@ -23,11 +23,12 @@ from skincal.devices.registry import parse_device
 from skincal.journal.documents import SegmentHeader, link_to_json, read_document
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
-from skincal.model.readings import TEMPERATURE, Chunk, LinkState, Loss, Stream
+from skincal.model.readings import TEMPERATURE, LinkState, Loss, Stream
 from skincal.session.replay import resume
 from skincal.streams.bota_child import driver_config, encode_frame
 from skincal.streams.links import LinkSpec, Reader, format_of, open_link, parse_address
 from tests.skincal.poke_script import as_chunks, some_pokes, write_scene
+from tests.skincal.streams.link_support import next_data, next_event, reading
 
 PATIENCE_S = 30.0
 FAKE = Path(__file__).with_name("fake_bota_driver.py")
@@ -359,14 +360,7 @@ def test_the_fake_is_like_the_driver():
 
 
 def test_a_reader_says_that_a_command_began_and_ended(tmp_path):
-    items = queue.SimpleQueue()
-    address = script(tmp_path, "print('1,2,3,4,5,6')\nimport time\ntime.sleep(1)\n")
-    reader = Reader(LinkSpec("wrench", address, (Stream.WRENCH,)), items)
-    reader.start()
-    end = time.monotonic() + PATIENCE_S
-    while reader.running and time.monotonic() < end:
-        time.sleep(0.05)
-    reader.stop()
-    brought = [items.get() for _ in range(items.qsize())]
-    assert [item.state for item in brought if not isinstance(item, Chunk)] == [LinkState.OPEN, LinkState.ENDED]
-    assert b"".join(item.data for item in brought[1:-1]) == b"1,2,3,4,5,6\n"
+    with reading(script(tmp_path, "print('1,2,3,4,5,6')\nimport time\ntime.sleep(1)\n")) as items:
+        next_event(items, LinkState.OPEN, PATIENCE_S)
+        assert next_data(items, 12, PATIENCE_S) == b"1,2,3,4,5,6\n"
+        next_event(items, LinkState.ENDED, PATIENCE_S)

@@ -1,7 +1,6 @@
 """Devices that are spoken to, over real sockets: they vanish, return, refuse, fall silent, and lie."""
 
 import os
-import queue
 import socket
 import subprocess
 import sys
@@ -22,14 +21,11 @@ from skincal.simulate.maker_outlets import MakerOutlets, TalkOutlet
 from skincal.simulate.makers import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.streams import links
 from skincal.streams.intake import Intake
-from skincal.streams.links import ADDRESS_MAX_CHARS, ChunkQueue, LinkSpec, Reader, format_of, open_link, parse_address
+from skincal.streams.links import ADDRESS_MAX_CHARS, ChunkQueue, Reader, format_of, open_link, parse_address
 from skincal.streams.opening import ANSWER_MAX_BYTES, HandshakeLink
 from tests.approved import approved
 from tests.skincal.meanwhile import meanwhile
-
-PATIENCE_S = 5.0
-WRENCH = (Stream.WRENCH,)
-
+from tests.skincal.streams.link_support import PATIENCE_S, WRENCH, next_event, reading, spec
 
 TURN = threading.Lock()
 """An outlet is polled and written to by one thread at a time."""
@@ -38,10 +34,6 @@ TURN = threading.Lock()
 def say(outlet, data):
     with TURN:
         outlet.write(data)
-
-
-def spec(address, carries=WRENCH):
-    return LinkSpec("link", address, carries)
 
 
 @contextmanager
@@ -60,26 +52,6 @@ def served(*outlets):
     finally:
         for outlet in outlets:
             outlet.close()
-
-
-@contextmanager
-def reading(address, carries=WRENCH):
-    items = queue.SimpleQueue()
-    reader = Reader(spec(address, carries), items)
-    reader.start()
-    try:
-        yield items
-    finally:
-        reader.stop()
-
-
-def next_event(items, state, patience_s=PATIENCE_S):
-    end = time.monotonic() + patience_s
-    while True:
-        item = items.get(timeout=max(end - time.monotonic(), 0.001))
-        if isinstance(item, LinkEvent):
-            assert item.state is state, item
-            return item
 
 
 def readings_from(items, write, want=3, intake=None):

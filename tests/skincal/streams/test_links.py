@@ -15,7 +15,7 @@ import pytest
 import serial
 
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
+from skincal.model.readings import LinkState, Stream
 from skincal.streams import links
 from skincal.streams.links import (
     NEW_REASON_S,
@@ -28,9 +28,9 @@ from skincal.streams.links import (
     parse_address,
 )
 from tests.approved import approved, approved_pattern
+from tests.skincal.streams.link_support import PATIENCE_S, next_data, next_event, reading, spec
 
 LOST_WITHIN_S = 0.3
-PATIENCE_S = 5.0
 
 NO_SOCKETS = [
     "socket://", "socket://[::1", "socket://host", "socket://host:port", "socket://:7000", "socket://h:99999", "socket://a..b:1",
@@ -41,10 +41,6 @@ STRANGE = [
     "rfc2217://127.0.0.1:1", "cp2110://0", "http://127.0.0.1:1", "Socket://h:1", "simulated:wrench", "nothing://x@9600",
 ]  # fmt: skip
 needs_pty = pytest.mark.skipif(not hasattr(os, "openpty"), reason="this platform has no pty")
-
-
-def spec(address, name="wrench", carries=(Stream.WRENCH,)):
-    return LinkSpec(name, str(address), carries)
 
 
 class Pty:
@@ -76,42 +72,6 @@ def pty():
         yield device
     finally:
         device.unplug()
-
-
-@contextmanager
-def reading(address, **kwargs):
-    """A running reader and its queue; stopped at the end, and quickly."""
-    items = queue.SimpleQueue()
-    reader = Reader(spec(address, **kwargs), items)
-    reader.start()
-    try:
-        yield items
-    finally:
-        begun = time.monotonic()
-        reader.stop()
-        assert time.monotonic() - begun < 1.0
-        assert not reader.running
-
-
-def next_event(items, state, patience_s=PATIENCE_S):
-    """The next event, which must be of this state; chunks before it are passed over."""
-    end = time.monotonic() + patience_s
-    while True:
-        item = items.get(timeout=max(end - time.monotonic(), 0.001))
-        if isinstance(item, LinkEvent):
-            assert item.state is state, item
-            return item
-
-
-def next_data(items, count, patience_s=PATIENCE_S):
-    """The next bytes, as many as asked for."""
-    data = b""
-    end = time.monotonic() + patience_s
-    while len(data) < count:
-        item = items.get(timeout=max(end - time.monotonic(), 0.001))
-        assert isinstance(item, Chunk), item
-        data += item.data
-    return data
 
 
 # ------------------------------------------------------------------ a real pty
@@ -312,7 +272,7 @@ def test_file_plays_at_the_pace_of_its_device_and_ends(tmp_path):
     path = tmp_path / "skin.log"
     path.write_bytes(b"".join(lines))
     for address in (path, f"file:{path}"):
-        with reading(address, name="skin", carries=(Stream.SKIN,)) as items:
+        with reading(address, (Stream.SKIN,)) as items:
             begun = next_event(items, LinkState.OPEN)
             assert next_data(items, path.stat().st_size) == path.read_bytes()
             event = next_event(items, LinkState.ENDED)
