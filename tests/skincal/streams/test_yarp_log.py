@@ -252,15 +252,6 @@ def test_what_parts_words_otherwise_is_no_table(mark):
     assert read_table(f"1 2 3\n4 2{mark}3\n".encode("latin1")) is None
 
 
-def test_the_numbers_go_on_behind_many_pieces():
-    decoder = YarpDecoder(None, (Stream.WRENCH,))
-    lines = [f"{at} {START + at:.6f} {WORDS}\n".encode() for at in range(12)]
-    decoder.feed(b"".join(lines[:3]))
-    assert decoder.feed_many(lines[3:9]) is not None
-    decoder.feed(lines[11])
-    assert decoder.counts == {Loss.MISSING: 2}
-
-
 def test_usual_pieces_are_read_many_at_a_time():
     pieces = [f"{at} {START + at:.6f} {WORDS}\n{at + 1} {START + at + 1:.6f} {WORDS}\n".encode() for at in range(0, 20, 2)]
     batch, ends = YarpDecoder(None, (Stream.WRENCH,)).feed_many(pieces)
