@@ -145,7 +145,7 @@ def test_a_new_session_does_not_write_into_an_old_one(scene, tmp_path):
     [
         (None, "there is no such folder"),
         ({}, "no segment-0001.mcap in it"),
-        ({"segment-0001.mcap": b"not an MCAP file at all"}, "holds nothing readable"),
+        ({"segment-0001.mcap": b"not an MCAP file at all"}, "there is no such file"),
         ({"segment-0002.mcap": b""}, r"segment-0001\.mcap is missing"),
     ],
 )
