@@ -126,7 +126,7 @@ def test_an_import_works_on_many_readings_at_a_time(request_of, monkeypatch):
             counts.update(channel.topic for _, channel, _ in make_reader(file).iter_messages())
     assert len(parsed) < counts["/raw/wrench"] + counts["/raw/skin"]
     # Other programs read the recording itself.
-    assert counts.keys() == {"/raw/wrench", "/raw/skin", "/events", "/session"}
+    assert counts.keys() == {"/raw/wrench", "/raw/skin", "/events"}
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
