@@ -141,7 +141,7 @@ def method_line(name: str, summary: Mapping[str, Any]) -> str:
     if predicted is not None:
         names = {"mean": "mean", "worst": "worst", "whole": "whole_skin", "among": "among_taxels"}
         error_m = PredictedError(**{name: predicted[key] * 1e-3 for name, key in names.items()})
-        line += f"; predicted error {predicted_words(error_m)}"
+        line += f"; expected error {predicted_words(error_m)}"
     if ratio is not None:
         line += f"; neighbours {ratio:.2f} of the layout's spacing apart"
     if error is not None:

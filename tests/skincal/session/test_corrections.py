@@ -429,7 +429,7 @@ def test_the_commands_use_what_is_offered_where_they_are_told_to(recorded, tmp_p
     mean, worst, whole, among = (f"{value:.1f}" for value in apart.values())
     (line,) = [line for line in said.splitlines() if line.startswith("modules-corrected")]
     said = approved("verdict.predicted_apart", mean_mm=mean, worst_mm=worst, whole_mm=whole, among_mm=among)
-    assert f"predicted error {said};" in line
+    assert f"expected error {said};" in line
     assert main(["solve", str(recorded), "--correct", "--per-pose", "--json"]) == 0
     methods = json.loads(capsys.readouterr().out)["methods"]
     assert methods["modules-per-pose"]["predicted_error_mm"]["whole_skin"] > 0.2
