@@ -93,7 +93,7 @@ def measure(number: int, case: Case | AddedCase, draws: int) -> tuple[list[Recor
     """Measure the shipped solver of a case, and its alternatives."""
     rng = np.random.default_rng([RANDOM_SEED, number])
     if isinstance(case, AddedCase):
-        found = evaluate_added(case, draws, rng), []
+        found: tuple[list[Record], list[Record]] = evaluate_added(case, draws, rng), []
     else:
         truth = find_truth(case, draws, rng)
         found = evaluate(case, truth), evaluate_alternatives(case, truth)
