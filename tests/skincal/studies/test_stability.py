@@ -138,7 +138,7 @@ def test_the_exact_answer_on_a_surface_is_that_of_qr_over_all_triangles(name):
     surface = make_surface(case.mesh.vertices, case.mesh.triangles)
     facing = case.mesh.corners[surface.normals @ unit(push) < 0]
     _, theirs = min((least_on_triangle(a, b, corners) for corners in facing), key=lambda pair: pair[0])
-    ours = reference.best(reference.normal_equations(case.readings), reference.exactly(facing))
+    ours = reference.best(reference.normal_equations(case.readings), reference.to_mp(facing))
     assert difference(ours, theirs) < 1e-30
 
 

@@ -130,7 +130,7 @@ def test_a_walk_from_past_the_rim_and_one_through_a_vertex_come_to_an_end():
 
 def ground_walks(module):
     """The walks to a module's pads; none may take long, wherever it begins."""
-    footing = MeshPoints(module.at.triangles, module.at.points, module.at.x).take(np.zeros(PADS_PER_MODULE, dtype=np.int64))
+    footing = MeshPoints(module.at.triangles, module.at.points, module.at.x).select(np.zeros(PADS_PER_MODULE, dtype=np.int64))
     return geodesics_of(module.ground.surface).walk(footing, module.flat)
 
 
@@ -225,7 +225,7 @@ def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
 
 
 def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
-    monkeypatch.setattr(pose_fit, "DONE", 1e-9)
+    monkeypatch.setattr(pose_fit, "LAST_STEP_M", 1e-9)
     name = "module, 7 arm poses"
     (record,) = evaluate(CASES[name], truth_of(name))
     assert record["error_over_bound"] > 10
