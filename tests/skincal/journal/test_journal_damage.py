@@ -276,7 +276,7 @@ def test_a_full_disk_ends_the_journal_and_nothing_else(tmp_path):
     assert approved("session.export_now") in refused_words(sentence)
 
 
-def test_a_disk_thatrefuses_says_so_once(tmp_path, monkeypatch):
+def test_a_disk_that_refuses_says_so_once(tmp_path, monkeypatch):
     scene = write_scene(tmp_path / "source")
     pipeline = new_session(scene, tmp_path / "s")
     monkeypatch.setattr(os, "fsync", refuse)
