@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
-from app.preflight import LIBRARIES, X_LIBRARIES
+from app.preflight import QT_LIBRARIES, X_LIBRARIES
 from tools import checkout, install
 from tools.checkout import StopError, say
 
@@ -122,7 +122,7 @@ def check(arguments: Sequence[str]) -> int:
 
 
 def _provide_drawing(fresh: bool, *, shown: bool) -> None:
-    if not (install.provide({**LIBRARIES, **X_LIBRARIES} if shown else LIBRARIES) or fresh):
+    if not (install.provide({**QT_LIBRARIES, **X_LIBRARIES} if shown else QT_LIBRARIES) or fresh):
         return
     plugins = checkout.VENV.glob("lib/*/site-packages/PySide6/Qt/plugins/platforms/libqxcb.so") if shown else ()
     probe = _python(("-P", "-c", IMPORT_CHECK, *map(str, plugins)), install.environment(), subprocess.PIPE)

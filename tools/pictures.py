@@ -23,7 +23,7 @@ from pathlib import Path
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtWidgets import QApplication
 
-from app.headless import POKES, SEED
+from app.headless import POKE_COUNT, RIG_SEED
 from app.scene3d.offscreen import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
@@ -127,7 +127,7 @@ def draw_rig() -> None:
     wrong.window.hide()
     wrong.theme.choose(Choice.DARK)
     wrong.view.show_method(Method.MODULES)
-    wrong.until(lambda: wrong.view.ends)
+    wrong.until(lambda: wrong.view.state is not None and wrong.view.state.may.ends)
     wrong.view.ask_verdict()
     wrong.grab("guide-verdict", 1.0)
     wrong.window.leave()
@@ -136,7 +136,7 @@ def draw_rig() -> None:
 def draw_headless() -> None:
     """Write what the first session without a display draws."""
     part = load_part(find_scene(None))
-    pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKES, SEED, RigErrors.noise())
+    pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKE_COUNT, RIG_SEED, RigErrors.noise())
     snapshot = pipeline.snapshot()
     method = leading_method(snapshot.estimates) or Method.FREE
     # An older picture that is in the way would be kept beside it.
