@@ -1,7 +1,6 @@
 """The window and a stranger's session: every text is plain, devices are asked about, and another's recording is looked at."""
 
 import ast
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -18,14 +17,11 @@ from app.panels.pokes_panel import PokeTable
 from app.panels.widgets import ElidedLabel, escape_tooltip
 from app.session.controller import Controller
 from app.session.opening import Addresses, OpenRequest
-from app.session.recording import Recording
 from app.state.running import Running
 from app.theme import Choice
 from app.window import MAX_ADDRESSES, Theme, Window
 from app.workers.device_process import DeviceProcess
-from skincal.files.reference import RIG_KEY, TRUTH_NAME
 from skincal.journal.writer import create_session
-from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
 from skincal.streams.links import LinkSpec
@@ -122,11 +118,6 @@ def bench(qtbot, tmp_path):
     QSettings("skincal", "test").remove("addresses")
 
 
-def say_simulated(folder):
-    """Have a session say that its rig was a simulated one."""
-    (folder / TRUTH_NAME).write_text(json.dumps({RIG_KEY: {"seed": 1, "errors": "none"}}))
-
-
 def asked(window):
     """The question that is open, if there is one."""
     return next((box for box in window.findChildren(QMessageBox) if box.isVisible()), None)
@@ -154,27 +145,6 @@ def test_the_devices_of_a_recorded_session_are_shown_and_asked_about_once(bench,
     bench.open(OpenRequest(session=folder))
     bench.controller.toggle()
     assert bench.controller.running is Running.STREAMING, "agreed to before"
-
-
-def test_a_session_that_says_it_is_simulated_never_connects_what_its_file_names(bench, tmp_path, monkeypatch):
-    """Also where it is told to go on once more before its own rig is served, and after that has failed."""
-    connected = []
-    monkeypatch.setattr(Recording, "start", lambda recording: connected.extend(link.address for link in recording.links))
-    folder, scene = tmp_path / "s", load_scene(resource("scenes/flat-patch/scene.toml"))
-    create_session(folder, scene, strangers_links(tmp_path)).close()
-    say_simulated(folder)
-    bench.open(OpenRequest(session=folder))
-    strange = {link.address for link in bench.controller.links}
-    bench.controller.toggle()
-    bench.controller._server.stop()
-    assert bench.controller.running is Running.OFFLINE
-    for _ in range(3):
-        bench.controller.toggle()
-        assert connected == []
-    assert asked(bench.window) is None
-    bench.until(lambda: bench.controller.running is Running.STREAMING)
-    assert connected
-    assert strange.isdisjoint(connected)
 
 
 def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
@@ -221,7 +191,6 @@ def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tm
     items = as_chunks(some_pokes(scene, 3).samples)
     for item in items[: len(items) * 3 // 4]:
         pipeline.feed(item)
-    say_simulated(tmp_path / "s")
     before = {path.name: path.read_bytes() for path in (tmp_path / "s").iterdir() if path.is_file()}
     bench.window.open(OpenRequest(session=tmp_path / "s"))
     bench.until(lambda: asked(bench.window) is not None, 20_000)
@@ -229,7 +198,6 @@ def test_a_session_that_is_being_recorded_is_looked_at_and_not_touched(bench, tm
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=40_000):
         answer(bench.window, "View")
     assert len(bench.recording.pipeline.session.contacts) >= 1
-    assert bench.controller.simulated
     assert not bench.controller.has_simulator
     bench.controller.toggle()
     assert bench.controller.findChild(DeviceProcess) is None, "its rig is another's"
