@@ -160,5 +160,5 @@ def loss_lines(links: Sequence[LinkHealth | LinkTotals]) -> list[str]:
 
 
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
-    """Return what the devices of open links got wrong or said last."""
+    """List the last message of each open link's device."""
     return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]

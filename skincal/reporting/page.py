@@ -160,7 +160,7 @@ def _group_channels(pairs: Iterable[tuple[str, int]]) -> list[tuple[str, str, st
 
 
 def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
-    """Yield each check with its result and its verdict, also those that were not possible."""
+    """Yield (check, result, verdict), also for checks that were not possible."""
     check, landmarks = facts.verdict.check, facts.verdict.landmarks
     said = AGREES if check.agrees else AGAINST
     yield "Held-out pokes", check_words(facts.verdict), said if check.has_enough or not check.believed else OPEN

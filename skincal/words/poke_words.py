@@ -91,7 +91,7 @@ def missed_words(missed: MissedLandmark) -> str:
 
 
 def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:
-    """Say what a recording without a poke contains, what a poke needs, and what to check."""
+    """Describe a recording without a poke: its content, the needs of a poke, and the next check."""
     if not seen.samples:
         return (
             "No poke was found: the force/torque readings and the skin readings never overlap in time. "

@@ -82,7 +82,7 @@ def with_unit(name: str, value: float) -> str:
 
 
 def typed_value(name: str, text: str) -> float:
-    """Return what was typed into a field in the threshold's SI unit; NaN where it is no number."""
+    """Parse a typed value into the threshold's SI unit; NaN if it is no number."""
     try:
         # As people write it where the comma is the point; Python alone takes 1_0 for ten.
         return float(text.replace(",", ".").replace("_", "?")) / WORDS[name].unit.factor
@@ -91,7 +91,7 @@ def typed_value(name: str, text: str) -> float:
 
 
 def objections(values: Mapping[str, float]) -> dict[str, str]:
-    """Return why thresholds, in SI units by their names, cannot be used, by the names of their fields; empty where they can."""
+    """Say why thresholds (SI units, by name) cannot be used, by name; empty if they can."""
     wrong = {name: sentence for name, value in values.items() if (sentence := _objection(name, value))}
     for low, high in pairwise(FORCE_ORDER):
         if low not in wrong and high not in wrong and not values[low] < values[high]:
