@@ -46,7 +46,7 @@ def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[st
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
     """Count pokes by what became of them."""
     records, named = snapshot.pokes, snapshot.at_landmarks
-    # A poke at a landmark is not meant for the skin: that no taxel answered is no fault there.
+    # No taxel answers a poke at a landmark, which is no fault.
     reasons = Counter(
         r.outcome.reason.value for r in records if isinstance(r.outcome, Rejection) and r.outcome.poke not in named
     )

@@ -1,6 +1,6 @@
-"""The pictures of a report, for paper and screen: the part from four sides, the map, and how the error fell.
+"""Pictures of a report, for paper and screen: the part from four sides, the map, and the error over the session.
 
-Colours are those of the window and of the studies' figures. What a colour says is written beside it, too.
+Colours are those of the window and of the studies' figures; a legend says what they mean.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from skincal.session.error_history import MEAN, P95
 from skincal.taxels.result import Method, State
 
 VIEW_NAMES = ("front", "right", "back", "left")
-"""Names of the four views; the front is where most of the skin looks."""
+"""The front is the side that most of the skin faces."""
 ERROR_COLOUR_MAP = "viridis_r"
-"""Bright for exact, dark for wrong: it reads in grey, and to people with any colour vision."""
+"""Bright for small errors, dark for large ones; it works in grey and for colour-blind readers."""
 DOTS_PER_INCH = 160
 LIGHT = np.array([0.3, 0.5, 0.81])
-"""Where the light comes from, in the frame of a view: x right, y up, z to the viewer."""
+"""Direction to the light in the frame of a view: x right, y up, z to the viewer."""
 MIN_FACING_COSINE = 0.0
-"""Least cosine of a taxel's normal with the way to the viewer at which it is drawn in a view."""
+"""A taxel is drawn in a view if the cosine between its normal and the direction to the viewer is larger."""
 
 
 MAP_SIZE_POINTS = 330.0
-"""Points of the paper that the map's longer side has, about."""
+"""Approximate length of the map's longer side on paper."""
 MIN_SIDEWAYS_SHARE = 0.1
-"""Least share of the normals' sum that lies across the way up, to say where the front is."""
+"""The normals define the front if at least this share of their sum is horizontal."""
 
 
 def draw_sides(facts: SessionFacts) -> bytes:

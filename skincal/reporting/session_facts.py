@@ -34,24 +34,24 @@ from skincal.taxels.result import Estimate, Method
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 
 PACKAGES = ("numpy", "scipy", "wasmtime", "mcap", "zstandard", "matplotlib", "jinja2")
-"""Those whose versions a report tells: they have a part in its numbers, its files or its pictures."""
+"""Packages whose versions a report shows, since its numbers, files or pictures depend on them."""
 
 
 @dataclass(frozen=True, slots=True)
 class MethodFacts:
-    """What one method has come to."""
+    """Results of one method."""
 
     method: Method
     states: Mapping[str, int]
     """Taxels by the name of their state."""
     predicted: PredictedError | None
-    """None where no taxel is known."""
+    """`None` if no taxel is estimated."""
     error: ErrorSummary | None
-    """Against the truth; None where that is not known."""
+    """Against the truth; `None` if it is unknown."""
     spacing: float | None
-    """How far neighbours lie apart over how far the layout plans it; None without a layout."""
+    """Measured over planned distance of neighbours; `None` without a layout."""
     solve_s: float
-    """s of processor time that it took here to solve all taxels from all pokes."""
+    """s of processor time to solve all taxels from all pokes on this machine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +135,7 @@ def gather_facts(folder: Path, method: Method | None = None, *, correct: bool = 
 
 
 def errors_of(estimates: tuple[Estimate, ...], truth: TaxelPositions | None) -> dict[int, float]:
-    """Return the error of each taxel that is known, metres by channel: against the truth, or without one the predicted."""
+    """Compute the error of each estimated taxel, metres by channel: against the truth, or without one the predicted error."""
     if truth is None:
         return {estimate.channel: estimate.rms for estimate in estimates if estimate.rms is not None}
     return {
@@ -150,7 +150,7 @@ def _method_facts(session: Session, snapshot: Snapshot, method: Method, truth: T
     names = [estimate.state.value for estimate in estimates]
     begun = time.process_time()
     rest = session.scene.noise, session.surface, session.dead
-    # With the errors that a correction makes all contacts share: that is the work the session does.
+    # With the shared errors of a correction, as the session solves.
     shared = session.shared_errors
     estimate_taxels(session.contacts, session.channels, (method,), *rest, model=session.module_model, shared=shared)
     return MethodFacts(
@@ -179,7 +179,7 @@ def _series(part: Part, snapshot: Snapshot, truth: TaxelPositions | None) -> Err
 
 
 def _rejected(snapshot: Snapshot) -> dict[Reason, tuple[Rejection, ...]]:
-    # A poke at a landmark is not meant for the skin: that no taxel answered is no fault there.
+    # No taxel answers a poke at a landmark, which is no fault.
     outcomes = [record.outcome for record in snapshot.pokes if record.outcome.poke not in snapshot.at_landmarks]
     every = [outcome for outcome in outcomes if isinstance(outcome, Rejection)]
     of = {reason: tuple(each for each in every if each.reason is reason) for reason in Reason}
@@ -192,6 +192,6 @@ def _versions() -> dict[str, str]:
         try:
             found[package] = version(package)
         except PackageNotFoundError:
-            # A program that was frozen carries packages without their papers.
+            # A frozen program has packages without metadata.
             found[package] = str(getattr(sys.modules.get(package), "__version__", "unknown"))
     return found
