@@ -125,7 +125,7 @@ def make_calibration(part: Part, unseen: tuple[int, ...] = (), blind: tuple[int,
                         1,
                         worst_direction=np.array([0.0, 0.0, 1.0]),
                         reason=StateReason(Cause.ONE_AXIS),
-                        foot=np.array([0.01, 1 / 3, -0.02]),
+                        line_point=np.array([0.01, 1 / 3, -0.02]),
                         rival=Rival(np.array([0.0, 1 / 7, 0.1]), 5, 1.5),
                         doubted={7: 1 / 3},
                     )
