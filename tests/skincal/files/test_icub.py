@@ -164,7 +164,7 @@ def test_any_text_is_read_or_refused_with_a_sentence(text):
 
 @given(st.sets(st.integers(0, 400), max_size=60))
 def test_ranges_name_every_channel(channels):
-    words = list_channels(channels, most=1000)
+    words = list_channels(channels, max_ranges=1000)
     named: set[int] = set()
     for word in words.split(", ") if words else []:
         first, _, last = word.partition("-")
