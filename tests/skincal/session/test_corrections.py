@@ -92,6 +92,9 @@ def test_a_correction_in_use_is_that_of_every_contact_and_can_be_taken_back(bad)
     for method, found in solved.items():
         for first, second in zip(now.estimates[method], found.values(), strict=True):
             assert np.array_equal(first.position, second.position), method
+            assert (first.moved is None) is (first.position is None)
+            if first.moved is not None:
+                assert np.linalg.eigvalsh(first.covariance - first.moved @ first.moved.T).min() > -1e-12
     assert found_in(session) == action, "what is asked for does not hang on what is in use"
     session.act(Undo())
     assert same_estimates(session.snapshot(), before)
@@ -256,20 +259,6 @@ def test_an_action_of_old_is_a_correction_that_is_taken_for_exact(bad):
                 assert estimate.rms < other.rms
     session.act(Undo())
     assert same_estimates(session.snapshot(), replace(session.snapshot(), estimates=known)), "its uncertainty is back"
-
-
-def test_what_a_correction_does_not_know_is_in_the_covariances_until_it_is_used_no_more(bad):
-    session, _ = bad
-    before = session.snapshot()
-    session.act(found_in(session))
-    for estimates in session.snapshot().estimates.values():
-        for estimate in estimates:
-            assert (estimate.moved is None) is (estimate.position is None)
-            if estimate.moved is not None:
-                excess = np.linalg.eigvalsh(estimate.covariance - estimate.moved @ estimate.moved.T)
-                assert excess.min() > -1e-12
-    session.act(Uncorrect(RIG))
-    assert same_estimates(session.snapshot(), before)
 
 
 def test_a_frame_and_the_rig_together_are_uncertain_as_the_rig_is_under_that_frame(bad):
