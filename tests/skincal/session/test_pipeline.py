@@ -132,8 +132,8 @@ def test_a_poke_is_measured_while_samples_come_from_a_sensor_that_lives():
     items = as_chunks(Script(small_scene(), force_noise=0.1).quiet(5.0).samples, per_frame=1)
     end_ns = items[-1].host_ns
     assert played(items).can_measure(end_ns)
-    assert not played(repeating(items, end_ns - 2_000_000_000, end_ns)).measures(end_ns), "frozen"
-    assert not played(repeating(items, 0, end_ns)).measures(end_ns), "never changed"
+    assert not played(repeating(items, end_ns - 2_000_000_000, end_ns)).can_measure(end_ns), "frozen"
+    assert not played(repeating(items, 0, end_ns)).can_measure(end_ns), "never changed"
 
 
 def test_a_sensor_that_never_changed_gives_no_poke_and_the_first_that_counts_is_of_one_that_lives():
