@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from PySide6.QtCore import QObject, QSettings
 from PySide6.QtGui import QAction, QKeySequence
@@ -18,10 +18,11 @@ from app.text_size import STEPS
 from app.theme import Choice
 
 if TYPE_CHECKING:
-    from app.session_view import SessionView
     from app.state.policies import Allowed
-    from app.window import Window
 
+# `Any`, since the modules of the window and the session view import this one.
+Window: TypeAlias = Any
+SessionView: TypeAlias = Any
 Enabled: TypeAlias = "Callable[[Window], bool | str]"
 
 

@@ -23,7 +23,7 @@ from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
 from app.theme import GAP
 from skincal.model.readings import LinkHealth, Stream
-from skincal.words.link_words import beside_words
+from skincal.words.link_words import STREAM_NAMES, beside_words
 from skincal.words.units import count
 
 MIN_SHOWN_DELAY_S = 0.6  # A hand does not notice a shorter delay
@@ -87,7 +87,7 @@ class LinkCard(QFrame):
         self.sign.setToolTip(escape_tooltip(words.look.value))
         self.name.setText(words.name)
         self.rate.setText(words.rate)
-        carried = ", ".join(stream.value for stream in health.carries)
+        carried = ", ".join(STREAM_NAMES[stream] for stream in health.carries)
         # The most important first: a narrow window cuts off the end.
         about = ["" if carried == words.name else carried, health.address, health.format or "format not known yet"]
         self.about.setText(BETWEEN.join(filter(None, (*about, f"last bytes {words.age}"))))

@@ -71,5 +71,5 @@ def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypa
     scene = resource("scenes/flat-patch/scene.toml")
     assert headless.run_headless(scene, tmp_path / "s", "no display") == 0
     lines = capsys.readouterr().out.splitlines()
-    (words,) = [line for line in lines if line.startswith("Not enough yet")]
+    (words,) = [line for line in lines if line.startswith("Not finished")]
     assert words.rstrip(".") in (tmp_path / "s" / "positions.txt").read_text(encoding="utf-8")

@@ -94,7 +94,7 @@ def test_a_session_from_the_first_poke_to_the_file(bench, qtbot, tmp_path):
     assert workspace.card.methods.currentData() is Method.SURFACE
     bench.key(Qt.Key.Key_5)
     assert workspace.tabs.currentWidget() is workspace.panels["Devices"]
-    assert set(workspace.panels["Devices"].cards) == {"wrench", "skin", "joints"}
+    assert set(workspace.panels["Devices"].cards) == {"force/torque sensor", "skin", "joints"}
 
     bench.key(Qt.Key.Key_S, Qt.KeyboardModifier.ControlModifier)
     assert "is saved in" in "".join(m.text for m in bench.messages)
@@ -322,7 +322,7 @@ def test_a_stranger_s_session_opens_and_its_links_of_other_kinds_do_not(bench, t
             ("-c", "import sys; sys.stderr.write('no port'); sys.exit(3)"),
             approved("start.process_ended", code=3, said="no port"),
         ),
-        (("-c", "print('hello'); input()"), "said b'hello'"),
+        (("-c", "print('hello'); input()"), "printed b'hello'"),
         ((), "cannot be started"),
     ],
 )

@@ -322,7 +322,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
 
 def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked, monkeypatch):
     bench = poked.bench
-    for module, name in ((controller, "SOLVE_S"), (controller, "SOLVING_S"), (controller, "DRAW_BEHIND_S")):
+    for module, name in ((controller, "SOLVE_S"), (controller, "SOLVING_SHOWN_S"), (controller, "MIN_BUSY_PICTURE_S")):
         monkeypatch.setattr(module, name, 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     shown: list[tuple[object, int, str]] = []

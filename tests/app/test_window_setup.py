@@ -372,7 +372,8 @@ def test_a_wrong_device_is_said_in_the_line_and_its_light_is_not_blue(bench, dev
     workspace = bench.window.session_view.workspace
     workspace.show_tab("Devices")
     bench.until(lambda: workspace.panels["Devices"].cards["skin"].detail.text() == words, 5000)
-    assert workspace.panels["Devices"].cards["wrench"].sign.text() != workspace.panels["Devices"].cards["skin"].sign.text()
+    cards = workspace.panels["Devices"].cards
+    assert cards["force/torque sensor"].sign.text() != cards["skin"].sign.text()
 
 
 def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
