@@ -45,7 +45,7 @@ def _options(
     pass
 
 
-COMMANDS = ("solve", "apply", "compare", "report", "devices", "landmarks", "record", "simulate", "study")
+COMMANDS = ("scene", "solve", "apply", "compare", "report", "devices", "landmarks", "record", "simulate", "study")
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
 
 

@@ -74,7 +74,7 @@ MAX_SCENE_FILES = 16
 """TOML files of a scene's folder: a scene and its layout are two, and each may have 4 MB."""
 SCENE_FOLDER = "scene"
 """Folder in a session's folder with copies of the scene's files, so that the session opens on another machine."""
-NAMED_FILES = (("skin", "modules"), ("surface", "mesh"))
+NAMED_FILES = (("skin", "modules"), ("surface", "mesh"), ("robot", "urdf"), ("robot", "mesh"))
 """Table and key of each file that a scene names."""
 DIGEST_OF_ALL_FILES = "all-files:"
 """Start of a digest that covers the mesh. Older digests, without it, are of the TOML files only."""
@@ -434,8 +434,11 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
     document = tomllib.loads(text)
     try:
         folder.mkdir(parents=True)
+        if scene.robot is not None and scene.robot.mesh is not None and "mesh" not in document["robot"]:
+            # The URDF names a file of a package, which another machine does not have: the copy names its own.
+            text = _with_value(text, "robot", "mesh", str(scene.robot.mesh[0].resolve()))
         for table, key in NAMED_FILES:
-            if key in document.get(table, {}):
+            if key in tomllib.loads(text).get(table, {}):
                 text = _copy_named(text, table, key, scene.path.parent, folder)
         target = folder / SCENE_FILE
         # Without `newline` Windows would write other line ends than the text has.
@@ -465,10 +468,14 @@ def _copy_named(text: str, table: str, key: str, source: Path, folder: Path) -> 
     (folder / bare).write_bytes(data)
     if bare == named:
         return text
+    return _with_value(text, table, key, bare)
+
+
+def _with_value(text: str, table: str, key: str, value: str) -> str:
     import tomlkit  # 50 ms, for scenes whose files lie elsewhere
 
     document: Any = tomlkit.parse(text)
-    document[table][key] = bare
+    document[table][key] = value
     return str(tomlkit.dumps(document))
 
 

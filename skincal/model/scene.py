@@ -6,7 +6,6 @@ degrees unless the key ends in a unit; see `docs/scene.md`.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -17,8 +16,10 @@ import numpy as np
 
 from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
+from skincal.model.robot import RobotSpec, read_robot
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
 from skincal.model.tables import LENGTH_MAX, Table, check_degrees, check_metres, parse_toml, read_text
+from skincal.model.urdf import UrdfChain
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 """Settings that the file gives in degrees, by their key there."""
@@ -33,8 +34,6 @@ MAX_JOINT_COLUMNS = 1000
 """Of a joint stream: a humanoid has about a hundred."""
 DISTANCE_SD_RANGE_M = (1e-5, 0.1)
 """m. Nobody measures a hundredth of a millimetre on a soft skin."""
-NETWORK_PATH = re.compile(r"[\\/]([\\/]|\?\?)")
-"""Beginning of a name of Windows on another machine or of a device, such as `//HOST/share` and `\\\\.\\pipe`."""
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
 
 
@@ -130,7 +129,7 @@ class NoiseSettings:
 class ArmSpec:
     """Kinematic chain between sensor and link, and named arm poses."""
 
-    arm: Arm
+    arm: Arm | UrdfChain
     poses: dict[str, FloatArray]
     """Name to (joints,) float, radians; may be empty if the joints are streamed."""
     tolerance: float = float(np.radians(0.5))
@@ -183,6 +182,7 @@ class Scene:
     distances: tuple[KnownDistance, ...] = ()
     text: str = field(repr=False, default="")
     """The file's text, kept in every session."""
+    robot: RobotSpec | None = None
 
 
 def load_scene(path: Path) -> Scene:
@@ -195,25 +195,27 @@ def load_scene(path: Path) -> Scene:
     skin = root.table("skin")
     if skin is None:
         raise InputError(f"{path}: [skin] is missing; expected a table with at least channels.")
-    surface, arm, sensor = root.table("surface"), root.table("arm"), root.table("sensor")
+    surface, arm, sensor, robot = root.table("surface"), root.table("arm"), root.table("sensor"), root.table("robot")
     wrench, contacts, noise = root.table("wrench"), root.table("contacts"), root.table("noise")
-    if arm is not None and sensor is not None:
-        raise InputError(f"{path}: [arm] and [sensor] exclude each other; the arm already places the sensor.")
-    spec = _read_skin(skin, path)
+    if sum(each is not None for each in (arm, sensor, robot)) > 1:
+        raise InputError(f"{path}: [arm], [sensor] and [robot] exclude each other; keep the one that places the sensor.")
+    spec, name, link = _read_skin(skin, path), root.take("name", str), root.take("link", str)
+    made = None if robot is None else read_robot(robot, link, path.parent, surface is None)
     scene = Scene(
-        name=root.take("name", str),
-        link=root.take("link", str),
+        name=name,
+        link=link,
         skin=spec,
-        surface=None if surface is None else _read_surface(surface, path),
-        arm=None if arm is None else _read_arm(arm),
-        sensor_pose=np.eye(4) if sensor is None else _read_pose(sensor, "pose"),
-        wrench_sign=1 if wrench is None else _read_sign(wrench),
+        surface=_robot_surface(made) if surface is None else _read_surface(surface, path),
+        arm=_robot_arm(made) if arm is None else _read_arm(arm),
+        sensor_pose=_fixed_sensor_pose(made) if sensor is None else _read_pose(sensor, "pose"),
+        wrench_sign=_read_sign(wrench, 1 if made is None or made.sign is None else made.sign),
         contacts=_read_settings(contacts, ContactSettings),
         noise=_read_settings(noise, NoiseSettings),
         path=path,
         landmarks=_read_landmarks(root, path),
         distances=_read_distances(root, spec.layout),
         text=text,
+        robot=made,
     )
     _check_force_order("" if contacts is None else contacts.where, scene.contacts)
     for part in (root, skin, surface, arm, sensor, wrench, contacts, noise):
@@ -226,8 +228,8 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
     channels = table.take("channels", int)
     if not 1 <= channels <= 100_000:
         raise InputError(f"{table.where}: channels is {channels}; expected 1 to 100000.")
-    modules = table.take("modules", str, None)
-    layout = None if modules is None else load_layout(path.parent / _require_local_path(modules, table.where), channels)
+    modules = table.path("modules", "")
+    layout = load_layout(path.parent / modules, channels) if modules else None
     anchor = table.table("anchor")
     limits = table.array("range", (2,), None)
     if limits is not None and not limits[0] < limits[1]:
@@ -243,20 +245,10 @@ def _read_skin(table: Table, path: Path) -> SkinSpec:
 
 def _read_surface(table: Table, path: Path) -> SurfaceSpec:
     return SurfaceSpec(
-        path=path.parent / _require_local_path(table.take("mesh", str), table.where),
+        path=path.parent / table.path("mesh"),
         scale=table.choice("unit", UNITS),
         link_from_mesh=_read_pose(table, "pose", np.eye(4)),
     )
-
-
-def _require_local_path(named: str, where: str) -> str:
-    """Refuse the name of a file on another machine or of a device of Windows.
-
-    Opening such a file sends the user's name and a hash of the password to the machine in its name.
-    """
-    if NETWORK_PATH.match(named):
-        raise InputError(f"{where}: {named} lies on another machine; copy the file beside the scene, and name it there.")
-    return named
 
 
 def _read_pose(table: Table, key: str, default: Any = ...) -> FloatArray:
@@ -298,6 +290,21 @@ def _read_arm(table: Table) -> ArmSpec:
     if not tolerance > 0:
         raise InputError(f"{table.where}: tolerance_deg is {tolerance}; expected a number above 0.")
     return ArmSpec(arm, named, float(np.radians(tolerance)))
+
+
+def _robot_arm(robot: RobotSpec | None) -> ArmSpec | None:
+    return None if robot is None or not robot.chain.joints else ArmSpec(robot.chain, dict(robot.poses), robot.tolerance)
+
+
+def _fixed_sensor_pose(robot: RobotSpec | None) -> FloatArray:
+    return np.eye(4) if robot is None or robot.chain.joints else robot.chain.link_from_sensor(np.empty(0))
+
+
+def _robot_surface(robot: RobotSpec | None) -> SurfaceSpec | None:
+    if robot is None or robot.mesh is None:
+        return None
+    file, mesh, link_from_mesh = robot.mesh
+    return SurfaceSpec(file, mesh.scale, link_from_mesh)
 
 
 def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:
@@ -352,8 +359,10 @@ def check_distance(known: KnownDistance, layout: Layout | None, where: str) -> N
         raise InputError(f"{where}: the ends are {list(known.ends)}; expected {what} of the layout.")
 
 
-def _read_sign(table: Table) -> int:
-    sign = table.take("sign", int, 1)
+def _read_sign(table: Table | None, default: int) -> int:
+    if table is None:
+        return default
+    sign = table.take("sign", int, default)
     if sign not in (1, -1):
         raise InputError(f"{table.where}: sign is {sign}; expected 1, or -1 where the sensor reports the reaction.")
     return sign

@@ -30,6 +30,9 @@ _TOO_MANY_DOTS = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{MAX
 _short_repr = reprlib.Repr()
 _short_repr.maxlist, _short_repr.maxstring, _short_repr.maxother, _short_repr.maxlevel = 16, 60, 60, 4
 
+NETWORK_PATH = re.compile(r"[\\/]([\\/]|\?\?)")
+"""Beginning of a name of Windows on another machine or of a device, such as `//HOST/share` and `\\\\.\\pipe`."""
+
 
 def read_text(path: Path) -> str:
     """Read a text file; its line ends stay as they are."""
@@ -122,6 +125,25 @@ class Table:
         if not 1 / DIRECTION_MAX < length < DIRECTION_MAX:
             raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, of a length near 1.")
         return vector / length
+
+    def path(self, key: str, default: Any = ...) -> str:
+        """Take the name of a file or folder on this machine.
+
+        Opening a file on a Windows share sends the user's name and a hash of the password to the machine in its name.
+        """
+        named: str = self.take(key, str, default)
+        if NETWORK_PATH.match(named):
+            raise InputError(f"{self.where}: {named} lies on another machine; copy it beside the scene, and name it there.")
+        return named
+
+    def words(self, key: str, default: Any = ...) -> list[str]:
+        """Take a list of different names."""
+        names: list[Any] = self.take(key, list, default)
+        if not all(isinstance(name, str) and name for name in names) or len(set(names)) < len(names):
+            raise InputError(f"{self.where}: {key} is {shown(names)}; expected a list of different names.")
+        for name in names:
+            _require_plain(name, f"{self.where}: {key}")
+        return names
 
     def lengths_mm(self, key: str, shape: tuple[int | None, ...], default: Any = ..., *, gaps: bool = False) -> FloatArray:
         """Take an array of millimetres, as `array`, and convert it to metres."""

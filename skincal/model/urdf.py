@@ -326,7 +326,7 @@ def read_urdf(path: Path) -> Robot:
         raise InputError(f"{path}: not an XML file ({error}); expected a URDF.") from None
     if root.tag != "robot":
         raise InputError(f"{path}: begins with <{root.tag}>; expected a URDF, which begins with <robot>.")
-    if b"xacro" in data and any("xacro" in element.tag for element in root.iter()):
+    if b"<xacro:" in data:
         raise InputError(f"{path}: is a xacro file; make a URDF of it first: xacro {path.name} > robot.urdf.")
     links = tuple(_attribute(element, "name", path) for element in root.findall("link"))
     joints = [_read_joint(element, path) for element in root.findall("joint")]

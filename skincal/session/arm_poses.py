@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skincal.geometry import FloatArray
+from skincal.geometry import Arm, FloatArray
 from skincal.model.scene import ArmSpec, Scene
 
 CurrentPose: TypeAlias = tuple[str, FloatArray | None]
@@ -39,6 +39,8 @@ class ArmPoses:
     def forget_stream(self) -> None:
         """Forget the streamed angles: other devices follow."""
         self._angles: FloatArray | None = None
+        self.limit_warning = ""
+        """Says which streamed angle lies outside the limits of its joint; empty if none does."""
         self._streamed: tuple[str, FloatArray] | None = None
         self._anchor: tuple[str, FloatArray] = "", np.empty(0)
         """The newest name of an unused pose, and the angles that it was made from."""
@@ -67,6 +69,7 @@ class ArmPoses:
             if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object tells others that nothing changed.
                 self._angles = angles
+                self.limit_warning = "" if isinstance(arm.arm, Arm) else arm.arm.limit_warning(angles) or ""
                 sensor = arm.arm.link_from_sensor(angles)
                 self._streamed = self._name_of(arm, angles, sensor), sensor
         if not chosen and self._streamed is not None:

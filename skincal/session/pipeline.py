@@ -24,7 +24,7 @@ from skincal.journal.documents import DetectorResult, Item, Result, SessionClose
 from skincal.journal.writer import JournalFailure, JournalWriter
 from skincal.model.actions import Action, AskLandmark, AskPoke, SkipLandmark, TimedAction
 from skincal.model.errors import InputError
-from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkState, Sample, Stream, is_silent
+from skincal.model.readings import TEMPERATURE, Chunk, LinkEvent, LinkHealth, LinkState, Sample, Stream, is_silent
 from skincal.model.scene import Scene
 from skincal.session.arm_poses import ArmPoses
 from skincal.session.corrections import corrected_progress
@@ -174,11 +174,17 @@ class Pipeline:
             skin=detector.responses,
             skin_s=detector.last_s,
             progress=progress,
-            links=self._intake.health(now_ns),
+            links=self._links(now_ns),
             losses_unpaired=self._intake.unpaired,
             pose=name,
             link_from_sensor=link_from_sensor,
         )
+
+    def _links(self, now_ns: int) -> tuple[LinkHealth, ...]:
+        """State of the links; that of the joints says if an angle lies outside the limits of the URDF."""
+        links = self._intake.health(now_ns)
+        warning = self.poses.limit_warning
+        return tuple(replace(link, text=warning) if warning and Stream.JOINTS in link.carries else link for link in links)
 
     @property
     def before_pokes(self) -> BeforePokes:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import Arm, FloatArray, IntArray
 
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
@@ -242,15 +242,18 @@ def forward_kinematics(scene: Scene) -> dict[str, FloatArray]:
     """
     if scene.arm is None:
         return {"": scene.sensor_pose}
+    arm = scene.arm.arm
+    if not isinstance(arm, Arm):
+        raise ValueError("the independent simulator walks DH chains only")
     found: dict[str, FloatArray] = {}
     x, z, none = np.eye(3)[0], np.eye(3)[2], np.zeros((1, 3))
     for name, angles in scene.arm.poses.items():
         base_from_link = np.eye(4)
-        for joint, angle in zip(scene.arm.arm.chain, angles, strict=True):
+        for joint, angle in zip(arm.chain, angles, strict=True):
             about_z = motions((angle + joint.offset) * z[None], joint.d * z[None])[0]
             about_x = motions(none, joint.a * x[None])[0] @ motions(joint.alpha * x[None], none)[0]
             base_from_link = base_from_link @ about_z @ about_x
-        found[name] = np.asarray(np.linalg.solve(base_from_link, scene.arm.arm.base_from_sensor), dtype=np.float64)
+        found[name] = np.asarray(np.linalg.solve(base_from_link, arm.base_from_sensor), dtype=np.float64)
     return found
 
 

@@ -1,0 +1,166 @@
+"""`scene`: write the scene of a new part from a URDF or a mesh, and show what a scene says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from skincal.cli.solve import Json
+from skincal.model.errors import InputError
+
+if TYPE_CHECKING:
+    from skincal.geometry import FloatArray
+    from skincal.session.part import Part
+
+_scenes = typer.Typer(
+    help="Make the scene file of a new part, or show what one says.",
+    no_args_is_help=True,
+    epilog="Example: skincal scene new --urdf robot.urdf --link forearm --sensor arm_ft --grid 6x8@9mm --out part/scene.toml",
+)
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    of_robot = "skincal scene new --urdf robot.urdf --link forearm --sensor arm_ft --layout modules.toml --out part/scene.toml"
+    of_mesh = "skincal scene new --mesh part.stl --unit mm --grid 6x8@9mm --out part/scene.toml"
+    _scenes.command("new", epilog=f"Examples: {of_robot}; {of_mesh}")(new_scene)
+    _scenes.command("show", epilog="Example: skincal scene show part/scene.toml --joints 94,0")(show_scene)
+    app.add_typer(_scenes, name="scene")
+
+
+def new_scene(
+    out: Annotated[Path, typer.Option(help="Scene file to write (*.toml).")],
+    urdf: Annotated[Path | None, typer.Option(help="URDF of the robot that carries the part.")] = None,
+    link: Annotated[str, typer.Option(help="Link of the part: the frame of every position.")] = "part",
+    sensor: Annotated[str, typer.Option(help="Force/torque sensor of the URDF, or a joint or link at it.")] = "",
+    joints: Annotated[str, typer.Option(help="Columns of the joint stream, by joint name, separated by commas.")] = "",
+    package: Annotated[
+        list[str] | None, typer.Option(help="NAME=FOLDER of a ROS package that the URDF names; repeatable.")
+    ] = None,
+    mesh: Annotated[Path | None, typer.Option(help="Mesh of the part, without a URDF.")] = None,
+    unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
+    channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
+    polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
+    layout: Annotated[Path | None, typer.Option(help="Layout of the modules (*.modules.toml).")] = None,
+    grid: Annotated[str, typer.Option(help="Taxels in a grid: ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")] = "",
+    anchor_mm: Annotated[str, typer.Option(help="X,Y,Z of the layout's middle in the link frame, mm.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Write the scene file of a new part."""
+    from skincal.cli import output
+    from skincal.session.part import load_part
+    from skincal.session.scene_draft import SceneDraft, parse_grid, write_scene
+
+    if layout is not None and grid:
+        raise InputError("--layout and --grid exclude each other; keep one.")
+    draft = SceneDraft(
+        out=out,
+        urdf=urdf,
+        link=link,
+        sensor=sensor,
+        joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
+        packages=_packages(package or []),
+        mesh=mesh,
+        unit=unit,
+        channels=channels,
+        polarity=polarity,
+        layout=layout,
+        grid=parse_grid(grid) if grid else None,
+        anchor_mm=_numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None,
+    )
+    write_scene(draft)
+    result = scene_result(load_part(out), None)
+    output.print_result(result, [f"wrote {out}", *_lines(result)], as_json)
+
+
+def show_scene(
+    scene: Annotated[Path, typer.Argument(help="Scene file, or the name of one that ships.", show_default=False)],
+    joints: Annotated[str, typer.Option(help="Angles of the joint stream's columns, degrees, separated by commas.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Show the chain between sensor and part, the sensor's pose and all findings."""
+    from skincal.cli import output
+    from skincal.model.scene import scene_file
+    from skincal.session.part import load_part
+
+    result = scene_result(load_part(scene_file(scene)), _numbers(joints, None, "--joints") if joints else None)
+    output.print_result(result, _lines(result), as_json)
+
+
+def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
+    """Convert a part to JSON: chain, sensor pose (4 x 4, metres) at the given joint columns (degrees), and findings."""
+    import numpy as np
+
+    from skincal.geometry import Arm
+
+    scene, findings = part.scene, list(part.findings)
+    arm = scene.arm
+    angles = None
+    if arm is not None:
+        if degrees is not None:
+            if len(degrees) <= max(arm.arm.joints):
+                raise InputError(f"--joints has {len(degrees)} angles; the scene needs columns {list(arm.arm.joints)}.")
+            angles = np.radians(degrees)[list(arm.arm.joints)]
+        else:
+            angles = next(iter(arm.poses.values()), np.zeros(len(arm.arm.joints)))
+        if not isinstance(arm.arm, Arm) and (warning := arm.arm.limit_warning(angles)) is not None:
+            findings.append(warning)
+    pose = scene.sensor_pose if arm is None or angles is None else arm.arm.link_from_sensor(angles)
+    robot = scene.robot
+    if robot is not None and robot.sign is None:
+        findings.append("the URDF does not say whether the sensor reports the force or its reaction: see [wrench] sign")
+    if scene.skin.layout is None:
+        findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
+    if not scene.landmarks:
+        findings.append("no landmarks: a shift that all taxels share would go unnoticed")
+    return {
+        "scene": str(scene.path),
+        "link": scene.link,
+        "sensor": None if robot is None else robot.sensor,
+        "chain": [] if robot is None else [
+            {"joint": joint.name, "kind": joint.kind, "streamed": joint in robot.chain.moving}
+            for joint, _, _ in reversed(robot.chain.steps)
+        ],
+        "joints_deg": None if angles is None else np.degrees(angles).tolist(),
+        "link_from_sensor": pose.tolist(),
+        "wrench_sign": scene.wrench_sign,
+        "mesh": None if scene.surface is None else str(scene.surface.path),
+        "channels": scene.skin.channels,
+        "taxels": None if scene.skin.layout is None else len(scene.skin.layout.channels),
+        "findings": findings,
+    }  # fmt: skip
+
+
+def _lines(result: dict[str, Any]) -> list[str]:
+    lines = [f"link {result['link']}, {result['channels']} channels, {result['taxels'] or 'unknown'} taxels"]
+    if result["sensor"] is not None:
+        lines.append(f"sensor {result['sensor']}, sign {result['wrench_sign']:+d}")
+    for joint in result["chain"]:
+        lines.append(f"  joint {joint['joint']}: {'streamed' if joint['streamed'] else joint['kind']}")
+    if result["joints_deg"] is not None:
+        lines.append("at " + ", ".join(f"{angle:g}" for angle in result["joints_deg"]) + " degrees")
+    lines.append("pose of the sensor in the link, metres:")
+    lines += ["  " + " ".join(f"{value + 0.0:10.6f}" for value in row) for row in result["link_from_sensor"]]
+    return [*lines, f"mesh: {result['mesh'] or 'none'}", *(f"- {finding}" for finding in result["findings"])]
+
+
+def _packages(given: list[str]) -> dict[str, Path]:
+    pairs = [text.partition("=") for text in given]
+    if not all(name and folder for name, _, folder in pairs):
+        raise InputError(f"--package {' '.join(given)}: expected NAME=FOLDER.")
+    return {name: Path(folder) for name, _, folder in pairs}
+
+
+def _numbers(text: str, count: int | None, option: str) -> FloatArray:
+    import numpy as np
+
+    try:
+        values = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    if not len(values) or (count is not None and len(values) != count) or not np.isfinite(values).all():
+        expected = "numbers" if count is None else f"{count} numbers"
+        raise InputError(f"{option} is {text}; expected {expected} separated by commas.")
+    return values

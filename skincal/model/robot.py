@@ -1,0 +1,91 @@
+"""The table `[robot]` of a scene: a URDF in place of `[arm]` or `[sensor]`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.tables import Table, check_degrees
+from skincal.model.urdf import LinkMesh, Robot, UrdfChain, find_mesh, read_urdf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotSpec:
+    """The robot that carries the part."""
+
+    urdf: Robot
+    sensor: str
+    """Name of a force/torque sensor, a joint or a link."""
+    chain: UrdfChain
+    columns: tuple[str, ...]
+    """Joint names of the joint stream's columns."""
+    sign: int | None
+    """1 if the sensor reports the force on the part, -1 for the reaction; `None` if the URDF does not say."""
+    poses: Mapping[str, FloatArray]
+    """Named arm poses: (moving joints,) float, radians."""
+    tolerance: float
+    """rad."""
+    mesh: tuple[Path, LinkMesh, FloatArray] | None
+    """File of the part's mesh, what the URDF says of it, its (4, 4) pose in the part's link; `None` without a mesh."""
+
+
+def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> RobotSpec:
+    """Read `[robot]`.
+
+    Parameters
+    ----------
+    link : the part's link, frame of all positions
+    folder : of the scene file
+    needs_mesh : the mesh of the part's link is looked for; otherwise the scene has its own
+
+    Raises InputError: the URDF is not usable, or a name is not in it.
+    """
+    where = table.where
+    urdf = read_urdf(folder / table.path("urdf"))
+    sensor = table.take("sensor", str)
+    columns = tuple(table.words("joints", []))
+    fixed = _degrees(table.table("fixed"), urdf)
+    chain, sign = urdf.chain(link, sensor, columns, fixed, where)
+    poses_table, poses = table.table("poses"), dict[str, FloatArray]()
+    for name in [] if poses_table is None else poses_table.keys:
+        assert poses_table is not None
+        angles: FloatArray = poses_table.array(name, (len(columns),))
+        check_degrees(angles, f"{poses_table.where}: {name}")
+        poses[name] = np.radians(angles)[list(chain.joints)]
+    tolerance = table.take("tolerance_deg", float, 0.5)
+    if not tolerance > 0:
+        raise InputError(f"{where}: tolerance_deg is {tolerance}; expected a number above 0.")
+    packages_table, packages = table.table("packages"), dict[str, Path]()
+    for name in [] if packages_table is None else packages_table.keys:
+        assert packages_table is not None
+        packages[name] = folder / packages_table.path(name)
+    own = table.path("mesh", "")
+    mesh = None
+    if needs_mesh and (found := urdf.mesh_for(link)) is not None:
+        file = folder / own if own else find_mesh(urdf, found[0], packages)
+        if file.suffix.lower() == ".dae":
+            raise InputError(
+                f"{where}: the mesh of link {found[0].link} is a COLLADA file ({file.name}), which is not read; save it as "
+                "STL or OBJ, and name that file in mesh."
+            )
+        mesh = file, *found
+    table.refuse_unknown_keys()
+    return RobotSpec(urdf, sensor, chain, columns, sign, poses, float(np.radians(tolerance)), mesh)
+
+
+def _degrees(table: Table | None, urdf: Robot) -> dict[str, float]:
+    """Read the angles of joints that are not streamed, in radians."""
+    angles: dict[str, float] = {}
+    for name in [] if table is None else table.keys:
+        assert table is not None
+        angle = table.take(name, float)
+        check_degrees(np.array([angle]), f"{table.where}: {name}")
+        if name not in urdf.joints:
+            raise InputError(f"{table.where}: {urdf.path.name} has no joint {name!r}; expected joints of the URDF.")
+        angles[name] = float(np.radians(angle))
+    return angles

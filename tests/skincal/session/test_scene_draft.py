@@ -1,0 +1,158 @@
+"""A scene made of a URDF or a mesh: what is written reads as what was said, is copied whole, and can be poked."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from skincal.cli import main
+from skincal.journal.writer import copy_scene, scene_digest
+from skincal.model.errors import InputError
+from skincal.model.scene import load_scene
+from skincal.session.arm_poses import ArmPoses
+from skincal.session.part import load_part
+from skincal.session.scene_draft import SceneDraft, parse_grid, write_scene
+
+ROBOT = """<robot name="arm">
+  <link name="base"/><link name="mount"/><link name="upper"/>
+  <link name="part"><visual><origin xyz="0 0 0.05"/><geometry><mesh filename="package://arm/meshes/part.stl"
+    scale="0.001 0.001 0.001"/></geometry></visual></link>
+  <joint name="ft" type="fixed"><parent link="base"/><child link="mount"/><origin xyz="0 0 0.1"/></joint>
+  <joint name="elbow" type="revolute"><parent link="mount"/><child link="upper"/><origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>
+    <limit lower="0.2" upper="1.8"/></joint>
+  <joint name="wrist" type="revolute"><parent link="upper"/><child link="part"/><origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1"/></joint>
+  <sensor name="wrist_ft" type="force_torque"><parent joint="ft"/><force_torque><frame>child</frame>
+    {direction}</force_torque></sensor>
+</robot>"""
+DIRECTION = "<measure_direction>child_to_parent</measure_direction>"
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    for folder in ("arm/meshes", "arm/robots"):
+        (tmp_path / folder).mkdir(parents=True)
+    trimesh.creation.box((60.0, 40.0, 100.0)).export(tmp_path / "arm/meshes/part.stl")
+    path = tmp_path / "arm/robots/arm.urdf"
+    path.write_text(ROBOT.format(direction=DIRECTION))
+    return path
+
+
+def draft(tmp_path, urdf, **values):
+    given = {"urdf": urdf, "link": "part", "sensor": "wrist_ft", "grid": parse_grid("3x4@8mm"), **values}
+    return SceneDraft(out=tmp_path / "scenes/new/scene.toml", **given)
+
+
+def test_a_robots_scene_has_its_chain_sign_mesh_and_grid(tmp_path, urdf):
+    scene = write_scene(draft(tmp_path, urdf))
+    assert scene.arm.arm.joints == (0, 1)
+    assert scene.robot.columns == ("elbow", "wrist")
+    assert scene.wrench_sign == 1
+    assert scene.skin.channels == 12
+    assert scene.skin.layout.spacing == pytest.approx(0.008)
+    part = load_part(scene.path)
+    assert part.surface.vertices[:, 2].max() == pytest.approx(0.1)  # 50 mm of the box above 50 mm of its origin
+    assert part.laid.places.shape == (12, 3)
+    assert np.allclose(part.laid.places[:, 2], 0.1)
+    straight = scene.arm.arm.link_from_sensor(np.zeros(2))
+    assert straight[:3, 3].tolist() == pytest.approx([0.0, 0.0, -0.3])
+
+
+def test_a_scene_says_what_the_urdf_does_not_know(tmp_path, urdf):
+    urdf.write_text(ROBOT.format(direction=""))
+    scene = write_scene(draft(tmp_path, urdf))
+    assert scene.robot.sign is None
+    assert "the URDF does not say" in scene.path.read_text()
+
+
+def test_a_copy_holds_urdf_and_mesh_and_its_digest_covers_them(tmp_path, urdf):
+    scene = write_scene(draft(tmp_path, urdf))
+    copied = load_scene(copy_scene(scene, tmp_path / "session/scene"))
+    (tmp_path / "arm").rename(tmp_path / "gone")
+    again = load_part(copied.path)
+    assert again.surface is not None
+    angles = np.array([0.7, -0.3])
+    assert copied.arm.arm.link_from_sensor(angles).tolist() == scene.arm.arm.link_from_sensor(angles).tolist()
+    before = scene_digest(copied.path.parent)
+    file = copied.path.parent / "arm.urdf"
+    file.write_text(file.read_text().replace('xyz="0 0 0.2"', 'xyz="0 0 0.25"'))
+    assert scene_digest(copied.path.parent) != before
+
+
+def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
+    poses = ArmPoses(write_scene(draft(tmp_path, urdf)))
+    for degrees, words in (([60, 10], ""), ([150, 10], "joint elbow"), ([5, 70], "opposite order"), ([1.0, 0.1], "radians")):
+        poses.at("", np.radians(np.array(degrees, dtype=float)))
+        assert (poses.limit_warning == "") if not words else (words in poses.limit_warning)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"link": "prt"}, "did you mean part"),
+        ({"sensor": ""}, "it has wrist_ft"),
+        ({"joints": ("elbow",)}, "joint wrist moves"),
+        ({"grid": None}, "--channels"),
+        ({"urdf": None}, "either a URDF"),
+    ],
+)
+def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, values, words):
+    with pytest.raises(InputError) as refused:
+        write_scene(draft(tmp_path, values.get("urdf", urdf), **{k: v for k, v in values.items() if k != "urdf"}))
+    assert words in str(refused.value)
+    assert not list(tmp_path.rglob("*.toml"))
+
+
+@pytest.mark.parametrize("text", ["6x8", "6x8@", "0x8@9mm", "6x8@9000mm", "axb@9mm", "6x8x2@9mm", ""])
+def test_a_grid_is_refused(text):
+    with pytest.raises(InputError, match="such as 6x8@9mm"):
+        parse_grid(text)
+
+
+def test_a_mesh_alone_becomes_a_scene_by_the_command_and_is_shown(tmp_path, capsys):
+    trimesh.creation.cylinder(30.0, 80.0).export(tmp_path / "can.stl")
+    out = tmp_path / "can/scene.toml"
+    words = [
+        "scene",
+        "new",
+        "--mesh",
+        str(tmp_path / "can.stl"),
+        "--grid",
+        "4x4@8mm",
+        "--anchor-mm",
+        "30,0,10",
+        "--out",
+        str(out),
+    ]
+    assert main(words) == 0
+    scene = load_scene(out)
+    assert scene.skin.anchor.normal.tolist() == pytest.approx([1.0, 0.0, 0.0], abs=0.2)
+    assert main([*words[:-1], str(out)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert main(["scene", "show", str(out), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["link_from_sensor"] == np.eye(4).tolist()
+    assert shown["taxels"] == 16
+
+
+def test_a_robot_is_shown_at_the_given_joints(tmp_path, urdf, capsys):
+    scene = write_scene(draft(tmp_path, urdf))
+    assert main(["scene", "show", str(scene.path), "--joints", "90,0", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    expected = scene.arm.arm.link_from_sensor(np.radians([90.0, 0.0]))
+    assert np.allclose(shown["link_from_sensor"], expected)
+    assert [joint["joint"] for joint in shown["chain"]] == ["elbow", "wrist"]
+    assert main(["scene", "show", str(scene.path), "--joints", "90"]) == 2
+    assert main(["scene", "show", str(scene.path), "--joints", "200,0"]) == 0
+    assert "limits are 11 to 103" in capsys.readouterr().out
+
+
+def test_a_simulated_session_of_a_robot_is_calibrated(tmp_path, urdf, capsys):
+    scene = write_scene(draft(tmp_path, urdf, grid=parse_grid("4x4@8mm")))
+    assert main(["simulate", "--scene", str(scene.path), "--pokes", "24", "--out", str(tmp_path / "s"), "--json"]) == 0
+    capsys.readouterr()
+    assert main(["solve", str(tmp_path / "s"), "--replay", "--reference", str(tmp_path / "s/truth.json"), "--json"]) == 0
+    modules = json.loads(capsys.readouterr().out)["methods"]["modules"]
+    assert modules["states"]["estimated"] == 16
+    assert modules["predicted_error_mm"]["mean"] < 3.0
