@@ -449,7 +449,7 @@ def copy_scene(scene: Scene, folder: Path) -> Path:
     load_scene(target)  # refused now, and not when the recorded session is opened
     copied = tomllib.loads(text)
     for table, key in NAMED_FILES:
-        if key in document.get(table, {}):
+        if key in copied.get(table, {}):
             document[table][key] = copied[table][key]
     if copied != document:
         raise InputError(

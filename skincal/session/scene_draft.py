@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -168,7 +169,7 @@ def joints_in_order(chain: UrdfChain) -> list[str]:
 def _middle_pose(robot: Robot, names: Sequence[str]) -> list[float]:
     """Choose whole degrees in the middle of the limits, or 0."""
     limits = [robot.joints[name].limits if name in robot.joints else None for name in names]
-    return [0.0 if pair is None else float(np.round(np.degrees(sum(pair) / 2.0))) for pair in limits]
+    return [0.0 if pair is None else float(round(math.degrees(pair[0] + pair[1]) / 2.0)) for pair in limits]
 
 
 def _channels(draft: SceneDraft) -> int:
