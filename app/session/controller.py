@@ -427,8 +427,8 @@ class Controller(QObject):
         live = pipeline.live(reached_ns)
         if guided is not None:
             is_recording = self.running is Running.STREAMING
-            guided.follow(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
-            guided.coach.follow(live.progress, None if guided.guidance is None else guided.guidance.target)
+            guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
+            guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
         unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SOLVING_SHOWN_S else 0
         self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, session.evidence, unsolved))

@@ -344,12 +344,12 @@ class ReviewClient(QObject):
         if self._must_repeat:
             return  # the work in progress gives way, then the newest snapshot is sent
         self._is_busy = True
-        request = ReviewRequest.of(self._session)
+        request = ReviewRequest.from_session(self._session)
         self._threads.submit(partial(self._ask, request_id, request), self._take_review, self._fail)
 
     def _ask(self, request_id: int, request: ReviewRequest) -> Review | None:
         with raise_sentences("Sensor and arm are no longer checked", "Open the session again."):
-            review: Review | None = self._process.ask(request_id, review_job, SentReview.of(request))
+            review: Review | None = self._process.ask(request_id, review_job, SentReview.pack(request))
         # The window compares corrections by identity.
         return review and replace(review, used=request.used)
 

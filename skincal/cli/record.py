@@ -245,7 +245,7 @@ def _loop(
     reports = LinkReports(time.monotonic_ns())
     while not stop.is_set() and time.monotonic() < end and not pipeline.journal_failure:
         now_ns = time.monotonic_ns()
-        sentences: list[str] = [] if robot is None else robot.step(now_ns)
+        sentences: list[str] = [] if robot is None else robot.guide_robot(now_ns)
         if now_ns >= next_check_ns:
             sentences += reports.new(pipeline.live(now_ns).links, states, now_ns)
             next_check_ns = now_ns + LINK_CHECK_NS

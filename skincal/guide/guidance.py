@@ -44,7 +44,7 @@ class LandmarkTarget:
     """In this pose."""
 
     @property
-    def left(self) -> int:
+    def pokes_left(self) -> int:
         return self.wanted - self.done
 
 
@@ -73,7 +73,7 @@ def landmark_targets(
     open_ = [] if "" in skipped else [landmark for landmark in landmarks if landmark.name not in skipped]
     while open_ and here.total() < wanted:
         done = [known[name].place for name in here if name in known]
-        chosen = min(open_, key=lambda mark: (here[mark.name], total[mark.name], -_apart(mark.place, done)))
+        chosen = min(open_, key=lambda mark: (here[mark.name], total[mark.name], -_distance_to_nearest(mark.place, done)))
         targets.append(LandmarkTarget(chosen, here.total(), wanted))
         here[chosen.name] += 1
         total[chosen.name] += 1
@@ -97,7 +97,7 @@ def rig_error_sd(pokes: Sequence[LandmarkPoke], noise: NoiseSettings) -> float:
     return float(np.sqrt(max(0.0, square - float(np.median(own)) - RigPrior().landmark ** 2)))
 
 
-def _apart(place: FloatArray, others: Sequence[FloatArray]) -> float:
+def _distance_to_nearest(place: FloatArray, others: Sequence[FloatArray]) -> float:
     """Compute the distance from the nearest of `others`, metres; from the origin if there are none."""
     return min((float(np.linalg.norm(place - other)) for other in others), default=float(np.linalg.norm(place)))
 
@@ -205,7 +205,7 @@ class Guidance:
         return self.phase in (GuidePhase.ENOUGH, GuidePhase.CLOSING)
 
     @property
-    def done(self) -> int:
+    def finished(self) -> int:
         """Number of finished taxels."""
         return sum(not each for each in self.needs)
 
@@ -219,7 +219,7 @@ class Guidance:
         """
         place = asked.landmark.place
         target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), asked.landmark.name)
-        left = self.pokes_left + asked.left
+        left = self.pokes_left + asked.pokes_left
         pace = None if self.seconds_left is None else self.seconds_left / max(self.pokes_left, 1) * left
         return replace(
             self, phase=GuidePhase.LANDMARKS, target=target, landmark=asked, gain=gain, pokes_left=left, seconds_left=pace

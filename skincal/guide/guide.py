@@ -135,14 +135,14 @@ class Guide:
         rig : m, sd of the shift of all estimates by the rig's errors in each direction, 0 if unknown
         """
         own = estimates[self.method]
-        dirty = self._follow(contacts, estimates, rejections or {}, rig, target_of)
+        dirty = self._update_statistics(contacts, estimates, rejections or {}, rig, target_of)
         if dirty:
             # A contact that the method doubts counts less here, too.
             doubted = {each.channel: each.doubted for each in own if each.channel in dirty}
             found = evidence(dirty)
             pairs = zip(found.channels[found.taxels].tolist(), found.pokes.tolist(), strict=True)
             trust = np.array([doubted[channel].get(poke, 1.0) for channel, poke in pairs])
-            drawn = self._drawn()
+            drawn = self._plan_positions()
             centres = {poke: self._pokes.place(poke, drawn) for poke in set(found.pokes.tolist())}
             self._statistics.recompute(dirty, found.trusted(trust), self._places, drawn, self._normals, centres)
             self._mark_stale_near([self._statistics.row_of[channel] for channel in dirty])
@@ -159,7 +159,7 @@ class Guide:
             self._skips.setdefault(self._just_skipped, []).append(target.push)
             self._gains.mark_stale(self._just_skipped)
 
-    def _follow(
+    def _update_statistics(
         self,
         contacts: Mapping[int, Contact],
         estimates: Mapping[Method, Sequence[Estimate]],
@@ -169,7 +169,7 @@ class Guide:
     ) -> set[int]:
         """Follow the pokes; return the channels of the taxels with new, changed or removed contacts."""
         rows, added, removed = self._pokes.update(
-            contacts, rejections, target_of, self._drawn(), self._normals, self._answer_offsets
+            contacts, rejections, target_of, self._plan_positions(), self._normals, self._answer_offsets
         )
         if added or removed:
             self._kept = None
@@ -196,7 +196,7 @@ class Guide:
             self._kept = None
         return {int(self.plan.channels[row]) for row in rows}
 
-    def _drawn(self) -> FloatArray:
+    def _plan_positions(self) -> FloatArray:
         """Positions (n, 3), metres, by the plan; believed ones of taxels without a plan.
 
         Offsets of pokes are measured from the plan: they stay the same while the skin's position becomes better known, and
@@ -438,7 +438,7 @@ class Guide:
         if state is None or row < 0 or not np.isfinite(self._places[row]).all():
             return None
         found, normal, estimate = evidence([channel]), self._normals[row], self._estimates[row]
-        pokes, drawn = found.pokes.tolist(), self._drawn()
+        pokes, drawn = found.pokes.tolist(), self._plan_positions()
         off = np.array([self._pokes.place(poke, drawn) for poke in pokes]).reshape(-1, 3) - drawn[row]
         doubted: Mapping[int, float] = {} if estimate is None else estimate.doubted
         worth = predict_gains(state, np.array([row]), self._noise, self._others)[0]

@@ -198,7 +198,9 @@ class PokeHistory:
             axis = axis_of(poke) if slid or target is not None else None
             if isinstance(poke, Contact):
                 peak = poke.strongest_channel
-                self._note(self._target_rows, poke.poke, peak if target is None or target.channel is None else target.channel)
+                self._assign_row(
+                    self._target_rows, poke.poke, peak if target is None or target.channel is None else target.channel
+                )
             elif slid and axis is not None:
                 self._add_slide(poke, axis, target, normals)
             if target is None or axis is None or not axis.distance_to(target.place) <= TARGET_RADIUS_M:
@@ -207,9 +209,9 @@ class PokeHistory:
                 self.tilt.compare_aim(target.tilt, axis.tilt(target.normal))
             complete = isinstance(poke, Contact) or poke.reason is Reason.NO_TAXEL
             if complete and target.channel is not None and target.channel not in poke.channels:
-                self._note(self._missed_rows, poke.poke, target.channel)
+                self._assign_row(self._missed_rows, poke.poke, target.channel)
 
-    def _note(self, row_of: dict[int, int], poke: int, channel: int) -> None:
+    def _assign_row(self, row_of: dict[int, int], poke: int, channel: int) -> None:
         row = int(self.rows(np.array([channel]))[0])
         if row >= 0:
             row_of[poke] = row

@@ -280,12 +280,12 @@ class Verdict:
     @property
     def doubted(self) -> bool:
         """Whether anything contradicts the predicted errors."""
-        return self.moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
+        return self.has_moved or not self.check.believed or (self.landmarks is not None and not self.landmarks.agrees)
 
     @property
-    def moved(self) -> bool:
+    def has_moved(self) -> bool:
         """Whether something moved by the last closing check."""
-        return bool(self.closings) and self.closings[-1].moved
+        return bool(self.closings) and self.closings[-1].has_moved
 
     @property
     def believed(self) -> bool:
@@ -316,7 +316,7 @@ def verdict_of(
     """
     state = {estimate.channel: estimate.state for estimate in estimates}
     used = [channel for channel in guidance.channels.tolist() if state.get(channel) is not State.DEAD]
-    left = tuple(_left(guidance, state))
+    left = tuple(_unfinished_taxels(guidance, state))
     ordered = [contacts[poke] for poke in sorted(contacts)]
     return Verdict(
         method=guidance.method,
@@ -327,7 +327,7 @@ def verdict_of(
         left=left,
         check=check(ordered, used, evidence, guidance.method, noise, surface, module_model, estimates),
         landmarks=landmarks,
-        landmarks_left=0 if guidance.landmark is None else guidance.landmark.left,
+        landmarks_left=0 if guidance.landmark is None else guidance.landmark.pokes_left,
         predicted=predicted_error(estimates),
         unchecked=unchecked,
         pokes=len(contacts),
@@ -335,7 +335,7 @@ def verdict_of(
     )
 
 
-def _left(guidance: Guidance, state: Mapping[int, State]) -> Iterator[Left]:
+def _unfinished_taxels(guidance: Guidance, state: Mapping[int, State]) -> Iterator[Left]:
     """Yield the taxels that are not finished, by channel."""
     for channel, needs in zip(guidance.channels.tolist(), guidance.needs, strict=True):
         if state.get(channel) is State.DEAD:

@@ -155,14 +155,14 @@ class LinkedModules:
         self.plain = self._rows(self.prior.means)
         """All distances at the poses by the pokes."""
 
-    def moved(self, x: FloatArray) -> ModulePoses:
+    def move_modules(self, x: FloatArray) -> ModulePoses:
         """Poses (b,) of the modules at `x` (b, d), metres."""
         return self._model.ground.move(self._poses, x)
 
     def _rows(self, x: FloatArray) -> _Rows:
         """Linearize all distances at `x` (b, d), metres."""
         count = len(self.ends)
-        pads = self._model.ground.place_pads(self.moved(x).select(self.ends.ravel()), self._flat)
+        pads = self._model.ground.place_pads(self.move_modules(x).select(self.ends.ravel()), self._flat)
         points, normals = pads.points.reshape(count, 2, 3), pads.normals.reshape(count, 2, 3)
         way = points[:, 0] - points[:, 1]
         length = np.linalg.norm(way, axis=1)
@@ -187,7 +187,7 @@ class LinkedModules:
     def gains(self, rows: _Rows) -> FloatArray:
         """Compute (b,) the gain in log likelihood of the held-out pokes of each module by the distances."""
         pokes = _Pokes.of_modules(self.fitted)
-        left, known = pokes.left(self.prior, self._factors)
+        left, known = pokes.priors_without_folds(self.prior, self._factors)
         outs = [pokes.select((pokes.folds == fold) & known[fold, pokes.of]) for fold in range(FOLDS)]
         return np.sum([self._gains_of(prior, rows, out) for prior, out in zip(left, outs, strict=True)], axis=0)
 
@@ -234,7 +234,7 @@ class _Pokes:
     def select(self, rows: NDArray[np.bool_]) -> _Pokes:
         return _Pokes(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def left(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], NDArray[np.bool_]]:
+    def priors_without_folds(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], NDArray[np.bool_]]:
         """Compute the prior without each fold's pokes, and (folds, b) whether the others determine a module.
 
         If they do not, nothing of it is taken out.
@@ -358,7 +358,7 @@ def _refine_estimates(
     pads = [model.pads[linked.modules[b]] for b in ends]
     of = np.repeat(ends, [len(each) for each in pads])
     channels = [int(channel) for b in ends for channel in model.layout.modules[linked.modules[b]].channels]
-    laid = model.ground.place_pads(linked.moved(update.steps).select(of), np.concatenate(pads))
+    laid = model.ground.place_pads(linked.move_modules(update.steps).select(of), np.concatenate(pads))
     outward = linked.heights[of][:, None, None] * laid.normals[:, :, None] * laid.normals[:, None]
     covariances = laid.gradients @ own[of] @ laid.gradients.transpose(0, 2, 1) + outward
     at = [pad for pad, channel in enumerate(channels) if estimates[channel].position is not None]

@@ -127,7 +127,7 @@ def miss_of(model: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
 
 def _all_seen(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
     """Find the modules of which enough is known, their plans moved by the common motion, and that motion (4, 4)."""
-    each = {index: _seen(model, index, estimates) for index in range(len(model.pads))}
+    each = {index: _fit_known_module(model, index, estimates) for index in range(len(model.pads))}
     seen = {index: module for index, module in each.items() if module is not None}
     if not seen:
         return {}, np.eye(4)
@@ -171,7 +171,7 @@ def _known_pads(model: ModuleModel, module: int, estimates: Mapping[int, Estimat
     return None if len(places) < MIN_DISTINCT_POSITIONS or model.plan(module) is None else known
 
 
-def _seen(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
+def _fit_known_module(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
     plan, planned = model.plan(module), model.planned(module)
     known = _known_pads(model, module, estimates)
     if plan is None or planned is None or known is None:
@@ -217,7 +217,7 @@ def _misfit(
         other, way = elsewhere
         after = float(np.hypot(way, seen.straight))
         return MisplacedModule(module.id, MisplacementKind.SWAPPED, before, after, other=model.layout.modules[other].id)
-    beside = _apart(seen.places.mean(axis=0), seen.planned.mean(axis=0))
+    beside = _distance(seen.places.mean(axis=0), seen.planned.mean(axis=0))
     turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
     if seen.mirrored < MIRROR_FIT_RATIO * seen.straight:
         turn = _intended_turn(turn, module, mirrored=True)
@@ -237,7 +237,7 @@ def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArr
     """
     here = {index: module.places.mean(axis=0) for index, module in seen.items()}
     there = {index: module.planned.mean(axis=0) for index, module in seen.items()}
-    far = any(_apart(here[index], there[index]) > _rms(module.planned - there[index]) for index, module in seen.items())
+    far = any(_distance(here[index], there[index]) > _rms(module.planned - there[index]) for index, module in seen.items())
     if far:
         there |= {
             index: planned.mean(axis=0) @ motion[:3, :3].T + motion[:3, 3]
@@ -246,7 +246,7 @@ def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArr
         }
     nearest = {index: _nearest(place, there) for index, place in here.items()} if far else {}
     displaced = {index: place for index, place in nearest.items() if place[0] != index}
-    found = {index: place for index, place in displaced.items() if place[1] < SWAP_SHARE * _apart(here[index], there[index])}
+    found = {index: place for index, place in displaced.items() if place[1] < SWAP_SHARE * _distance(here[index], there[index])}
     # A module with another in its place is in the place of one that is off, too, if less surely.
     while more := [other for other, _ in found.values() if other in displaced and other not in found]:
         found |= {index: _nearest(here[index], {k: there[k] for k in displaced if k != index}) for index in more}
@@ -260,7 +260,7 @@ def _nearest(place: FloatArray, centres: Mapping[int, FloatArray]) -> tuple[int,
     return list(centres)[row], float(apart[row])
 
 
-def _apart(place: FloatArray, other: FloatArray) -> float:
+def _distance(place: FloatArray, other: FloatArray) -> float:
     return float(np.linalg.norm(place - other))
 
 

@@ -167,7 +167,7 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
     said = OPEN if landmarks is None else AGREES if landmarks.agrees else AGAINST
     yield "Landmarks", agreement_words(landmarks), said
     closings = facts.verdict.closings
-    yield "Final check", closing_words(closings), AGAINST if facts.verdict.moved else AGREES if closings else OPEN
+    yield "Final check", closing_words(closings), AGAINST if facts.verdict.has_moved else AGREES if closings else OPEN
     frame = facts.results.frame
     if frame is None:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN

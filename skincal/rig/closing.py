@@ -98,7 +98,7 @@ class Closing:
     """...and its place."""
 
     @property
-    def moved(self) -> bool:
+    def has_moved(self) -> bool:
         """Whether something moved, by more than one poke."""
         return self.chance < MAX_CHANCE and self.chance_without_worst < MAX_CHANCE_WITHOUT_ONE
 

@@ -149,7 +149,7 @@ def diagnose(
     count = min(len(pokes), MAX_POKES)
     some = [len(pokes) * i // count for i in range(count)]
     used = [pokes[i] for i in some]
-    asked = _Asked.of(used, [normals[i] for i in some], prior or RigPrior())
+    asked = _Asked.from_pokes(used, [normals[i] for i in some], prior or RigPrior())
     reported, *wrong = _discrete(asked)
     wrong = sorted([*wrong, _elsewhere(asked)], key=lambda hypothesis: hypothesis.cost)
     best = reported if reported.cost - RIGHT_FRAME_BONUS <= wrong[0].cost else wrong[0]
@@ -199,7 +199,7 @@ class _Asked:
     prior: RigPrior
 
     @classmethod
-    def of(cls, pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior) -> _Asked:
+    def from_pokes(cls, pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior) -> _Asked:
         poses = np.repeat([poke.pose for poke in pokes], 2)
         return cls(
             force=np.array([poke.force for poke in pokes]),

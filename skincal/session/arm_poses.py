@@ -60,10 +60,10 @@ class ArmPoses:
         ----------
         angles : (joints,) float, streamed, radians; `None` if the last ones still hold
         """
-        self.current = ("", self._fixed) if self._arm is None else self._of(self._arm, chosen, angles)
+        self.current = ("", self._fixed) if self._arm is None else self._pose_at(self._arm, chosen, angles)
         return self.current
 
-    def _of(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> CurrentPose:
+    def _pose_at(self, arm: ArmSpec, chosen: str, angles: FloatArray | None) -> CurrentPose:
         if angles is not None:
             angles = angles.take(self._joints)
             if self._angles is None or angles.tolist() != self._angles.tolist():

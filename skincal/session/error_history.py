@@ -259,7 +259,7 @@ class ErrorFollower:
             self._course, self._seen = self._new_course(), None
             self.version += 1
 
-    def follow(self, snapshot: Snapshot) -> None:
+    def update(self, snapshot: Snapshot) -> None:
         """Follow a session, and let the background solve missing points."""
         if snapshot is not self._seen:
             self._seen = snapshot
@@ -332,7 +332,7 @@ class ModulesCheck:
         self.found: ModulesFound | None = None
         """`None` before the first result."""
 
-    def follow(self, snapshot: Snapshot) -> None:
+    def check_snapshot(self, snapshot: Snapshot) -> None:
         """Check a snapshot, unless an older one is still being checked."""
         layout = self._part.scene.skin.layout
         if layout is None or self._busy or snapshot is self._asked:

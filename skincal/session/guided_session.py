@@ -50,7 +50,7 @@ class PressCoach:
         self.coaching: PokeError | None = None
         """`None` while nothing presses or guidance is off."""
 
-    def follow(self, progress: Progress, target: Target | None) -> None:
+    def follow_reading(self, progress: Progress, target: Target | None) -> None:
         """Follow the newest reading; `target` is `None` while guidance is off."""
         self._smoothed = smooth_wrench(self._smoothed, progress)
         # At a landmark the rig's errors move the tip, and the poke is there to measure them: no one is asked to aim by it.
@@ -105,7 +105,7 @@ class GuidedSession:
                 server.refuse(meaning.protocol_error)
         return sentences
 
-    def follow(
+    def follow_session(
         self,
         pipeline: Pipeline,
         snapshot: Snapshot,
@@ -134,9 +134,9 @@ class GuidedSession:
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)
         if self.shows_modules():
-            self.modules.follow(snapshot)
+            self.modules.check_snapshot(snapshot)
         if self.shows_errors():
-            self.errors.follow(snapshot)
+            self.errors.update(snapshot)
         if server is None:
             return False
         measuring = is_recording and pipeline.can_measure(now_ns if seen_ns is None else seen_ns)
@@ -179,11 +179,11 @@ class RobotGuide:
         self.enough = False
         """The robot was told that no more pokes are needed."""
 
-    def step(self, now_ns: int) -> list[str]:
+    def guide_robot(self, now_ns: int) -> list[str]:
         """Do what is due at `now_ns` of the host's monotonic clock; give sentences for the operator."""
         if now_ns < self._next_ns:
             return []
         self._next_ns = now_ns + STEP_NS
         sentences = self._guided.handle_answers(self._pipeline, self._server, now_ns)
-        self.enough |= self._guided.follow(self._pipeline, self._pipeline.snapshot(), now_ns, self._server)
+        self.enough |= self._guided.follow_session(self._pipeline, self._pipeline.snapshot(), now_ns, self._server)
         return sentences

@@ -72,7 +72,7 @@ class LandmarkFinder:
         """Set the request, made at `host_s`, seconds of the host's monotonic clock."""
         self.asked, self._asked_s = name, host_s
 
-    def find(
+    def find_landmark_pokes(
         self,
         new: Iterable[Outcome],
         named: Iterable[LandmarkPoke],

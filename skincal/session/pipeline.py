@@ -285,7 +285,7 @@ class Pipeline:
             session = self.session
             decisions, fresh = session.decisions, session.frame_corrected(new)
             missed, by_hand = decisions.missed_landmarks.keys(), decisions.named_by_hand
-            found_now = self._landmarks.find(
+            found_now = self._landmarks.find_landmark_pokes(
                 fresh, session.landmark_pokes, decisions.landmarks, missed, by_hand, self.scene.noise
             )
             for found in found_now:

@@ -36,7 +36,7 @@ def use_offered(session: Session) -> None:
         raise InputError(
             "--correct needs pokes at landmarks; this session has none. `skincal landmarks` says which pokes were at landmarks."
         )
-    frame, rig = diagnose_rig(ReviewRequest.of(session))
+    frame, rig = diagnose_rig(ReviewRequest.from_session(session))
     # A frame's correction changes the rig's, so both are found again after each.
     while (action := offered(frame, rig, len(session.landmark_pokes), session.decisions.corrections)) is not None:
         # Each kind once, else this might never end.
@@ -45,7 +45,7 @@ def use_offered(session: Session) -> None:
         if action.of == FRAME and frame is not None and not frame.sure:
             raise InputError(f"{frame_sentence(frame)} Another mistake is nearly as likely; expected pokes at more landmarks.")
         session.act(action)
-        frame, rig = diagnose_rig(ReviewRequest.of(session))
+        frame, rig = diagnose_rig(ReviewRequest.from_session(session))
     if not session.decisions.corrections:
         raise InputError(f"{rig_sentences(rig)[0]} Leave out --correct.")
 
@@ -65,7 +65,7 @@ class SessionResults:
 
     @cached_property
     def _rig_diagnosis(self) -> tuple[FrameDiagnosis | None, RigAnswer | None]:
-        return diagnose_rig(ReviewRequest.of(self.session)) if self.session.landmark_pokes else (None, None)
+        return diagnose_rig(ReviewRequest.from_session(self.session)) if self.session.landmark_pokes else (None, None)
 
     @property
     def frame(self) -> FrameDiagnosis | None:

@@ -68,7 +68,7 @@ class ReviewRequest:
     used: Mapping[str, UsedCorrection]
 
     @staticmethod
-    def of(session: Session) -> ReviewRequest:
+    def from_session(session: Session) -> ReviewRequest:
         """Ask for a review of a session as it is now."""
         decisions = session.decisions
         return ReviewRequest(session.rig_request(), decisions.landmarks, session.channels, decisions.corrections)
@@ -148,7 +148,7 @@ class SentReview:
     poses: tuple[str, ...]
 
     @staticmethod
-    def of(request: ReviewRequest) -> SentReview:
+    def pack(request: ReviewRequest) -> SentReview:
         """Pack a request."""
         contacts, surface = request.rig.contacts, request.rig.surface
         values = [

@@ -81,11 +81,11 @@ class ConvexHullClock:
         The device's stamp, seconds, may step back a little, not by `JUMP_S`; `arrival_s` is the host's clock, seconds.
         """
         if self._origin is None:
-            self._begin(device_s, arrival_s)
+            self._start_line_at(device_s, arrival_s)
         x, y, late = self._place(device_s, arrival_s)
         if self._has_jumped(device_s, y, late):
             jumps = self.jumps + 1
-            self._begin(device_s, arrival_s)
+            self._start_line_at(device_s, arrival_s)
             self.jumps = jumps
             x, y, late = 0.0, 0.0, 0.0
         # Nothing is dated after its arrival: a point below the line pushes it down at once, not at the bucket's end.
@@ -99,7 +99,7 @@ class ConvexHullClock:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
 
-    def _begin(self, device_s: float, arrival_s: float) -> None:
+    def _start_line_at(self, device_s: float, arrival_s: float) -> None:
         self.reset()
         self._origin = device_s, arrival_s
         self._last_x = device_s

@@ -114,9 +114,9 @@ class LinkMonitor:
         self._bauds_tried: tuple[int, ...] = ()
         self._has_failed = False
         self._ended_ns: int | None = None
-        self._begin(0)
+        self._forget_data(0)
 
-    def _begin(self, host_ns: int) -> None:
+    def _forget_data(self, host_ns: int) -> None:
         """Forget the data: another device may be connected now."""
         self._streams.clear()
         self._opened_ns, self._last_ns = host_ns, 0
@@ -136,7 +136,7 @@ class LinkMonitor:
         if event.tried:
             self._fallback = None
         else:
-            self._begin(event.host_ns)
+            self._forget_data(event.host_ns)
 
     def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
         """Compare the readings of a batch, part by part; each part ends before one of `ends`, ascending to their number."""
@@ -165,7 +165,7 @@ class LinkMonitor:
                 if known is None or known.width != news.last.shape[1]:
                     known = self._streams[batch.stream] = _StreamHistory(news.last, host_ns)
                 known.add(news, host_ns)
-        if self._wanted and not self._missing(host_ns):
+        if self._wanted_streams and not self._missing(host_ns):
             self._missing_since_ns, self._fallback = None, None
             self._unexpected.clear()
         else:
@@ -201,7 +201,7 @@ class LinkMonitor:
         first = missing[0] if missing else None
         if self._has_failed:
             return LinkVerdict(LinkAnswer.NO_ANSWER, first)
-        if self._wanted and not missing:
+        if self._wanted_streams and not missing:
             return self._diagnose_readings()
         if self._last_ns and now_ns - self._last_ns <= SILENT_NS:
             return self._diagnose_bytes(first, now_ns)
@@ -209,16 +209,16 @@ class LinkMonitor:
         return LinkVerdict(LinkAnswer.NO_ANSWER if is_silent else LinkAnswer.LISTENING, first, tried=self._bauds_tried)
 
     @property
-    def _wanted(self) -> tuple[Stream, ...]:
+    def _wanted_streams(self) -> tuple[Stream, ...]:
         return self._carries or tuple(self._streams)
 
     def _missing(self, now_ns: int) -> list[Stream]:
         """Return the wanted streams without a recent reading."""
         known = self._streams
-        return [each for each in self._wanted if each not in known or now_ns - known[each].last_ns > SILENT_NS]
+        return [each for each in self._wanted_streams if each not in known or now_ns - known[each].last_ns > SILENT_NS]
 
     def _diagnose_readings(self) -> LinkVerdict:
-        for stream in self._wanted:
+        for stream in self._wanted_streams:
             width = self._streams[stream].width
             if stream is Stream.JOINTS and (width < self._widths.get(stream, 0) or self._is_skin(width, stream)):
                 return self._wrong_width(stream, stream, width)

@@ -27,7 +27,7 @@ def closing_sentence(closing: Closing) -> str:
             f"Only poke {closing.poke} at {place} indicates that {what} moved by {moved} since the start ({where}; noise "
             f"explains up to {limit}). The tip may have slipped: press {place} again, or repeat the final check."
         )
-    if not closing.moved:
+    if not closing.has_moved:
         return f"Nothing has moved since the start: {moved} at {where} (noise explains up to {limit})."
     return (
         f"Since the start {what} has moved by {moved} ({where}; noise explains up to {limit}). Fasten it, and repeat the final "
@@ -44,7 +44,7 @@ def earlier_closings(closings: Sequence[Closing]) -> list[str]:
 def _judged(closing: Closing) -> str:
     if closing.single_poke_decides:
         return f" (only poke {closing.poke})"
-    return " (moved)" if closing.moved else ""
+    return " (moved)" if closing.has_moved else ""
 
 
 def correction_words(used: UsedCorrection) -> str:

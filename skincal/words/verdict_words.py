@@ -60,7 +60,7 @@ def verdict_sentence(verdict: Verdict) -> str:
 def _skin_words(verdict: Verdict) -> str:
     """Say whether held-out pokes agree; a movement makes that meaningless."""
     check = verdict.check
-    if verdict.moved:
+    if verdict.has_moved:
         return "Something has moved since the start."
     if not check.believed:
         return "Test pokes contradict it."

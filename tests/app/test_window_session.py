@@ -192,7 +192,7 @@ def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
     bench, meant = keys.bench, dict[int, tuple[int, int]]()
     asked = [keys.guidance.target.channel]
     empty = pixels(keys.workspace.view)
-    done = [keys.guidance.done]
+    done = [keys.guidance.finished]
 
     def enough() -> bool:
         for record in bench.snapshot.pokes:
@@ -201,7 +201,7 @@ def follow_until_enough(keys: Keys) -> list[tuple[int, int]]:
                 meant[contact.poke] = asked[0], peak_channel(contact)
         if keys.guidance.target is not None:
             asked[0] = keys.guidance.target.channel
-        done.append(keys.guidance.done)
+        done.append(keys.guidance.finished)
         return keys.guidance.phase is GuidePhase.ENOUGH
 
     bench.until(enough, ENOUGH_MS)

@@ -36,9 +36,9 @@ class BaudSearchLink:
         self.tried = (self.baud,)
         """Rates that were tried, each once."""
         self.found = False
-        self._begin()
+        self._restart_decoding()
 
-    def _begin(self) -> None:
+    def _restart_decoding(self) -> None:
         self._decoder = LinkDecoder(AUTO, None, self._carries)
         self._since_s: float | None = None
         self._readings = 0
@@ -58,4 +58,4 @@ class BaudSearchLink:
             self.baud = BAUD_RATES[(BAUD_RATES.index(self.baud) + 1) % len(BAUD_RATES)]
             self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)
-            self._begin()
+            self._restart_decoding()

@@ -49,9 +49,9 @@ class WebSocketLink:
             left_s = end_s - time.monotonic()
             if left_s < 0 or self._protocol.handshake_exc is not None:
                 raise LinkError(FailureKind.OTHER, f"{self._address}: what answers there is no websocket server.")
-            self._early += self._take(self._transport.read(left_s))
+            self._early += self._receive_frames(self._transport.read(left_s))
 
-    def _take(self, data: bytes) -> bytes:
+    def _receive_frames(self, data: bytes) -> bytes:
         if not data:
             return b""
         self._protocol.receive_data(data)
@@ -78,7 +78,7 @@ class WebSocketLink:
         if self._protocol.parser_exc is not None:
             why = f"{self._address}: it breaks the websocket protocol ({self._protocol.parser_exc}). It is read no further."
             raise LinkError(FailureKind.PROTOCOL_ERROR, why)
-        return self._take(self._transport.read(timeout_s))
+        return self._receive_frames(self._transport.read(timeout_s))
 
     def write(self, data: bytes) -> None:
         self._protocol.send_text(data)

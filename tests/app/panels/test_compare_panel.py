@@ -295,7 +295,7 @@ def test_a_mirrored_module_is_found_in_the_background_and_its_layout_can_be_save
     panel = make_panel(qtbot, anchored(mirror), compute=queue)
 
     def show(state) -> None:
-        panel.modules_check.follow(state.snapshot)
+        panel.modules_check.check_snapshot(state.snapshot)
         panel.show_state(state)
 
     moment = at(known())
@@ -327,14 +327,14 @@ def test_modules_are_checked_again_for_the_newest_state_and_after_a_failure(monk
     check = ModulesCheck(anchored(mirror=False), queue)
 
     def follow(generation: int) -> int:
-        check.follow(at(known(), generation=generation).snapshot)
+        check.check_snapshot(at(known(), generation=generation).snapshot)
         return len(queue.waiting)
 
     newest = at(known(), generation=3).snapshot
     assert [follow(generation) for generation in (1, 2, 3)] == [1, 1, 1]
     for waiting in (1, 0):
         queue.finish()
-        check.follow(newest)
+        check.check_snapshot(newest)
         assert len(queue.waiting) == waiting
 
     def broken(*_):
@@ -343,10 +343,10 @@ def test_modules_are_checked_again_for_the_newest_state_and_after_a_failure(monk
     with monkeypatch.context() as fault:
         fault.setattr("skincal.session.error_history.repair_layout", broken)
         failing = at(known(), generation=4).snapshot
-        check.follow(failing)
+        check.check_snapshot(failing)
         with pytest.raises(RuntimeError, match="of the modules"):
             queue.finish()
-    check.follow(failing)
+    check.check_snapshot(failing)
     assert not queue.waiting, "not at every tick"
     assert follow(5) == 1
     queue.finish()

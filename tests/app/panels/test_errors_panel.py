@@ -112,7 +112,7 @@ def follow(panel: ErrorsPanel, made: Session, queue: Queue, from_s: float = 100.
     """Show a session as the window does, some time, until nothing is missing."""
     for step in range(20):
         if panel.isVisible():
-            panel.course.follow(made.snapshot())
+            panel.course.update(made.snapshot())
         panel.show_state(frame(made.snapshot(), now_s=from_s + step))
         queue.finish()
 
@@ -120,7 +120,7 @@ def follow(panel: ErrorsPanel, made: Session, queue: Queue, from_s: float = 100.
 def test_the_past_of_an_open_session_is_computed_and_drawn(panel, queue):
     made, hue = poked(12), DARK.methods["free"]
     empty = ink(pixels(panel.plot), hue, 20)
-    panel.course.follow(made.snapshot())
+    panel.course.update(made.snapshot())
     panel.show_state(frame(made.snapshot()))
     assert "computing" in panel.plot.item.getAxis("bottom").labelText
     follow(panel, made, queue)
@@ -141,7 +141,7 @@ def test_an_exclusion_rewrites_the_course_and_the_same_state_draws_nothing(panel
     made = Session(SCENE, None)
     for record in poked(8).snapshot().pokes:
         made.add(record.outcome)
-        panel.course.follow(made.snapshot())
+        panel.course.update(made.snapshot())
     assert not queue.waiting, "each new poke adds its point at once"
     follow(panel, made, queue)
     before = pixels(panel.plot)
@@ -186,13 +186,13 @@ def test_the_plot_follows_axis_module_and_source(panel, queue):
 
 def finish(tracker: ErrorFollower, made: Session, queue: Queue) -> None:
     for _ in range(10):
-        tracker.follow(made.snapshot())
+        tracker.update(made.snapshot())
         queue.finish()
 
 
 def test_work_for_another_source_is_dropped(queue):
     tracker, made = ErrorFollower(PLANNED, queue), poked(6)
-    tracker.follow(made.snapshot())
+    tracker.update(made.snapshot())
     (work, done), queue.waiting = queue.waiting[0], []
     tracker.choose(1)
     done(work())
@@ -209,12 +209,12 @@ def test_work_that_fails_is_tried_again_after_a_change_of_the_session(queue, mon
 
     tracker, made = ErrorFollower(part(laid=None), queue), poked(6)
     assert (tracker.source, tracker.sources) == (None, [None])
-    tracker.follow(made.snapshot())
+    tracker.update(made.snapshot())
     with monkeypatch.context() as fault:
         fault.setattr("skincal.session.error_history.spreads_of", broken)
         with pytest.raises(RuntimeError, match="of the estimate"):
             queue.finish()
-    tracker.follow(made.snapshot())
+    tracker.update(made.snapshot())
     assert not queue.waiting
     made.add(touch(7))
     finish(tracker, made, queue)

@@ -202,7 +202,7 @@ def coaching(surface):
     coach = PressCoach(surface)
 
     def coached(progress, target):
-        coach.follow(progress, target)
+        coach.follow_reading(progress, target)
         return coach.coaching
 
     return coached

@@ -106,7 +106,7 @@ class Landmarks(LandmarkGuide):
         new = [poke.outcome for poke in snapshot.pokes if poke.outcome.poke > self._seen]
         self.begin(snapshot)
         decisions = snapshot.decisions
-        return self._finder.find(
+        return self._finder.find_landmark_pokes(
             new, (), decisions.landmarks, decisions.missed_landmarks, decisions.named_by_hand, part().scene.noise
         )
 

@@ -114,7 +114,7 @@ def test_it_answers_what_the_session_itself_finds_until_the_window_closes(qtbot,
     (answer,) = heard.reviews
     assert [poke.poke for poke in answer.pokes] == [1, 2, 3], "of the newest alone"
     assert answer.used is session.snapshot().decisions.corrections
-    own = review_rig(ReviewRequest.of(session))
+    own = review_rig(ReviewRequest.from_session(session))
     assert answer.reported == own.reported
     assert frame_sentence(answer.frame) == frame_sentence(own.frame)
     assert rig_sentences(answer.rig) == rig_sentences(own.rig)

@@ -160,7 +160,7 @@ def test_a_landmark_goes_before_the_skin_and_the_rest_stays_as_it_is():
     np.testing.assert_array_equal(asked.target.push, -normal)
     assert asked.pokes_left == 24
     assert asked.seconds_left == pytest.approx(60.0), "at the pace of the skin"
-    assert (asked.needs, asked.method, asked.done) == (skin.needs, skin.method, 2)
+    assert (asked.needs, asked.method, asked.finished) == (skin.needs, skin.method, 2)
     assert (skin.phase, skin.landmark, skin.pokes_left) == (GuidePhase.SWEEP, None, 20)
 
 

@@ -33,7 +33,7 @@ def errors(bench, method):
 def test_the_first_target_is_on_the_part_with_its_predicted_gain():
     guidance = GuidedBench().guidance
     target = guidance.target
-    assert (guidance.phase, guidance.done) == (GuidePhase.SWEEP, 0)
+    assert (guidance.phase, guidance.finished) == (GuidePhase.SWEEP, 0)
     np.testing.assert_array_equal(target.place, PLACES[row_of(target.channel)])
     assert -target.push @ target.normal == pytest.approx(np.cos(target.tilt))
     assert target.tilt <= np.radians(28.0) + 1e-9
@@ -161,7 +161,7 @@ def test_enough_is_said_if_nothing_is_needed():
     estimates[Method.SURFACE] = tuple(known)
     content = GuideSettings(own_pokes=0, balance=float("inf"), settled=float("inf"))
     guidance = bench.update(make_guide(Method.SURFACE, settings=content), estimates)
-    assert (guidance.phase, guidance.target, guidance.done) == (GuidePhase.ENOUGH, None, 84)
+    assert (guidance.phase, guidance.target, guidance.finished) == (GuidePhase.ENOUGH, None, 84)
 
 
 @pytest.mark.parametrize("way", [*WAYS, "guided"])
@@ -218,7 +218,7 @@ def test_modules_are_enough_after_ten_pokes_each():
     bench = GuidedBench(Method.MODULES)
     while bench.guidance.phase is not GuidePhase.ENOUGH and bench.count < 90:
         bench.poke()
-    assert (bench.guidance.phase, bench.guidance.done) == (GuidePhase.ENOUGH, 84)
+    assert (bench.guidance.phase, bench.guidance.finished) == (GuidePhase.ENOUGH, 84)
     assert 56 <= len(bench.contacts) <= 84
     assert np.mean(errors(bench, Method.MODULES) > 0.003) < 0.02
 

@@ -122,7 +122,7 @@ def test_at_enough_three_landmarks_are_asked_for_once_more_and_nothing_moved():
     assert it.close() == first
     (closing,) = it.verdict().closings
     assert (closing.at, closing.names) == (ClosingPlaces.LANDMARKS, tuple(sorted(first)))
-    assert not closing.moved
+    assert not closing.has_moved
     assert closing.shift < closing.limit < 0.012
     assert it.session.calibration().closings == (closing,)
     assert closing_sentence(closing) == approved(
@@ -138,7 +138,7 @@ def test_what_slipped_meanwhile_is_told_with_its_number():
     it.close()
     verdict = it.verdict()
     (closing,) = verdict.closings
-    assert closing.moved
+    assert closing.has_moved
     assert closing.shift == pytest.approx(0.012, abs=0.005)
     assert verdict.doubted
     assert closing_sentence(closing).startswith(
@@ -164,7 +164,7 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
     it, first = with_one_far_off()
     slipped = it.number - 2
     (closing,) = it.verdict().closings
-    assert (closing.poke, closing.place, closing.moved, closing.single_poke_decides) == (slipped, first, False, True)
+    assert (closing.poke, closing.place, closing.has_moved, closing.single_poke_decides) == (slipped, first, False, True)
     assert closing_sentence(closing) == approved(
         "closing.lone", poke=slipped, place=first, shift=f"{closing.shift * 1e3:.1f}", limit=f"{closing.limit * 1e3:.1f}"
     )
@@ -228,14 +228,14 @@ def test_one_poke_far_off_moves_nothing_wherever_it_is():
             pokes[position] = off_by(pokes[position], 0.020 * beside / np.linalg.norm(beside))
             closing = landmark_check(pokes)
             before.append(closing.chance < 0.01)
-            now.append(closing.moved)
+            now.append(closing.has_moved)
             assert not closing.single_poke_decides or closing.place == pokes[position].name
     assert (np.mean(before) > 0.4, np.mean(now) < 0.07) == (True, True)
 
 
 def test_a_movement_shows_whichever_poke_is_left_out():
     found = [landmark_check(nine_pokes(seed, moved=0.016)) for seed in range(20)]
-    assert np.mean([each.moved for each in found]) > 0.85
+    assert np.mean([each.has_moved for each in found]) > 0.85
     assert all(each.chance_without_worst >= each.chance for each in found)
 
 
@@ -253,7 +253,7 @@ def test_without_landmarks_three_of_the_first_taxels_are_poked_once_more():
     assert it.close() == first
     (closing,) = it.verdict().closings
     assert (closing.at, set(closing.names)) == (ClosingPlaces.TAXELS, set(first))
-    assert not closing.moved
+    assert not closing.has_moved
     it.session.snapshot()
     moved = replace(closing, chance=0.001, chance_without_worst=0.001)
     assert f"Since the start {approved('closing.skin_clause')}" in closing_sentence(moved)
@@ -305,12 +305,12 @@ def test_nothing_is_told_of_a_movement_along_pushes_that_are_all_alike():
         found.append(closing_check(*pushed_down(np.random.default_rng(seed)), ClosingPlaces.LANDMARKS, noise))
     assert {each.observable_directions for each in found} == {2}
     assert max(each.shift for each in found) < 0.012
-    assert sum(each.moved for each in found) <= 2
+    assert sum(each.has_moved for each in found) <= 2
     assert closing_sentence(found[0]).endswith(approved("closing.across", limit=f"{found[0].limit * 1e3:.1f}"))
     along = closing_check(*pushed_down(np.random.default_rng(0), (0.0, 0.0, 0.03)), ClosingPlaces.LANDMARKS, noise)
-    assert (along.observable_directions, along.moved) == (2, False)
+    assert (along.observable_directions, along.has_moved) == (2, False)
     across = closing_check(*pushed_down(np.random.default_rng(0), (0.02, 0.0, 0.0)), ClosingPlaces.LANDMARKS, noise)
-    assert across.moved
+    assert across.has_moved
     assert across.shift == pytest.approx(0.02, abs=0.008)
 
 
@@ -342,7 +342,7 @@ def test_made_again_the_last_one_counts_and_those_before_are_kept():
     assert len(it.close()) == 3
     verdict = it.verdict()
     first, second = verdict.closings
-    assert (first.moved, second.moved, verdict.doubted) == (True, False, False)
+    assert (first.has_moved, second.has_moved, verdict.doubted) == (True, False, False)
     for poke in range(first.after + 1, first.after + 4):
         it.session.act(AtLandmark(poke, ""))
     alone = it.verdict().closings[-1]
@@ -366,9 +366,9 @@ def test_undo_takes_a_check_back_with_its_pokes():
     it.session.act(BeginClosing(wanted=True))
     it.close()
     for _ in range(3):
-        assert len(it.verdict().closings) == 2 or it.verdict().moved
+        assert len(it.verdict().closings) == 2 or it.verdict().has_moved
         it.session.act(Undo())
-    assert [each.moved for each in it.verdict().closings] == [True]
+    assert [each.has_moved for each in it.verdict().closings] == [True]
     assert it.look().phase is GuidePhase.CLOSING
     it.session.act(Undo())
     assert it.look().phase is GuidePhase.ENOUGH
@@ -398,7 +398,7 @@ def test_after_more_work_it_is_asked_for_again():
     it.session.add(pokes[MIN_CONTACTS_BETWEEN_CHECKS - 1])
     assert it.look().closing.number == 2
     it.close()
-    assert [each.moved for each in it.verdict().closings] == [False, False]
+    assert [each.has_moved for each in it.verdict().closings] == [False, False]
 
 
 def test_a_landmark_that_is_called_as_a_channel_is_no_taxel():

@@ -75,7 +75,7 @@ def play(rig, robot, server, method):
         assert line.now < VIRTUAL_S, robot.verdicts[-5:]
         for at_ns, link, data in line.step():
             pipeline.feed(Chunk(link, at_ns, data))
-        assert guide.step(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
+        assert guide.guide_robot(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
         robot.step()
     return pipeline
 
@@ -104,7 +104,7 @@ class Resting:
         while self.line.now < end:
             for at_ns, link, data in self.line.step():
                 self.pipeline.feed(Chunk(link, at_ns, data))
-            self.guide.step(self.now_ns)
+            self.guide.guide_robot(self.now_ns)
         return self.said[-1]
 
     @property
@@ -115,16 +115,16 @@ class Resting:
 def test_nobody_is_asked_to_press_while_nothing_measures():
     rig = Resting()
     rig.hear(LinkState.LOST)
-    rig.guide.step(rig.now_ns)
+    rig.guide.guide_robot(rig.now_ns)
     assert rig.said == [NoTarget.WAIT], "no device was ever there"
     rig.hear()
     assert isinstance(rig.run(1.0), PokeTarget)
     rig.pipeline.feed(LinkEvent(rig.links[0].name, rig.now_ns, LinkState.LOST))
-    rig.guide.step(rig.now_ns + 30_000_000)
+    rig.guide.guide_robot(rig.now_ns + 30_000_000)
     assert rig.said[-1] is NoTarget.WAIT
     rig.hear()
     assert isinstance(rig.run(1.0), PokeTarget), "again"
-    rig.guide.step(rig.now_ns + 2_100_000_000)
+    rig.guide.guide_robot(rig.now_ns + 2_100_000_000)
     assert rig.said[-1] is NoTarget.WAIT, "silent"
 
 

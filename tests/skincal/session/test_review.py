@@ -89,7 +89,7 @@ def assert_is_of(session, answer):
 
 def sent(session):
     """A request as it arrives in the other process."""
-    return pickle.loads(pickle.dumps(SentReview.of(ReviewRequest.of(session))))
+    return pickle.loads(pickle.dumps(SentReview.pack(ReviewRequest.from_session(session))))
 
 
 CHANGES = {
@@ -109,19 +109,19 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_review_is_what_the_session_itself_finds_here_and_in_another_process(session, change):
     CHANGES[change](session)
-    here = review_rig(ReviewRequest.of(session))
+    here = review_rig(ReviewRequest.from_session(session))
     assert here.used is session.decisions.corrections
     assert_is_of(session, here)
     assert_is_of(session, pickle.loads(pickle.dumps(review_sent(sent(session), lambda: True))))
 
 
 def test_places_before_come_with_a_correction_in_use_and_those_after_without_one(session):
-    offered = review_rig(ReviewRequest.of(session))
+    offered = review_rig(ReviewRequest.from_session(session))
     assert (offered.rig.used, offered.before, set(offered.after)) == (True, {}, set(session.methods))
     known = [np.isfinite(found).all(axis=1).sum() for found in offered.after.values()]
     assert 10 <= min(known) <= max(known) < len(session.channels), "an unpoked taxel stays unknown"
     correct_rig_of(session)
-    used = review_rig(ReviewRequest.of(session))
+    used = review_rig(ReviewRequest.from_session(session))
     assert (used.after, set(used.before)) == ({}, set(session.methods))
     session.act(Undo())
     for method, found in used.before.items():
@@ -131,7 +131,7 @@ def test_places_before_come_with_a_correction_in_use_and_those_after_without_one
 
 
 def test_the_reported_miss_is_the_distance_in_the_sensors_frame(session):
-    reported = review_rig(ReviewRequest.of(session)).reported
+    reported = review_rig(ReviewRequest.from_session(session)).reported
     for poke in session.landmark_pokes:
         where = np.linalg.solve(poke.link_from_sensor, np.append(poke.place, 1.0))[:3]
         along = poke.force / np.linalg.norm(poke.force)
@@ -143,7 +143,7 @@ def test_the_reported_miss_is_the_distance_in_the_sensors_frame(session):
 def test_too_few_landmark_pokes_offer_nothing(poked):
     rig, contacts, landmarks = poked
     session = session_of(contacts, rig.scene, rig.surface, landmarks[:2])
-    found = review_rig(ReviewRequest.of(session))
+    found = review_rig(ReviewRequest.from_session(session))
     assert (found.frame, found.rig.correction, found.before, found.after, len(found.reported)) == (None, None, {}, {}, 2)
     assert_is_of(session, found)
 
@@ -156,16 +156,16 @@ def test_every_bit_of_a_contact_arrives(session):
         for name in ("force", "moment", "channels", "responses", "link_from_sensor"):
             first, second = getattr(one, name), getattr(other, name)
             assert (first.dtype, first.tobytes()) == (second.dtype, second.tobytes())
-    empty = SentReview.of(replace(there.request, rig=replace(there.request.rig, contacts=())))
+    empty = SentReview.pack(replace(there.request, rig=replace(there.request.rig, contacts=())))
     assert empty.contacts() == []
     assert isinstance(there.contacts()[0], Contact)
 
 
 def test_ten_thousand_contacts_are_packed_in_milliseconds(session, least_time):
     """Pickled as objects they take 0.3 s, in which the window stands still."""
-    request = ReviewRequest.of(session)
+    request = ReviewRequest.from_session(session)
     contacts = tuple(request.rig.contacts) * (10_000 // len(request.rig.contacts))
-    packed = SentReview.of(replace(request, rig=replace(request.rig, contacts=contacts)))
+    packed = SentReview.pack(replace(request, rig=replace(request.rig, contacts=contacts)))
     assert least_time(lambda: pickle.dumps(packed), below=0.05) < 0.05
 
 
@@ -178,11 +178,11 @@ def test_a_mesh_that_changed_or_is_gone_is_said_and_a_part_without_one_needs_non
     scene, surface = scene_and_surface()
     assert there.loaded()[0].sha256 == surface.sha256
     assert sent(session).loaded() is there.loaded(), "read once"
-    plain = SentReview.of(ReviewRequest.of(Session(small_scene(), None)))
+    plain = SentReview.pack(ReviewRequest.from_session(Session(small_scene(), None)))
     assert plain.loaded()[0] is None
     gone = replace(scene, surface=SurfaceSpec(tmp_path / "gone.ply", 1.0, np.eye(4)))
     with pytest.raises(InputError, match=r"gone\.ply"):
-        SentReview.of(ReviewRequest.of(Session(gone, None))).loaded()
+        SentReview.pack(ReviewRequest.from_session(Session(gone, None))).loaded()
 
 
 def test_work_gives_way_to_a_newer_request_unless_it_took_long(session, monkeypatch):
