@@ -35,7 +35,7 @@ from skincal.methods import leading_method
 from skincal.model.scene import load_scene
 from skincal.plotting import render
 from skincal.session.part import load_part, load_scene_surface
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES
 from skincal.taxels.result import Method

@@ -20,8 +20,8 @@ def main() -> None:
     from skincal.mesh.load import load_surface
     from skincal.model.scene import load_scene, resource
     from skincal.simulate.device import DeviceSettings
-    from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Habits
+    from skincal.simulate.rig_errors import RigErrors
     from skincal.simulate.virtual_session import simulate_session
 
     scene = load_scene(resource("scenes/icub-forearm/scene.toml"))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from skincal.model.scene import Scene
     from skincal.session.pipeline import Pipeline
-    from skincal.simulate.operator import Auto, Guided, Habits, Told
+    from skincal.simulate.operator import AutoOperator, GuidedOperator, Habits, ScriptedOperator
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
 
@@ -107,8 +107,8 @@ def simulate(
     from skincal.files.reference import RIG_KEY
     from skincal.session.part import load_scene_surface
     from skincal.simulate.device import DeviceSettings, DeviceTimeline
-    from skincal.simulate.faults import RigErrors
     from skincal.simulate.operator import Habits
+    from skincal.simulate.rig_errors import RigErrors
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
     from skincal.simulate.virtual_session import simulate_session
@@ -178,23 +178,23 @@ def _streams(seed: int, run: int) -> list[np.random.Generator]:
 
 def _make_operator(
     kind: OperatorKind, rig: Rig, habits: Habits, rng: np.random.Generator, course: tuple[int | None, tuple[str, ...]]
-) -> Auto | Told:
-    from skincal.simulate.operator import Auto, Guided, Told
+) -> AutoOperator | ScriptedOperator:
+    from skincal.simulate.operator import AutoOperator, GuidedOperator, ScriptedOperator
 
     if kind is OperatorKind.TOLD:
-        return Told(rig, habits, rng)
-    return (Guided if kind is OperatorKind.GUIDED else Auto)(rig, habits, rng, *course)
+        return ScriptedOperator(rig, habits, rng)
+    return (GuidedOperator if kind is OperatorKind.GUIDED else AutoOperator)(rig, habits, rng, *course)
 
 
 @contextmanager
-def _target_client(hand: Auto | Told, targets: str | None) -> Generator[None]:
+def _target_client(hand: AutoOperator | ScriptedOperator, targets: str | None) -> Generator[None]:
     """Have a hand poke what is asked at a port, where one is named."""
     from skincal.robot.target_lines import NoTarget
     from skincal.robot.target_server import parse_port
-    from skincal.simulate.operator import Guided
+    from skincal.simulate.operator import GuidedOperator
     from skincal.simulate.robot_client import TargetClient
 
-    if targets is None or not isinstance(hand, Guided):
+    if targets is None or not isinstance(hand, GuidedOperator):
         yield
         return
     hand.show(NoTarget.WAIT)  # until it hears of something
@@ -207,10 +207,10 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
     """Choose the maker's device that sends each stream of the scene."""
     if not named:
         return {}
-    from skincal.simulate.makers import assign
+    from skincal.simulate.emulated_devices import assign_devices
 
     streams = tuple(stream for stream in Stream if stream is not Stream.JOINTS or scene.arm is not None)
-    return assign(tuple(name.strip() for name in named.split(",")), streams)
+    return assign_devices(tuple(name.strip() for name in named.split(",")), streams)
 
 
 class PokeLine:
@@ -259,11 +259,11 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int | None) -> None:
+def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: OperatorKind, pokes: int | None) -> None:
     """Serve until stdin closes, Ctrl-C or a termination signal; on a terminal say what stdin is for, and which poke it is."""
-    from skincal.simulate.operator import Guided, Told
+    from skincal.simulate.operator import GuidedOperator, ScriptedOperator
 
-    listener = hand if isinstance(hand, Told | Guided) else None
+    listener = hand if isinstance(hand, ScriptedOperator | GuidedOperator) else None
     terminal, progress = sys.stderr.isatty(), PokeLine(pokes)
     if terminal:
         say(f"{STDIN_HELP[operator]}. {SERVING_NOTICE.format(key='Ctrl-Z' if sys.platform == 'win32' else 'Ctrl-D')}", err=True)
@@ -277,7 +277,7 @@ def _run(server: Server, hand: Auto | Told, operator: OperatorKind, pokes: int |
         say(STDIN_ENDED, err=True)
 
 
-def _listen(listener: Told | Guided | None, ended: threading.Event, stop: threading.Event) -> None:
+def _listen(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.operator import read_order
 

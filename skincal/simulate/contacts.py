@@ -13,9 +13,9 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.simulate.faults import drift_step, slow_mean_sd
-from skincal.simulate.operator import Habits, LandmarkHabits, aim, touches_beside
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, Stance, cone_tilts, push_directions, tangents
+from skincal.simulate.operator import Habits, LandmarkHabits, touches_beside, unguided_presses
+from skincal.simulate.rig_errors import drift_step, slow_mean_sd
+from skincal.simulate.simulated_rig import PressedPlaces, Rig, SimulatedArmPose, cone_tilts, push_directions, tangents
 
 CYCLE_S = 2.5
 """s, one poke and the way to the next (`Habits`)."""
@@ -44,14 +44,14 @@ def simulate_contacts(
     Habits say how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
     that two sessions differ in these pokes alone.
     """
-    stance = rig.stance(pose)
+    arm_pose = rig.arm_pose(pose)
     # A spawned generator leaves what `rng` draws as it is.
     (accidents,) = rng.spawn(1)
     doubled, seconds = touches_beside(rig, pokes, habits or Habits.careful(), accidents)
-    wrenches = _mean_wrenches(rig, pokes, stance, rng)
+    wrenches = _mean_wrenches(rig, pokes, arm_pose, rng)
     noise, change = _tared_noise(rig, len(pokes), rng)
     wrenches = wrenches + noise
-    wrenches[doubled] += _mean_wrenches(rig, seconds, stance, accidents)
+    wrenches[doubled] += _mean_wrenches(rig, seconds, arm_pose, accidents)
     answers = _answers(rig, pokes, rng)
     rows, more = rig.answers(seconds, seconds.forces)
     touched: list[int] = doubled.tolist()
@@ -74,8 +74,8 @@ def simulate_contacts(
                 moment=wrenches[i, 3:],
                 channels=rig.channels[rows[answering]][order],
                 responses=responses[answering][order],
-                link_from_sensor=stance.reported,
-                pose=stance.name,
+                link_from_sensor=arm_pose.reported,
+                pose=arm_pose.name,
                 tare_change=float(change[i]),
                 final=True,
             )
@@ -86,7 +86,7 @@ def simulate_contacts(
 def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
     """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
-    return aim(rig, targets, habits or Habits.careful(), rng)
+    return unguided_presses(rig, targets, habits or Habits.careful(), rng)
 
 
 def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
@@ -108,12 +108,12 @@ def _both(rig: Rig, first: tuple[IntArray, FloatArray], other: tuple[IntArray, F
     return rows, answers[rows]
 
 
-def _mean_wrenches(rig: Rig, pokes: PressedPlaces, stance: Stance, rng: np.random.Generator) -> FloatArray:
+def _mean_wrenches(rig: Rig, pokes: PressedPlaces, arm_pose: SimulatedArmPose, rng: np.random.Generator) -> FloatArray:
     """Return (n, 6) what the sensor makes of the forces, before noise."""
     e1, e2 = tangents(pokes.normals)
     beside = rig.errors.scatter * rng.standard_normal((len(pokes), 2))
     points = pokes.points + beside[:, :1] * e1 + beside[:, 1:] * e2
-    return rig.read_wrenches(rig.true_wrenches(points, pokes.forces[:, None] * pokes.directions, stance))
+    return rig.read_wrenches(rig.true_wrenches(points, pokes.forces[:, None] * pokes.directions, arm_pose))
 
 
 def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator) -> FloatArray:
@@ -147,15 +147,15 @@ def poke_landmarks(
     `beside` (n,), metres, is how far each poke lies off its landmark by mistake; none for None.
     """
     found: list[LandmarkPoke] = []
-    for pose in rig.stances:
+    for pose in rig.arm_poses:
         wanted = [landmarks[(len(found) + i) % len(landmarks)] for i in range(per_pose)]
         number = first_poke + len(found)
         off = np.zeros(per_pose) if beside is None else beside[len(found) : len(found) + per_pose]
         pokes = _aimed(rig, wanted, off, rng)
-        stance = rig.stance(pose)
-        wrenches = _mean_wrenches(rig, pokes, stance, rng) + _tared_noise(rig, per_pose, rng)[0]
+        arm_pose = rig.arm_pose(pose)
+        wrenches = _mean_wrenches(rig, pokes, arm_pose, rng) + _tared_noise(rig, per_pose, rng)[0]
         found += [
-            LandmarkPoke(number + i, landmark.name, landmark.place, wrench[:3], wrench[3:], stance.reported, stance.name)
+            LandmarkPoke(number + i, landmark.name, landmark.place, wrench[:3], wrench[3:], arm_pose.reported, arm_pose.name)
             for i, (landmark, wrench) in enumerate(zip(wanted, wrenches, strict=True))
         ]
     return found

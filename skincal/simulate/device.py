@@ -21,12 +21,12 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Stream
-from skincal.simulate.faults import RigErrors, WrenchNoise
 from skincal.simulate.operator import HandPress, Move, Operator, OperatorAction
-from skincal.simulate.simulated_rig import Rig, Stance
+from skincal.simulate.rig_errors import RigErrors, WrenchNoise
+from skincal.simulate.simulated_rig import Rig, SimulatedArmPose
 
 if TYPE_CHECKING:
-    from skincal.simulate.makers import Maker, MakerEncoder
+    from skincal.simulate.emulated_devices import Maker, MakerEncoder
 
 MICROSECONDS = 1_000_000
 NANOSECONDS = 1_000_000_000
@@ -143,12 +143,12 @@ class DeviceTimeline:
         self.rig, self.operator, self.settings = rig, operator, settings or DeviceSettings()
         self.now = 0.0
         """s, end of what is computed."""
-        self.stance = rig.stance()
+        self.arm_pose = rig.arm_pose()
         self._noise = WrenchNoise(rig.errors, noise)
         self._boards = _boards(rig, self.settings, boards)
         self._actions: list[OperatorAction] = []
         self._free = self.settings.start_quiet_s
-        self._from = self.stance
+        self._from = self.arm_pose
         self._arrivals: list[tuple[int, int, str, bytes]] = []
         self._sent = 0
         self._blocks = 0
@@ -199,7 +199,7 @@ class DeviceTimeline:
             self._actions.append(action)
         for action in self._actions:
             if isinstance(action, Move) and action.free <= self.now:
-                self._from = self.stance = action.stance
+                self._from = self.arm_pose = action.arm_pose
         self._actions = [action for action in self._actions if action.free > self.now]
 
     def _bytes(self, board: SimulatedDevice, begin: float, end: float) -> bytes:
@@ -236,7 +236,7 @@ class DeviceTimeline:
         load, travel = press.load(times)[:, None], press.travel(times)
         total = np.zeros((len(times), 6))
         for point, direction, force in zip(press.pokes.points, press.pokes.directions, press.pokes.forces, strict=True):
-            total += self.rig.true_wrenches(point + travel, load * force * direction, self.stance)
+            total += self.rig.true_wrenches(point + travel, load * force * direction, self.arm_pose)
         return total
 
     def _skin(self, times: FloatArray) -> FloatArray:
@@ -253,13 +253,13 @@ class DeviceTimeline:
                 np.add.at(answers[i], rows.ravel(), values.ravel())
         return self.rig.skin_frame(answers, self._skin_rng)
 
-    def _share_moved(self, times: FloatArray) -> tuple[FloatArray, Stance]:
+    def _share_moved(self, times: FloatArray) -> tuple[FloatArray, SimulatedArmPose]:
         """Return (n,) how far the arm is on its way, 0 to 1, and where to."""
         move = next((action for action in self._actions if isinstance(action, Move)), None)
         if move is None:
-            return np.zeros(len(times)), self.stance
+            return np.zeros(len(times)), self.arm_pose
         share = np.clip((times - move.begin) / (move.free - move.begin), 0.0, 1.0)
-        return 0.5 - 0.5 * np.cos(np.pi * share), move.stance
+        return 0.5 - 0.5 * np.cos(np.pi * share), move.arm_pose
 
     def _weight(self, times: FloatArray) -> FloatArray:
         share, target = self._share_moved(times)
@@ -311,7 +311,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
 
 
 def _maker(name: str) -> Maker:
-    from skincal.simulate.makers import MAKERS
+    from skincal.simulate.emulated_devices import MAKERS
 
     return MAKERS[name]
 

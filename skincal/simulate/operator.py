@@ -1,8 +1,7 @@
-"""A person who pokes: where, which way, how hard and for how long; and what that person is asked for, as lines of text.
+"""Simulated people who poke: how they aim and press, and who decides what they poke.
 
-Three operators: `Auto` goes round the taxels by itself, unguided; `Told` does what a queue says; `Guided` is shown a
-target, goes there as well as a hand can, and sometimes pokes something else. What a guide asks for comes as a robot gets it
-(`skincal/robot/target_lines.py`), and is answered likewise; `read_order` reads a line of what is ordered otherwise.
+`AutoOperator` pokes every taxel by itself. `ScriptedOperator` obeys lines of text (`read_order`). `GuidedOperator` receives
+targets as a robot does (`skincal/robot/target_lines.py`), answers likewise, and sometimes pokes something else.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, NoTarget, 
 from skincal.simulate.simulated_rig import (
     PressedPlaces,
     Rig,
-    Stance,
-    by_hand,
+    SimulatedArmPose,
+    add_hand_noise,
     cone_tilts,
-    held,
     join,
+    limit_tilt,
     push_directions,
     tangents,
 )
@@ -184,7 +183,7 @@ OPERATORS: Mapping[str, Habits] = {
 lean to one side, that reach the part from a third of its sides, or from one only."""
 
 
-def by_habit(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
+def apply_bias(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
     """Return the pushes (n, 3) that somebody makes of those meant, on skin with the outward `normals`: see `Habits.side`."""
     if not habits.leans:
         return pushes
@@ -258,7 +257,7 @@ class Move:
 
     begin: float
     free: float
-    stance: Stance
+    arm_pose: SimulatedArmPose
 
 
 OperatorAction: TypeAlias = HandPress | Move
@@ -268,19 +267,21 @@ def _smooth_step(share: FloatArray) -> FloatArray:
     return 0.5 - 0.5 * np.cos(np.pi * np.clip(share, 0.0, 1.0))
 
 
-def aim(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
+def unguided_presses(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
     """Return unguided pokes at taxels (n,): beside them by the aim error, from a random side within the cone."""
     count = len(targets)
     tilts = cone_tilts(count, habits.cone, rng)
     azimuths = rng.uniform(-np.pi, np.pi, count)
     forces = rng.uniform(*habits.force, count)
-    meant = place(rig, targets, habits.aim * rng.standard_normal((count, 2)), tilts, azimuths, forces, rng)
+    meant = presses_at(rig, targets, habits.aim * rng.standard_normal((count, 2)), tilts, azimuths, forces, rng)
     if not habits.leans:
         return meant
-    return replace(meant, directions=held(by_habit(meant.directions, meant.normals, habits), meant.normals, habits.cone))
+    return replace(
+        meant, directions=limit_tilt(apply_bias(meant.directions, meant.normals, habits), meant.normals, habits.cone)
+    )
 
 
-def place(
+def presses_at(
     rig: Rig,
     targets: IntArray,
     beside: FloatArray,
@@ -326,7 +327,7 @@ def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.ra
 def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
     """Return the second place of a double touch: another taxel's, pushed at another angle."""
     target = rng.choice(rig.channels, 1)
-    second = aim(rig, target, habits, rng)
+    second = unguided_presses(rig, target, habits, rng)
     forces = first.forces * rng.uniform(*habits.double_share)
     return PressedPlaces(target, second.points, second.normals, second.directions, forces, second.turns)
 
@@ -344,7 +345,7 @@ def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.rando
     return rows, PressedPlaces(first.targets, beside, normals, directions, forces, rng.uniform(0.0, np.pi / 2, count))
 
 
-class Auto:
+class AutoOperator:
     """Pokes by itself: every taxel once in a random order, then again; arm poses one after another.
 
     Parameters
@@ -367,13 +368,13 @@ class Auto:
         channels: Sequence[int] | None = None,
     ) -> None:
         self._rig, self._habits, self._rng, self._pokes = rig, habits, rng, pokes
-        self._stances = [rig.stance(name) for name in poses] or [rig.stance()]
+        self._arm_poses = [rig.arm_pose(name) for name in poses] or [rig.arm_pose()]
         self._channels = rig.channels if channels is None else np.array(channels, dtype=np.int64)
-        self._each = self.ROUND if pokes is None else max(1, -(-pokes // len(self._stances)))
+        self._each = self.ROUND if pokes is None else max(1, -(-pokes // len(self._arm_poses)))
         self._round: list[PressedPlaces] = []
         self.begun = 0
         """Pokes begun so far."""
-        self._stance = rig.stance()
+        self._arm_pose = rig.arm_pose()
 
     @property
     def done(self) -> bool:
@@ -384,9 +385,9 @@ class Auto:
         """Return the next poke, or the way to the next arm pose."""
         if self.done:
             return None
-        wanted = self._stances[self.begun // self._each % len(self._stances)]
-        if wanted is not self._stance:
-            self._stance = wanted
+        wanted = self._arm_poses[self.begun // self._each % len(self._arm_poses)]
+        if wanted is not self._arm_pose:
+            self._arm_pose = wanted
             return Move(now, now + self._habits.move_s, wanted)
         return self._poke(now)
 
@@ -394,14 +395,14 @@ class Auto:
         """Return the next poke; None where there is none yet."""
         if not self._round:
             order = self._rng.permutation(self._channels)
-            pokes = aim(self._rig, order, self._habits, self._rng)
+            pokes = unguided_presses(self._rig, order, self._habits, self._rng)
             # Backwards, since `pop` takes from the end.
             self._round = [pokes.take(slice(i, i + 1)) for i in range(len(order) - 1, -1, -1)]
         self.begun += 1
         return press(self._rig, self._round.pop(), now, self._habits, self._rng)
 
 
-class Told:
+class ScriptedOperator:
     """Does what a queue says, one after another. Orders are checked when they are put in: see `accept`."""
 
     done = False
@@ -423,7 +424,7 @@ class Told:
         if isinstance(order, PokeOrder):
             self._rig.row_of(order.channel)
         elif isinstance(order, PoseOrder):
-            self._rig.stance(order.name)
+            self._rig.arm_pose(order.name)
         else:
             raise InputError("pace is for --operator guided; expected poke or pose.")
         self._orders.put(order)
@@ -435,7 +436,7 @@ class Told:
         except queue.Empty:
             return None
         if isinstance(order, PoseOrder):
-            return Move(now, now + self._habits.move_s, self._rig.stance(order.name))
+            return Move(now, now + self._habits.move_s, self._rig.arm_pose(order.name))
         self.begun += 1
         return press(self._rig, self._aimed(order), now, self._habits, self._rng)
 
@@ -446,11 +447,11 @@ class Told:
         force = rng.uniform(*habits.force) if order.force is None else order.force
         beside = habits.aim * rng.standard_normal((1, 2))
         target = np.array([order.channel], dtype=np.int64)
-        return place(self._rig, target, beside, np.array([tilt]), np.array([azimuth]), np.array([force]), rng)
+        return presses_at(self._rig, target, beside, np.array([tilt]), np.array([azimuth]), np.array([force]), rng)
 
 
-class Guided(Auto):
-    """Pokes the target that is shown; by itself, as `Auto`, as long as nobody guides.
+class GuidedOperator(AutoOperator):
+    """Pokes the target that is shown; by itself, as `AutoOperator`, as long as nobody guides.
 
     The guide's ring is drawn where it believes the taxel to be, on the part; that is where the hand goes, beside the true
     taxel if need be. The person looks at the screen until the hand goes down: a target that comes earlier than a reaction
@@ -524,14 +525,14 @@ class Guided(Auto):
         """Return where the hand goes that is shown a target, or that goes where it likes."""
         habits, rng = self._habits, self._rng
         if rng.uniform() < habits.ignores:
-            return aim(self._rig, rng.choice(self._channels, 1), habits, rng)
+            return unguided_presses(self._rig, rng.choice(self._channels, 1), habits, rng)
         row = self._row(target)
         place, normal = self._on_part(row, target.place)
         e1, e2 = tangents(normal[None])
         beside = habits.aim * rng.standard_normal(2)
         place, normal = self._on_part(row, place + beside[0] * e1[0] + beside[1] * e2[0])
-        meant = by_habit(target.push[None], normal[None], habits)
-        push = held(by_hand(meant, habits.hand, rng), normal[None], habits.cone)
+        meant = apply_bias(target.push[None], normal[None], habits)
+        push = limit_tilt(add_hand_noise(meant, habits.hand, rng), normal[None], habits.cone)
         channel = self._rig.channels[row : row + 1]
         return PressedPlaces(
             channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
@@ -545,8 +546,8 @@ class Guided(Auto):
         e1, e2 = tangents(normal)
         beside = firm.aim * rng.standard_normal(2)
         place = target.place + beside[0] * e1 + beside[1] * e2
-        meant = by_habit(target.push[None], normal, self._habits)
-        push = held(by_hand(meant, self._habits.hand, rng), normal, firm.cone)
+        meant = apply_bias(target.push[None], normal, self._habits)
+        push = limit_tilt(add_hand_noise(meant, self._habits.hand, rng), normal, firm.cone)
         nobody = np.array([-1], dtype=np.int64)
         return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
 
@@ -566,4 +567,4 @@ class Guided(Auto):
         return places[0], rig.surface.normals[triangles[0]]
 
 
-Operator: TypeAlias = Auto | Told
+Operator: TypeAlias = AutoOperator | ScriptedOperator

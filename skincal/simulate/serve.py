@@ -46,7 +46,7 @@ class Server:
         self._paused: set[str] = set()
 
     def _open_makers(self, speakers: Mapping[Stream, str], *, tcp: bool) -> None:
-        from skincal.simulate.maker_outlets import MakerOutlets
+        from skincal.simulate.emulated_transports import MakerOutlets
 
         makers = MakerOutlets(self._line.rig.scene.skin.channels)
         for name, stream in self._line.links.items():

@@ -19,7 +19,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.model.skin import Anchor, Layout
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ def tip_axes(pokes: PressedPlaces) -> tuple[FloatArray, FloatArray]:
     return c * e1 + s * e2, c * e2 - s * e1
 
 
-def by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
+def add_hand_noise(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArray:
     """Return the pushes (n, 3) that a hand makes of those it means, `sd` about them in each direction, radians."""
     e1, e2 = tangents(pushes)
     lean = np.tan(sd * rng.standard_normal((len(pushes), 2)))
@@ -92,7 +92,7 @@ def by_hand(pushes: FloatArray, sd: float, rng: np.random.Generator) -> FloatArr
     return off / np.linalg.norm(off, axis=1, keepdims=True)
 
 
-def held(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
+def limit_tilt(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatArray:
     """Return the pushes (n, 3), each that leans more taken back to `usable` from its inward normal: it would slide off."""
     inward = -np.sum(pushes * normals, axis=1, keepdims=True)
     aside = pushes + inward * normals
@@ -112,7 +112,7 @@ REST_SHARE = 240 / 255
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stance:
+class SimulatedArmPose:
     """One arm pose: what the joints report and what is."""
 
     name: str
@@ -148,7 +148,7 @@ class Rig:
         self._row[self.channels] = np.arange(len(self.channels))
         self._set_up_skin(skin)
         nominal = _nominal(scene)
-        self.stances = {name: self._stance(name, angles, pose, arm) for name, (angles, pose) in nominal.items()}
+        self.arm_poses = {name: self._arm_pose(name, angles, pose, arm) for name, (angles, pose) in nominal.items()}
         self._set_up_sensor(sensor)
 
     def _set_up_skin(self, rng: np.random.Generator) -> None:
@@ -173,7 +173,7 @@ class Rig:
         scale = np.repeat([self.errors.offset_force, self.errors.offset_moment], 3)
         self.offset = scale * rng.standard_normal(6)
 
-    def _stance(self, name: str, angles: FloatArray, reported: FloatArray, rng: np.random.Generator) -> Stance:
+    def _arm_pose(self, name: str, angles: FloatArray, reported: FloatArray, rng: np.random.Generator) -> SimulatedArmPose:
         error = np.eye(4)
         error[:3, :3] = _rotation(self.errors.pose_turn * rng.standard_normal(3))
         error[:3, 3] = self.errors.pose_shift * rng.standard_normal(3)
@@ -182,7 +182,7 @@ class Rig:
         down = rng.standard_normal(3)
         pull = self.errors.weight * down / np.linalg.norm(down)
         centre = inverse_pose(true)[:3] @ np.append(middle, 1.0)
-        return Stance(name, angles, reported, true, np.concatenate([pull, np.cross(centre, pull)]))
+        return SimulatedArmPose(name, angles, reported, true, np.concatenate([pull, np.cross(centre, pull)]))
 
     def row_of(self, channel: int) -> int:
         """Return the index of a channel in `channels`, `places` and `normals`.
@@ -205,7 +205,7 @@ class Rig:
             "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
         }
 
-    def stance(self, name: str | None = None) -> Stance:
+    def arm_pose(self, name: str | None = None) -> SimulatedArmPose:
         """Return an arm pose by its name; the first one for None.
 
         Raises
@@ -214,21 +214,21 @@ class Rig:
             The scene has no such pose.
         """
         if name is None:
-            return next(iter(self.stances.values()))
-        if name not in self.stances:
-            raise InputError(f"arm pose {name!r} is not in {self.scene.name}; it has {', '.join(map(repr, self.stances))}.")
-        return self.stances[name]
+            return next(iter(self.arm_poses.values()))
+        if name not in self.arm_poses:
+            raise InputError(f"arm pose {name!r} is not in {self.scene.name}; it has {', '.join(map(repr, self.arm_poses))}.")
+        return self.arm_poses[name]
 
-    def true_wrenches(self, points: FloatArray, forces: FloatArray, stance: Stance) -> FloatArray:
+    def true_wrenches(self, points: FloatArray, forces: FloatArray, arm_pose: SimulatedArmPose) -> FloatArray:
         """Return (n, 6) the wrenches of pure forces at points (eqs. 1-2), sensor frame, before the sensor's errors.
 
         Parameters
         ----------
         points : (n, 3) float, metres, link frame
         forces : (n, 3) float, N, link frame, on the part
-        stance : the arm pose; its true one counts
+        arm_pose : the arm pose; its true one counts
         """
-        sensor_from_link = inverse_pose(stance.true)
+        sensor_from_link = inverse_pose(arm_pose.true)
         f = forces @ sensor_from_link[:3, :3].T
         c = points @ sensor_from_link[:3, :3].T + sensor_from_link[:3, 3]
         return np.concatenate([f, np.cross(c, f)], axis=1)

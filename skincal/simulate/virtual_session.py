@@ -17,8 +17,8 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.operator import AutoOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
@@ -48,7 +48,7 @@ def simulate_session(
     Parameters
     ----------
     folder : of the new session; `truth.json` is written there too
-    pokes, poses, channels : as for `Auto`
+    pokes, poses, channels : as for `AutoOperator`
     seed : the same one gives the same bytes
     progress : called with the number of pokes begun, whenever it grows
     go_on : whether more is wanted; else the session ends with what it has
@@ -66,7 +66,7 @@ def simulate_session(
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
-    operator = Auto(rig, habits or Habits(), operator_rng, pokes, poses, channels)
+    operator = AutoOperator(rig, habits or Habits(), operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
     pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links))

@@ -1,7 +1,7 @@
 """Pokes needed by the guide, by a printed recipe, and by people without guidance.
 
-Strategies, hand, rig and the errors over a session are in `skincal/simulate/courses.py`. Everything is seeded. Courses run in
-parallel, and their numbers do not depend on it.
+Strategies, hand, rig and the errors over a session are in `skincal/simulate/poking_strategies.py`. Everything is seeded.
+Courses run in parallel, and their numbers do not depend on it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.simulate.benches import Bench
-from skincal.simulate.courses import Conditions, ErrorCourse, run_course
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.poking_strategies import Conditions, ErrorCourse, run_course
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 
@@ -144,9 +144,9 @@ def _tasks(sizes: GuidanceSizes) -> Iterator[CourseTask]:
 
 
 @cache
-def _bench() -> Bench:
+def _bench() -> ExamplePart:
     # One for all courses of a process: making it takes 0.2 s.
-    return Bench()
+    return ExamplePart()
 
 
 def _run(task: CourseTask) -> ErrorCourse:

@@ -23,10 +23,10 @@ from skincal.palette import BLACK
 from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.rig.correction_fit import REPORT_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
-from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.courses import TABLE_I, poke_rounds, poke_table
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.poking_strategies import TABLE_I, poke_rounds, poke_table
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, side_by_side
 from skincal.taxels.result import Method
@@ -139,9 +139,9 @@ def error_statistics(off: FloatArray) -> dict[str, float]:
 
 
 @cache
-def bench() -> Bench:
+def bench() -> ExamplePart:
     """Load the shipped forearm. This module makes its own rigs."""
-    return Bench("icub-forearm")
+    return ExamplePart("icub-forearm")
 
 
 def solve_positions(contacts: Sequence[Contact], rig: Rig, methods: Sequence[Method] = METHODS) -> dict[str, FloatArray]:

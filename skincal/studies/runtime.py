@@ -31,7 +31,7 @@ from skincal.modules.pose_fit import find_start, whitened_rows
 from skincal.palette import BLACK, METHODS, ORANGE, PINK, SKY
 from skincal.plotting import Axes, Figure, add_common_legend, label_twos_and_fives, set_log_scales
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
+from skincal.simulate.example_parts import ExamplePart
 from skincal.studies import baselines
 from skincal.studies.baselines import ModuleProblem, TaxelProblem
 from skincal.studies.benchmarking import CLOCK_NAME, check_limits, limit_lines, quartiles, time_session_pokes, time_words, timed
@@ -141,7 +141,7 @@ def run(quick: bool, progress: Say, sizes: RuntimeSizes | None = None) -> dict[s
     """Measure everything. `docs/benchmarks.md` describes the JSON."""
     began = time.perf_counter()
     sizes = sizes or (QUICK_SIZES if quick else FULL_SIZES)
-    small, large = Bench(sizes.small.scene), Bench(sizes.large.scene)
+    small, large = ExamplePart(sizes.small.scene), ExamplePart(sizes.large.scene)
     left_out: list[str] = []
 
     def leave_out(sentence: str) -> None:
@@ -190,7 +190,7 @@ def _machine() -> dict[str, Any]:
 class ProblemSize:
     """A part with its mesh and contacts."""
 
-    bench: Bench
+    bench: ExamplePart
     surface: Surface
     per_taxel: int
     runs: Sequence[Sequence[Contact]]
@@ -202,7 +202,9 @@ class ProblemSize:
     """For each slow method."""
 
 
-def _table(benches: Sequence[tuple[Bench, PartPlan]], sizes: RuntimeSizes, progress: Say, leave_out: Say) -> Iterator[Row]:
+def _table(
+    benches: Sequence[tuple[ExamplePart, PartPlan]], sizes: RuntimeSizes, progress: Say, leave_out: Say
+) -> Iterator[Row]:
     """Measure the sizes of the ratios, then the growth of cost, until the time is used."""
     began = time.perf_counter()
     growths: list[Iterator[Iterator[Row]]] = []
@@ -339,7 +341,7 @@ def _shipped_rows(size: ProblemSize, methods: Iterable[Method] = Method) -> Iter
 
 def _per_pose_rows(size: ProblemSize, methods: Iterable[Method]) -> Iterator[Row]:
     """Measure the paper's averaging over arm poses (IV-B) on a part that has several."""
-    for method in methods if len(size.bench.rig.stances) > 1 else ():
+    for method in methods if len(size.bench.rig.arm_poses) > 1 else ():
         model = size.bench.modules_on(size.surface) if method is Method.MODULES else None
 
         def solve(contacts: Sequence[Contact], method: Method = method, model: ModuleModel | None = model) -> Positions:
@@ -426,7 +428,7 @@ def _module_problems(size: ProblemSize, contacts: Sequence[Contact], model: Modu
 # ---- latency ----
 
 
-def solved_session(bench: Bench, contacts: Sequence[Contact], methods: Collection[Method] | None = None) -> Session:
+def solved_session(bench: ExamplePart, contacts: Sequence[Contact], methods: Collection[Method] | None = None) -> Session:
     """Make a session with these contacts, solved by `methods`; `None` for every method of its scene."""
     session = Session(bench.scene, bench.surface, methods)
     for contact in contacts:
@@ -435,7 +437,7 @@ def solved_session(bench: Bench, contacts: Sequence[Contact], methods: Collectio
     return session
 
 
-def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
+def poke_time(bench: ExamplePart, per_taxel: int, pokes: int) -> dict[str, Any]:
     """Time a poke of seven taxels: added, solved, in a snapshot. Before it, each taxel has `per_taxel` pokes.
 
     Returns
@@ -453,7 +455,7 @@ def poke_time(bench: Bench, per_taxel: int, pokes: int) -> dict[str, Any]:
     return {"pokes_per_taxel": per_taxel, "taxels_touched": TAXELS_PER_POKE, **times}
 
 
-def with_neighbours(bench: Bench, contact: Contact) -> Contact:
+def with_neighbours(bench: ExamplePart, contact: Contact) -> Contact:
     """Let the seven taxels nearest to the contact's strongest one answer."""
     places = bench.rig.places
     strongest = bench.rig.row_of(contact.strongest_channel)
@@ -463,7 +465,7 @@ def with_neighbours(bench: Bench, contact: Contact) -> Contact:
     return replace(contact, channels=bench.rig.channels[rows][order], responses=responses[order])
 
 
-def whole_time(bench: Bench, per_taxel: int, repeats: int) -> dict[str, Any]:
+def whole_time(bench: ExamplePart, per_taxel: int, repeats: int) -> dict[str, Any]:
     """Time a warm solve of all taxels.
 
     Returns

@@ -26,7 +26,7 @@ from skincal.rig.correction import RIG, Correction
 from skincal.session import solving
 from skincal.session.corrections import correct_action
 from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS

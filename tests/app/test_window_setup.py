@@ -27,8 +27,8 @@ from skincal.journal.reader import SessionLog
 from skincal.model.readings import Loss, Stream
 from skincal.model.scene import resource
 from skincal.session.replay import load, replay
-from skincal.simulate.maker_outlets import MakerOutlets
-from skincal.simulate.makers import MAKERS
+from skincal.simulate.emulated_devices import MAKERS
+from skincal.simulate.emulated_transports import MakerOutlets
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 from skincal.streams.transports import baud_search
 from skincal.taxels.result import State

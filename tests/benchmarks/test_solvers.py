@@ -16,7 +16,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import resource
 from skincal.session.replay import load
-from skincal.simulate.benches import SHAPES, Bench
+from skincal.simulate.example_parts import SHAPES, ExamplePart
 from skincal.studies import baselines, runtime
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
@@ -28,12 +28,12 @@ BOTH = [Method.FREE, Method.SURFACE]
 
 @pytest.fixture(scope="module")
 def forearm():
-    return Bench("icub-forearm")
+    return ExamplePart("icub-forearm")
 
 
 @pytest.fixture(scope="module")
 def torso():
-    return Bench("whole-body")
+    return ExamplePart("whole-body")
 
 
 @pytest.fixture(scope="module")

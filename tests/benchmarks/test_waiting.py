@@ -17,10 +17,10 @@ from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.readings import Stream
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.benches import Bench
 from skincal.simulate.device import DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.operator import AutoOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.studies.runtime import solved_session
@@ -35,7 +35,7 @@ LOG_POKES = 60
 
 @pytest.fixture(scope="module")
 def forearm():
-    return Bench("icub-forearm")
+    return ExamplePart("icub-forearm")
 
 
 def test_the_help_comes_within_0_4_s():
@@ -101,7 +101,7 @@ def test_an_import_costs_5_5_times_what_reading_its_numbers_does(forearm, tmp_pa
 def write_log(bench, folder):
     """Write what simulated devices send as folders of `yarpdatadumper`."""
     rig = Rig(bench.scene, bench.surface, RigErrors.noise(), np.random.default_rng(1))
-    line = DeviceTimeline(rig, Auto(rig, Habits(), np.random.default_rng(2), LOG_POKES), np.random.default_rng(3))
+    line = DeviceTimeline(rig, AutoOperator(rig, Habits(), np.random.default_rng(2), LOG_POKES), np.random.default_rng(3))
     decoders = {name: LinkDecoder("auto", bench.scene.skin.channels, (stream,)) for name, stream in line.links.items()}
     texts = {stream: [] for stream in line.links.values()}
     begun = {}

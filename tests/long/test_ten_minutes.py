@@ -19,10 +19,10 @@ from skincal.mesh.load import load_surface
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, scene_file
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.maker_outlets import RDT_RECORD, RdtOutlet
-from skincal.simulate.makers import assign
-from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.emulated_devices import assign_devices
+from skincal.simulate.emulated_transports import RDT_RECORD, RdtOutlet
+from skincal.simulate.operator import AutoOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.serve import Server
 from skincal.simulate.simulated_rig import Rig
 
@@ -44,9 +44,9 @@ def serve(seconds: float) -> None:
     scene = load_scene(scene_file(Path(SCENE)))
     rng = np.random.default_rng(1)
     rig = Rig(scene, load_surface(scene.surface)[0], RigErrors.noise(), rng)
-    speakers = assign(("netft", "yarp"), tuple(Stream))
+    speakers = assign_devices(("netft", "yarp"), tuple(Stream))
     settings = DeviceSettings(speakers=speakers, wrench_hz=WRENCH_HZ, skin_hz=SKIN_HZ)
-    line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng, settings)
+    line = DeviceTimeline(rig, AutoOperator(rig, Habits.careful(), rng), rng, settings)
     server, sent, stop = Server(line, tcp=True), Counter(), threading.Event()
     for name, outlet in server._outlets.items():
         count_sent(name, outlet, sent)

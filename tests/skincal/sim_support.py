@@ -15,8 +15,8 @@ from skincal.robot.target_lines import PokeTarget
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import apply_item
 from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Habits, place
+from skincal.simulate.operator import Habits, presses_at
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import PressedPlaces, Rig
 
 RECIPE_HAND = float(np.radians(6.0))
@@ -42,7 +42,7 @@ def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator) -> PressedPlaces:
     tilts = np.clip(RECIPE_TILT + RECIPE_HAND * rng.standard_normal(count), 0.0, np.pi / 4)
     azimuths = turns + RECIPE_HAND / np.sin(RECIPE_TILT) * rng.standard_normal(count)
     beside = habits.aim * rng.standard_normal((count, 2))
-    return place(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
+    return presses_at(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
 
 
 def recorded_anew(folder: Path, into: Path) -> Path:

@@ -20,8 +20,8 @@ from skincal.model.scene import load_scene, resource
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.simulate.device import DeviceSettings
-from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method, State
 from tests.approved import approved

@@ -14,7 +14,7 @@ from app.session.opening import OpenRequest
 from app.session.recording import SessionFolder
 from app.text.message import NO_SESSION
 from skincal.model.scene import resource
-from skincal.simulate.maker_outlets import SkinManagerOutlet
+from skincal.simulate.emulated_transports import SkinManagerOutlet
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved

@@ -22,7 +22,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.review import ReviewRequest, review_rig
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.words.rig_words import frame_sentence, rig_sentences
 from tests.app.whole_window import OPEN_MS

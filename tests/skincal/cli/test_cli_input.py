@@ -128,13 +128,13 @@ def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(ru
     from skincal.journal.lock import LOCK_NAME
     from skincal.journal.reader import SessionLog
     from skincal.simulate import virtual_session
-    from skincal.simulate.operator import Auto
+    from skincal.simulate.operator import AutoOperator
 
     def make_interrupted(*arguments):
         signal.raise_signal(signal.SIGINT)
         return writer.create_session(*arguments)
 
-    begin = Auto.next
+    begin = AutoOperator.next
 
     def next_interrupted(self, now):
         if self.begun == 3:
@@ -144,7 +144,7 @@ def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(ru
     if at_once:
         monkeypatch.setattr(virtual_session, "create_session", make_interrupted)
     else:
-        monkeypatch.setattr(Auto, "next", next_interrupted)
+        monkeypatch.setattr(AutoOperator, "next", next_interrupted)
     before = signal.getsignal(signal.SIGINT)
     folder = tmp_path / "s"
     code, out, err = run("simulate", *SCENE, "--out", folder, "--json")

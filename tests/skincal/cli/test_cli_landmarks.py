@@ -20,7 +20,7 @@ from skincal.model.scene import load_scene
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from tests.approved import approved
 from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, write_scene
 from tests.skincal.sim_support import make_rig

@@ -7,11 +7,11 @@ import numpy as np
 from skincal.contacts.outcome import Rejection
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
-from skincal.simulate.courses import Conditions, MeantPokes, poked, rig_beside
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Method
 
-PART = Bench()
+PART = ExamplePart()
 STEADY = Conditions(aim=0.0, hand=0.0)
 
 
@@ -24,7 +24,7 @@ class GuidedBench:
         self.conditions = conditions or Conditions()
         solved = (Method.FREE, Method.SURFACE, *((method,) if method is Method.MODULES else ()))
         self.session, self.guide = Session(PART.scene, PART.surface, solved), make_guide(method)
-        self.rig, self.rng = rig_beside(PART, self.conditions, seed), np.random.default_rng(seed)
+        self.rig, self.rng = displaced_rig(PART, self.conditions, seed), np.random.default_rng(seed)
         self.contacts, self.rejections, self.targets, self.asked, self.count = {}, {}, {}, [], 0
         self.look()
 
@@ -40,7 +40,7 @@ class GuidedBench:
     def press(self, place, push):
         """The contacts of the next poke."""
         self.count += 1
-        return poked(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+        return poke_by_hand(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
 
     def poke(self, place=None, push=None, *, shown=True):
         target = self.guidance.target

@@ -22,7 +22,7 @@ from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
@@ -174,7 +174,7 @@ def test_without_a_pace_no_time_is_predicted():
 def bad_rig(errors, seed):
     """A rig, contacts of its first arm pose and six landmark pokes there."""
     rig, rng = make_rig(errors, seed), np.random.default_rng(seed)
-    pose = next(iter(rig.stances))
+    pose = next(iter(rig.arm_poses))
     contacts = [each for each in simulate_contacts(rig, unguided(rig, 1, rng), rng) if each.pose == pose]
     pokes = [each for each in poke_landmarks(rig, rig.scene.landmarks, 6, rng, 5001) if each.pose == pose]
     return rig, contacts, pokes[:6]

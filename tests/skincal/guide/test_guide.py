@@ -14,8 +14,8 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.session import Session
 from skincal.simulate.contacts import PressedPlaces, simulate_contacts
-from skincal.simulate.courses import WAYS, Conditions, errors_of, looks, run_course
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.poking_strategies import WAYS, Conditions, errors_of, evaluation_counts, run_course
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig
 
@@ -169,7 +169,7 @@ def test_a_course_is_the_same_each_time_and_gets_better(way):
     one, two = (run_course(PART, way, Method.SURFACE, Conditions(), 2, 60) for _ in range(2))
     np.testing.assert_array_equal(one.mean, two.mean)
     np.testing.assert_array_equal(one.seconds, two.seconds)
-    assert one.pokes.tolist() == looks(60).tolist()
+    assert one.pokes.tolist() == evaluation_counts(60).tolist()
     assert one.mean[-1] < one.mean[0]
     assert (np.diff(one.seconds) > 0).all()
     assert one.falsely <= one.done
@@ -279,7 +279,7 @@ def test_modules_without_a_mesh_are_pushed_from_all_sides():
 def test_a_flat_patch_without_a_mesh_is_finished_by_about_the_predicted_number_of_pokes():
     rig, rng = make_rig(RigErrors.noise(), 0, "flat-patch"), np.random.default_rng(5)
     session, guide = Session(rig.scene, None), SessionGuide(lay_part(rig.scene, None, ()))
-    stance, pokes = rig.stance(), 0
+    stance, pokes = rig.arm_pose(), 0
 
     def follow():
         pose = stance.name, stance.reported

@@ -14,7 +14,7 @@ from skincal.guide.poke_history import PokeAxis
 from skincal.guide.surface_search import MAX_GAP_M, PLACE_SPACING_M, SurfaceSearch, spread_over
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
-from skincal.simulate.courses import Conditions, MeantPokes, poked, rig_beside
+from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Estimate, Method, State
 
 
@@ -53,7 +53,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     plan = plan_without_positions(np.arange(scene.skin.channels))
     guide = Guide(plan, scene.noise, method, DEFAULT_SPACING_M, search=SurfaceSearch(PART.surface))
     session = Session(scene, PART.surface, (Method.FREE, Method.SURFACE))
-    rig, rng = rig_beside(PART, Conditions(), 1), np.random.default_rng(5)
+    rig, rng = displaced_rig(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, targets, seen, phases = {}, {}, {}, set(), []
     for poke in range(1, 181):
         known = {m: {each.channel: each for each in every} for m, every in session.snapshot().estimates.items()}
@@ -63,7 +63,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
         guidance = guide.update(contacts, estimates, session.evidence, targets.get, rejections)
         phases.append(guidance.phase)
         target = targets[poke] = guidance.target
-        made, pokes = poked(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
+        made, pokes = poke_by_hand(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
         for contact in made:
             session.add(contact)
             contacts[poke] = contact

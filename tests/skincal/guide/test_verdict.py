@@ -19,10 +19,10 @@ from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import LandmarkAgreement, RigAnswer, RigRequest, correct_rig, landmark_agreement
 from skincal.rig.expected_gain import unchecked_of
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.courses import Conditions, errors_of, poked, rig_beside, tilt_recipe
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.poking_strategies import Conditions, displaced_rig, errors_of, poke_by_hand, tilt_recipe
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
@@ -35,14 +35,14 @@ SETTINGS = GuideSettings()
 
 @cache
 def part():
-    return Bench()
+    return ExamplePart()
 
 
 @cache
 def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
-    rig = rig_beside(part(), conditions, seed)
-    contacts, _ = poked(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
+    rig = displaced_rig(part(), conditions, seed)
+    contacts, _ = poke_by_hand(part(), rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
     session = Session(part().scene, part().surface)
     for contact in contacts:
         session.add(contact)
@@ -252,7 +252,7 @@ def test_landmarks_are_judged_as_the_rig_is_used():
 def landmark_case(errors, seed):
     """A rig, its contacts, what landmark pokes say, and the estimates of the modules as reported."""
     rng, rig = np.random.default_rng([seed, 3]), make_rig(errors, seed)
-    contacts = [poke for pose in rig.stances for poke in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
+    contacts = [poke for pose in rig.arm_poses for poke in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
     contacts = [replace(contact, poke=number) for number, contact in enumerate(contacts, start=1)]
     known = poke_landmarks(rig, rig.scene.landmarks, 3, rng, 10_001)
     model = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, rig.surface)

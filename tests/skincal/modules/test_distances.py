@@ -21,7 +21,7 @@ from skincal.rig.correction import RIG, Correction
 from skincal.session.corrections import correct_action
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method

@@ -23,7 +23,7 @@ from skincal.modules.health import (
 )
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 

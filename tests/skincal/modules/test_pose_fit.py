@@ -16,8 +16,8 @@ from skincal.modules.pose import LEVER_M, ModuleModel, ModulesOnSurface, rotatio
 from skincal.modules.pose_fit import assign_pokes, offset_variances, whitened_rows
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Method, State
 from tests.skincal.sim_support import make_rig, scene_and_surface

@@ -10,7 +10,7 @@ from skincal.methods import average_over_poses, estimate_taxels
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig.correction import Correction, CorrectionErrors, RigPrior
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.taxels.shared_errors import predicted_error
 from tests.skincal.sim_support import make_rig
@@ -24,7 +24,7 @@ def poked(times=4, poses=("1", "2", "3")):
     rng = np.random.default_rng(5)
     rig = make_rig(RigErrors.noise(), 5)
     contacts = []
-    for pose in rig.stances:
+    for pose in rig.arm_poses:
         if pose in poses:
             contacts += simulate_contacts(rig, unguided(rig, times, rng), rng, pose, first_poke=len(contacts) * 2 + 1)
     return rig, contacts

@@ -15,7 +15,7 @@ from skincal.rig import correction_fit
 from skincal.rig.correction import HAND_LOAD_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.studies.independent_simulator import CASES, simulate_session
 from skincal.studies.unmodelled import part
 from skincal.taxels.result import Method
@@ -74,7 +74,7 @@ def trial(seed, errors, pokes, per_pose, off=None):
     rng = np.random.default_rng([seed, 3])
     rig = make_rig(RigErrors.paper() if errors == "paper" else RigErrors.noise(), seed)
     contacts = []
-    for pose in rig.stances:
+    for pose in rig.arm_poses:
         contacts += simulate_contacts(rig, unguided(rig, pokes, rng), rng, pose, first_poke=len(contacts) * 2 + 1)
     beside = np.zeros(7 * max(per_pose, 1))
     if off is not None:
@@ -338,8 +338,8 @@ def test_what_is_not_known_is_as_large_as_rigs_are_wrong_after_their_correction(
         rig, _, answer = trial(seed, "paper", 1, 10)
         root, correction = answer.correction.root, answer.correction
         # What is left moves the axes of straight pushes at the taxels, in the first arm pose.
-        name = next(iter(rig.stances))
-        stance = rig.stances[name]
+        name = next(iter(rig.arm_poses))
+        stance = rig.arm_poses[name]
         at = 36 + 6 * sorted(correction.motions).index(name)
         rest = np.linalg.inv(stance.reported @ correction.motions[name]) @ stance.true
         shift = rest[:3, 3]

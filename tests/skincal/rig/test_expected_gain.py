@@ -9,7 +9,7 @@ from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, correct_rig
 from skincal.rig.expected_gain import PlannedPoke, expected_error
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from tests.skincal.sim_support import make_rig
 
@@ -17,7 +17,7 @@ PRIOR = RigPrior()
 
 
 def reported(rig):
-    return {name: stance.reported for name, stance in rig.stances.items()}
+    return {name: stance.reported for name, stance in rig.arm_poses.items()}
 
 
 def planned(rig, per_pose):
@@ -99,7 +99,7 @@ def measured_errors(seed):
     """Mean square error, m^2, of the modules on a rig with the paper's errors: as it tells, and corrected by 21 pokes."""
     rng, rig = np.random.default_rng([seed, 5]), make_rig(RigErrors.paper(), seed)
     contacts = []
-    for pose in rig.stances:
+    for pose in rig.arm_poses:
         contacts += simulate_contacts(rig, unguided(rig, 1, rng), rng, pose, first_poke=len(contacts) * 2 + 1)
     pokes = poke_landmarks(rig, rig.scene.landmarks, 3, rng, 10_001)
     answer = correct_rig(RigRequest(rig.scene, rig.surface, contacts, pokes))

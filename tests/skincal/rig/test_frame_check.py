@@ -13,7 +13,7 @@ from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose, frame_co
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.contacts import poke_landmarks
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig

@@ -3,8 +3,8 @@
 import socket
 from contextlib import closing, contextmanager
 
-from skincal.simulate.maker_outlets import TalkOutlet
-from skincal.simulate.makers import NameTalk
+from skincal.simulate.emulated_devices import NameTalk
+from skincal.simulate.emulated_transports import TalkOutlet
 from tests.skincal.meanwhile import meanwhile
 
 

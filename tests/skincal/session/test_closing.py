@@ -25,9 +25,9 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
-from skincal.simulate.contacts import aim, poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided, unguided_presses
 from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.words.rig_words import closing_sentence, earlier_closings
 from skincal.words.verdict_words import figures
@@ -61,7 +61,7 @@ class Sessions:
         self.session = Session(scene, self.rig.surface)
         self.guide = SessionGuide(lay_part(scene, self.rig.surface, ()))
         self.slip, self.beside, self.number = np.zeros(3), slips, 0
-        stance = self.rig.stance()
+        stance = self.rig.arm_pose()
         self.pose = stance.name, stance.reported
         for name in [landmark.name for landmark in scene.landmarks]:
             self.poke_landmark(name)
@@ -83,7 +83,7 @@ class Sessions:
     def poke_taxel(self, channel: int) -> None:
         """Poke it until it is the one that answers most."""
         for _ in range(20):
-            pressed = aim(self.rig, np.array([channel]), Habits(aim=0.0005), self.rng)
+            pressed = unguided_presses(self.rig, np.array([channel]), Habits(aim=0.0005), self.rng)
             for contact in simulate_contacts(self.rig, pressed, self.rng, first_poke=self.session.last_poke + 1):
                 if contact.strongest_channel == channel:
                     self.session.add(self.slipped(contact))

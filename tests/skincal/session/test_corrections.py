@@ -24,7 +24,7 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
 from tests.approved import approved

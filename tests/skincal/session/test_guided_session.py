@@ -17,10 +17,10 @@ from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget
 from skincal.robot.target_server import TargetServer, parse_port
 from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
-from skincal.simulate.courses import errors_of
 from skincal.simulate.device import DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Guided, Habits
+from skincal.simulate.operator import GuidedOperator, Habits
+from skincal.simulate.poking_strategies import errors_of
+from skincal.simulate.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from tests.approved import approved
@@ -45,7 +45,7 @@ class SimulatedRobot:
 
     def __init__(self, rig, example, port):
         self._example, self.lines, self.verdicts, self.enough = example, example.Lines("127.0.0.1", port), [], False
-        self.hand = Guided(rig, Habits.careful().at_pace(4.0), np.random.default_rng(3))
+        self.hand = GuidedOperator(rig, Habits.careful().at_pace(4.0), np.random.default_rng(3))
         self.hand.show(NoTarget.WAIT)
         self.hand.answered = lambda answer: self.lines.say(f"reached {answer.number}")
 
@@ -85,7 +85,7 @@ class Resting:
 
     def __init__(self):
         rig = make_rig(RigErrors.noise(), name="flat-patch")
-        hand = Guided(rig, Habits.careful(), np.random.default_rng(3))
+        hand = GuidedOperator(rig, Habits.careful(), np.random.default_rng(3))
         hand.show(NoTarget.WAIT)
         self.line = DeviceTimeline(rig, hand, np.random.default_rng(4))
         self.links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in self.line.links.items()]

@@ -19,7 +19,7 @@ from skincal.session.corrections import correct_action
 from skincal.session.review import ReviewRequest, SentReview, review_rig, review_sent
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.words.rig_words import frame_sentence
 from tests.approved import approved_pattern
 from tests.build import session_of

@@ -8,9 +8,9 @@ import numpy as np
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
-from skincal.simulate.courses import Conditions, MeantPokes, errors_of, poked, rig_beside
+from skincal.simulate.example_parts import ExamplePart
 from skincal.simulate.operator import OPERATORS
+from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, errors_of, poke_by_hand
 from skincal.studies.unmodelled import CHI2_95, in_known_directions
 from skincal.taxels.result import Method
 
@@ -22,7 +22,7 @@ WRONG = 0.005
 
 @cache
 def part():
-    return Bench()
+    return ExamplePart()
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Ended:
 def followed(operator, seed, limit=200, method=Method.MODULES):
     """A session of one of `OPERATORS` on a good rig."""
     conditions = Conditions(habits=OPERATORS[operator])
-    rig, rng = rig_beside(part(), conditions, seed), np.random.default_rng([seed, 11])
+    rig, rng = displaced_rig(part(), conditions, seed), np.random.default_rng([seed, 11])
     session = Session(part().scene, part().surface, set(Method))
     guide, contacts, pokes = Guide(part().plan, part().scene.noise, method, part().spacing), {}, 0
     guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
-        for contact in poked(part(), rig, meant, conditions, rng, pokes)[0]:
+        for contact in poke_by_hand(part(), rig, meant, conditions, rng, pokes)[0]:
             session.add(contact)
             contacts[contact.poke] = contact
         guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)

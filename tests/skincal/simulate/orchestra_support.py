@@ -12,10 +12,10 @@ import numpy as np
 
 from skincal.model.readings import Chunk, LinkState, Stream
 from skincal.simulate.device import Clock, LossyLink, SimulatedDevice, make_encoder
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.maker_outlets import MakerOutlets, RdtOutlet, TalkOutlet
-from skincal.simulate.makers import MAKERS
+from skincal.simulate.emulated_devices import MAKERS
+from skincal.simulate.emulated_transports import MakerOutlets, RdtOutlet, TalkOutlet
 from skincal.simulate.outlets import TcpOutlet
+from skincal.simulate.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec, Reader
 
 PTYS = hasattr(os, "openpty")

@@ -16,8 +16,8 @@ from skincal.simulate.device import (
     cobs,
     make_encoder,
 )
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits, HandPress, Move, PokeOrder, PoseOrder, Told
+from skincal.simulate.operator import AutoOperator, Habits, HandPress, Move, PokeOrder, PoseOrder, ScriptedOperator
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.streams.decoders.auto_detect import make_decoder
 from tests.skincal.sim_support import make_rig, scene_and_surface
@@ -29,7 +29,7 @@ def play(errors, seconds, seed=1, name="icub-forearm", settings=None, operator=N
     """Return the time line after so long, and all that arrived."""
     rig = make_rig(errors, seed, name)
     rng = np.random.default_rng(seed)
-    line = DeviceTimeline(rig, operator(rig, rng) if operator else Auto(rig, Habits.careful(), rng), rng, settings)
+    line = DeviceTimeline(rig, operator(rig, rng) if operator else AutoOperator(rig, Habits.careful(), rng), rng, settings)
     arrived = []
     while line.now < seconds:
         arrived += line.step()
@@ -114,7 +114,7 @@ def test_wide_skins_speak_text_since_no_record_holds_them():
     # Without its surface each module lies in its anchor's plane: quicker, and the same bytes.
     rig = Rig(scene_and_surface("whole-body")[0], None, RigErrors.none(), np.random.default_rng(1))
     rng = np.random.default_rng(1)
-    line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng)
+    line = DeviceTimeline(rig, AutoOperator(rig, Habits.careful(), rng), rng)
     arrived = [item for _ in range(30) for item in line.step()]
     assert set(line.links) == {"wrench", "skin"}
     decoder, _, values = decode(line, arrived, "skin", "text")
@@ -132,7 +132,7 @@ def test_same_seed_same_bytes_and_another_seed_others():
 def test_the_same_poke_gives_the_truth_over_the_wire():
     # A perfect rig told to poke once: the mean of the held readings is the true wrench, and the foam answers as computed.
     def poke_once(rig, rng):
-        operator = Told(
+        operator = ScriptedOperator(
             rig, replace(Habits.careful(), tremor=0.0, approach_s=(0.5, 0.5), hold_s=(0.5, 0.5), rest_s=(1, 1)), rng
         )
         operator.accept(PokeOrder(int(rig.channels[30]), np.radians(20), 1.0, 8.0))
@@ -143,7 +143,7 @@ def test_the_same_poke_gives_the_truth_over_the_wire():
     _, times, wrenches = decode(line, arrived, "wrench")
     since = times - times[0]
     held = (since > press.begin + press.ramp + 0.01) & (since < press.begin + press.ramp + 0.49)
-    truth = line.rig.true_wrenches(press.pokes.points, press.pokes.forces[:, None] * press.pokes.directions, line.stance)[0]
+    truth = line.rig.true_wrenches(press.pokes.points, press.pokes.forces[:, None] * press.pokes.directions, line.arm_pose)[0]
     assert held.sum() > 400
     np.testing.assert_allclose(wrenches[held], np.tile(truth, (held.sum(), 1)), rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(wrenches[since < press.begin - 0.01], 0.0)
@@ -159,7 +159,7 @@ def test_the_same_poke_gives_the_truth_over_the_wire():
 
 def test_the_foam_answers_later_than_the_force():
     def press_hard(rig, rng):
-        operator = Told(rig, replace(Habits.careful(), ramp_s=(0.2, 0.2)), rng)
+        operator = ScriptedOperator(rig, replace(Habits.careful(), ramp_s=(0.2, 0.2)), rng)
         operator.accept(PokeOrder(int(rig.channels[30]), 0.0, 0.0, 12.0))
         return operator
 
@@ -177,7 +177,7 @@ def test_the_foam_answers_later_than_the_force():
 
 def test_wrench_sign_is_the_sensors():
     def press_straight(rig, rng):
-        operator = Told(rig, Habits.careful(), rng)
+        operator = ScriptedOperator(rig, Habits.careful(), rng)
         operator.accept(PokeOrder(0, 0.0, 0.0, 10.0))
         return operator
 
@@ -257,7 +257,7 @@ def test_boards_say_what_they_are_at_the_start_and_every_two_seconds():
 
 def test_the_arm_moves_between_poses_and_the_weight_with_it():
     def move_once(rig, rng):
-        operator = Told(rig, replace(Habits.careful(), move_s=0.5), rng)
+        operator = ScriptedOperator(rig, replace(Habits.careful(), move_s=0.5), rng)
         operator.accept(PoseOrder("2"))
         return operator
 
@@ -268,18 +268,18 @@ def test_the_arm_moves_between_poses_and_the_weight_with_it():
     np.testing.assert_allclose(degrees[since > 0.75], [[15, -90]] * int((since > 0.75).sum()), atol=1e-4)
     assert (np.diff(degrees[:, 0]) <= 1e-4).all()
     _, _, wrenches = decode(line, arrived, "wrench")
-    one, two = line.rig.stance("1"), line.rig.stance("2")
+    one, two = line.rig.arm_pose("1"), line.rig.arm_pose("2")
     np.testing.assert_allclose(wrenches[0], one.weight, atol=1e-5)
     np.testing.assert_allclose(wrenches[-1], two.weight, atol=1e-5)
     assert np.linalg.norm(one.weight[:3]) == pytest.approx(8.0)
-    assert line.stance is two
+    assert line.arm_pose is two
     assert not any(isinstance(a, Move) for a in line._actions)
 
 
 def test_a_finite_time_line_ends_after_the_last_rest():
     rig = make_rig(RigErrors.noise(), 1, "flat-patch")
     rng = np.random.default_rng(1)
-    line, arrived = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng, pokes=2), rng), []
+    line, arrived = DeviceTimeline(rig, AutoOperator(rig, Habits.careful(), rng, pokes=2), rng), []
     while not line.finished:
         arrived += line.step()
     assert 3.0 < arrived[-1][0] * 1e-9 < 9.0

@@ -20,8 +20,8 @@ from skincal.session.part import load_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.robot_dialogue import RobotDialogue
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Guided, Habits
+from skincal.simulate.operator import GuidedOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.unmodelled import inside_95_ellipsoid
@@ -60,7 +60,7 @@ def guided_to_the_end(part, wrench, skin):
     """The pipeline and the rig at the end of a session, and the guide's last word."""
     rig = Rig(part.scene, part.surface, RigErrors.none(), np.random.default_rng(3))
     hand = replace(Habits.careful().at_pace(4.0), ignores=0.0, aim=0.001)
-    operator = Guided(rig, hand, np.random.default_rng([3, 1]), MOST)
+    operator = GuidedOperator(rig, hand, np.random.default_rng([3, 1]), MOST)
     line = DeviceTimeline(rig, operator, np.random.default_rng([3, 2]), DeviceSettings(block_s=0.02))
     orchestra, brought, guidance, known, taken = Orchestra(line, (wrench,), (skin,)), Brought(), None, None, 0
     links, robot = tuple(orchestra.links.values()), RobotDialogue(part.scene)

@@ -11,9 +11,9 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.makers import MAKERS, assign
-from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.emulated_devices import MAKERS, assign_devices
+from skincal.simulate.operator import AutoOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.serve import Server
 from skincal.streams.intake import Intake
 from tests.skincal.meanwhile import meanwhile
@@ -28,7 +28,7 @@ def make_line(name="flat-patch", speakers=None, pokes=None):
     rig = make_rig(RigErrors.none(), 1, name)
     rng = np.random.default_rng(1)
     habits = Habits.careful().at_pace(4.0)
-    return DeviceTimeline(rig, Auto(rig, habits, rng, pokes), rng, DeviceSettings(speakers=speakers or {}))
+    return DeviceTimeline(rig, AutoOperator(rig, habits, rng, pokes), rng, DeviceSettings(speakers=speakers or {}))
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def test_each_device_is_read_over_its_transport(maker, tcp):
         pytest.skip("this platform has no pseudo-terminals")
     name = "icub-forearm" if Stream.JOINTS in MAKERS[maker].carries else "flat-patch"
     streams = tuple(Stream) if name == "icub-forearm" else (Stream.WRENCH, Stream.SKIN)
-    line = make_line(name, assign((maker,), streams))
+    line = make_line(name, assign_devices((maker,), streams))
     with serving(line, tcp=tcp) as server:
         links = [link for link in server.links if link.carries[0] in MAKERS[maker].carries]
         channels = line.rig.scene.skin.channels
@@ -114,9 +114,9 @@ def test_events_and_bytes_alone_make_the_same_readings_again(played):
 
 def test_who_sends_what():
     streams = tuple(Stream)
-    assert assign(("rtde", "xela"), streams) == {Stream.WRENCH: "rtde", Stream.JOINTS: "rtde", Stream.SKIN: "xela"}
-    assert assign(("netft", "yarp"), streams) == {Stream.WRENCH: "netft", Stream.SKIN: "yarp", Stream.JOINTS: "yarp"}
+    assert assign_devices(("rtde", "xela"), streams) == {Stream.WRENCH: "rtde", Stream.JOINTS: "rtde", Stream.SKIN: "xela"}
+    assert assign_devices(("netft", "yarp"), streams) == {Stream.WRENCH: "netft", Stream.SKIN: "yarp", Stream.JOINTS: "yarp"}
     with pytest.raises(InputError, match="expected some of netft"):
-        assign(("optoforce",), streams)
+        assign_devices(("optoforce",), streams)
     with pytest.raises(InputError, match="none that no other"):
-        assign(("netft", "bota"), streams)
+        assign_devices(("netft", "bota"), streams)

@@ -13,9 +13,9 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Stream
 from skincal.robot.target_lines import NoTarget, PokeTarget
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.makers import MAKERS
-from skincal.simulate.operator import Guided, Habits
+from skincal.simulate.emulated_devices import MAKERS
+from skincal.simulate.operator import GuidedOperator, Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from tests.approved import approved
 from tests.skincal.sim_support import make_rig
@@ -34,7 +34,7 @@ def recorded(folder, maker, wiring):
     """A session of pokes at the scene's landmarks with a sensor whose reported axes are `wiring` times the right ones."""
     rig = make_rig(RigErrors.noise())
     scene = rig.scene
-    operator = Guided(rig, replace(Habits.careful().at_pace(4.0), ignores=0.0), np.random.default_rng(1), poses=(POSE,))
+    operator = GuidedOperator(rig, replace(Habits.careful().at_pace(4.0), ignores=0.0), np.random.default_rng(1), poses=(POSE,))
     operator.show(NoTarget.WAIT)
     speakers = {Stream.WRENCH: maker}
     line = DeviceTimeline(rig, operator, np.random.default_rng(2), DeviceSettings(speakers=speakers, wrench_hz=500.0))

@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits, HandPress, Move, PokeOrder, PoseOrder, Told, press, read_order
+from skincal.simulate.operator import (
+    AutoOperator,
+    Habits,
+    HandPress,
+    Move,
+    PokeOrder,
+    PoseOrder,
+    ScriptedOperator,
+    press,
+    read_order,
+)
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import push_directions, tangents
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig
@@ -29,28 +39,28 @@ def actions(operator, limit=10_000):
 
 
 def test_auto_pokes_each_taxel_once_a_round(rig, rng):
-    presses = actions(Auto(rig, Habits.careful(), rng, pokes=168))
+    presses = actions(AutoOperator(rig, Habits.careful(), rng, pokes=168))
     targets = [int(p.pokes.targets[0]) for p in presses]
     assert sorted(targets[:84]) == sorted(targets[84:]) == rig.channels.tolist()
     assert targets[:84] != targets[84:]
 
 
 def test_auto_shares_its_pokes_among_the_poses(rig, rng):
-    done = actions(Auto(rig, Habits.careful(), rng, pokes=30, poses=("2", "1", "7")))
-    moves = [(i, a.stance.name) for i, a in enumerate(done) if isinstance(a, Move)]
+    done = actions(AutoOperator(rig, Habits.careful(), rng, pokes=30, poses=("2", "1", "7")))
+    moves = [(i, a.arm_pose.name) for i, a in enumerate(done) if isinstance(a, Move)]
     assert moves == [(0, "2"), (11, "1"), (22, "7")]
     assert sum(isinstance(a, HandPress) for a in done) == 30
 
 
 def test_auto_keeps_to_the_taxels_it_was_given(rig, rng):
-    presses = actions(Auto(rig, Habits.careful(), rng, pokes=20, channels=(204, 205)))
+    presses = actions(AutoOperator(rig, Habits.careful(), rng, pokes=20, channels=(204, 205)))
     assert {int(p.pokes.targets[0]) for p in presses} == {204, 205}
 
 
 def test_a_press_is_quiet_rises_holds_and_ends(rig, rng):
     habits = Habits.careful()
     last_free = 0.0
-    for p in actions(Auto(rig, habits, rng, pokes=50)):
+    for p in actions(AutoOperator(rig, habits, rng, pokes=50)):
         assert p.begin - last_free >= habits.approach_s[0]
         assert p.free - p.end >= habits.rest_s[0] - 1e-12
         assert 0.15 <= p.ramp <= 0.30
@@ -68,7 +78,7 @@ def test_a_press_is_quiet_rises_holds_and_ends(rig, rng):
 
 def test_accidents_come_at_their_rates(rig, rng):
     habits = replace(Habits(), slide_rate=0.2, double_rate=0.1)
-    presses = actions(Auto(rig, habits, rng, pokes=600))
+    presses = actions(AutoOperator(rig, habits, rng, pokes=600))
     slid = [p for p in presses if p.slide.any()]
     double = [p for p in presses if len(p.pokes) == 2]
     assert len(slid) / 600 == pytest.approx(0.2, abs=0.05)
@@ -79,17 +89,17 @@ def test_accidents_come_at_their_rates(rig, rng):
         np.testing.assert_allclose(p.travel(np.array([p.begin, p.end]))[1], p.slide)
     for p in double:
         assert 0.2 <= p.pokes.forces[1] / p.pokes.forces[0] <= 0.5
-    assert not any(p.slide.any() or len(p.pokes) > 1 for p in actions(Auto(rig, Habits.careful(), rng, pokes=50)))
+    assert not any(p.slide.any() or len(p.pokes) > 1 for p in actions(AutoOperator(rig, Habits.careful(), rng, pokes=50)))
 
 
 def test_told_does_its_orders_in_turn(rig, rng):
-    operator = Told(rig, Habits.careful(), rng)
+    operator = ScriptedOperator(rig, Habits.careful(), rng)
     assert operator.next(0.0) is None
     operator.accept(PoseOrder("6"))
     operator.accept(PokeOrder(288, np.radians(25), np.radians(90), 7.5))
     operator.accept(PokeOrder(289))
     move, first, second = actions(operator)
-    assert move.stance.name == "6"
+    assert move.arm_pose.name == "6"
     assert first.pokes.targets[0] == 288
     assert first.pokes.forces[0] == 7.5
     assert second.pokes.targets[0] == 289
@@ -100,7 +110,7 @@ def test_told_does_its_orders_in_turn(rig, rng):
 
 
 def test_orders_are_checked_when_given(rig, rng):
-    operator = Told(rig, Habits.careful(), rng)
+    operator = ScriptedOperator(rig, Habits.careful(), rng)
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
         operator.accept(PokeOrder(0))
     with pytest.raises(InputError, match="'9'"):
@@ -132,6 +142,6 @@ def test_azimuth_zero_is_along_the_links_x():
 
 
 def test_a_slow_aim_is_not_needed_for_a_press(rig, rng):
-    one = press(rig, Auto(rig, Habits.careful(), rng).next(0.0).pokes, 3.0, Habits.careful(), rng)
+    one = press(rig, AutoOperator(rig, Habits.careful(), rng).next(0.0).pokes, 3.0, Habits.careful(), rng)
     assert one.begin > 3.0
     assert len(one.pokes) == 1

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skincal.robot.target_lines import PokeTarget
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import OPERATORS, Guided, Habits, by_habit
+from skincal.simulate.operator import OPERATORS, GuidedOperator, Habits, apply_bias
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import push_directions, tangents
 from tests.skincal.sim_support import ask_on, make_rig
 from tests.skincal.simulate.operators_support import followed
@@ -25,25 +25,25 @@ def leans(pushes, normals):
 @pytest.mark.parametrize("azimuth", [-2.0, 0.3, 3.0])
 def test_without_habits_a_push_is_as_meant(azimuth):
     meant = push_directions(NORMALS, np.full(3, 0.4), np.full(3, azimuth))
-    np.testing.assert_allclose(by_habit(meant, NORMALS, Habits()), meant, atol=1e-12)
+    np.testing.assert_allclose(apply_bias(meant, NORMALS, Habits()), meant, atol=1e-12)
 
 
 def test_a_biased_hand_leans_to_its_side_and_one_on_one_side_nowhere_else():
     straight, bias = -NORMALS, OPERATORS["biased"]
-    tilts, azimuths = leans(by_habit(straight, NORMALS, bias), NORMALS)
+    tilts, azimuths = leans(apply_bias(straight, NORMALS, bias), NORMALS)
     np.testing.assert_allclose(tilts, bias.bias, atol=1e-12)
     np.testing.assert_allclose(azimuths, bias.side, atol=1e-12)
     one = OPERATORS["one_side"]
     for azimuth in (-3.0, -1.0, 2.0):
         meant = push_directions(NORMALS, np.full(3, 0.3), np.full(3, azimuth))
-        np.testing.assert_allclose(leans(by_habit(meant, NORMALS, one), NORMALS)[1], one.side, atol=1e-12)
+        np.testing.assert_allclose(leans(apply_bias(meant, NORMALS, one), NORMALS)[1], one.side, atol=1e-12)
 
 
 def test_a_hand_that_reaches_an_arc_pushes_from_nowhere_else():
     arc = OPERATORS["arc"]
     for azimuth in np.linspace(-3.1, 3.1, 12):
         meant = push_directions(NORMALS, np.full(3, 0.3), np.full(3, azimuth))
-        tilts, azimuths = leans(by_habit(meant, NORMALS, arc), NORMALS)
+        tilts, azimuths = leans(apply_bias(meant, NORMALS, arc), NORMALS)
         np.testing.assert_allclose(tilts, 0.3, atol=1e-12)
         off = np.angle(np.exp(1j * (azimuths - arc.side)))
         assert (np.abs(off) <= arc.arc / 2 + 1e-9).all()
@@ -61,7 +61,7 @@ def test_a_guided_hand_pushes_by_its_habits_whatever_it_pokes(channel, known):
     e1, e2 = tangents(rig.normals[row : row + 1])
     across = np.cos(hand.side + np.pi) * e1[0] + np.sin(hand.side + np.pi) * e2[0]
     push = np.sin(0.35) * across - np.cos(0.35) * rig.normals[row]
-    guided, presses, now = Guided(rig, hand, np.random.default_rng(4)), [], 0.0
+    guided, presses, now = GuidedOperator(rig, hand, np.random.default_rng(4)), [], 0.0
     guided.show(PokeTarget(1, None if known else channel, rig.places[row], push, known=known))
     ask_on(guided)
     while len(presses) < 60:

@@ -18,17 +18,17 @@ from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget,
 from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
 from skincal.simulate.device import DeviceTimeline
-from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import (
-    Auto,
-    Guided,
+    AutoOperator,
+    GuidedOperator,
     Habits,
     Move,
     PaceOrder,
     PokeOrder,
     PoseOrder,
-    Told,
+    ScriptedOperator,
 )
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
@@ -56,7 +56,7 @@ def target_at(rig, channel, beside=0.0, tilt=0.0):
 def presses(operator, count, tell=None):
     """Play an operator as a time line does; `tell(now)` is called before it is asked. What it reached is asked for again."""
     now, done = 0.0, []
-    if isinstance(operator, Guided):
+    if isinstance(operator, GuidedOperator):
         ask_on(operator)
     while len(done) < count:
         if tell is not None:
@@ -77,7 +77,7 @@ def same(one, other):
 
 
 def test_nobody_tells_it_anything_and_it_pokes_as_auto_does(rig):
-    guided, auto = (kind(rig, Habits(), np.random.default_rng(4)) for kind in (Guided, Auto))
+    guided, auto = (kind(rig, Habits(), np.random.default_rng(4)) for kind in (GuidedOperator, AutoOperator))
     assert same(presses(guided, 200), presses(auto, 200))
     guided.show(NoTarget.ANY)
     assert same(presses(guided, 20), presses(auto, 20))
@@ -91,7 +91,7 @@ def test_it_pokes_where_the_ring_is_and_not_where_the_taxel_is(name):
     ring = shown.place if rig.surface is None else nearest_points(rig.surface, shown.place[None])[0][0]
     # The ring lies on the part, though the place that is believed is 4 mm above it.
     above = PokeTarget(1, channel, ring + 0.004 * rig.normals[rig.row_of(channel)], shown.push)
-    guided = Guided(rig, FOLLOWS, np.random.default_rng(1))
+    guided = GuidedOperator(rig, FOLLOWS, np.random.default_rng(1))
     guided.show(above)
     done = presses(guided, 300)
     points = np.concatenate([p.pokes.points for p in done])
@@ -109,7 +109,7 @@ def test_it_pokes_where_the_ring_is_and_not_where_the_taxel_is(name):
 
 
 def test_a_place_without_a_taxel_is_poked_too(rig):
-    guided = Guided(rig, FOLLOWS, np.random.default_rng(1))
+    guided = GuidedOperator(rig, FOLLOWS, np.random.default_rng(1))
     shown = replace(target_at(rig, 204, beside=0.003), channel=None)
     guided.show(shown)
     done = presses(guided, 100)
@@ -126,7 +126,7 @@ def test_a_known_point_is_poked_at_its_own_height_and_never_left_for_another(nam
     head = rig.places[row] + 0.004 * across + 0.003 * normal
     lean = np.radians(40)
     shown = PokeTarget(1, None, head, np.sin(lean) * across - np.cos(lean) * normal, known=True)
-    guided = Guided(rig, replace(Habits(), ignores=1.0, slide_rate=1.0, double_rate=0.0), np.random.default_rng(1))
+    guided = GuidedOperator(rig, replace(Habits(), ignores=1.0, slide_rate=1.0, double_rate=0.0), np.random.default_rng(1))
     guided.show(shown)
     done = presses(guided, 300)
     assert all((press.pokes.targets == -1).all() and (press.slide == 0.0).all() for press in done)
@@ -145,7 +145,7 @@ def test_a_known_point_is_poked_at_its_own_height_and_never_left_for_another(nam
 
 
 def test_it_goes_where_it_likes_in_one_poke_of_twelve(rig):
-    guided = Guided(rig, Habits.careful(), np.random.default_rng(2))
+    guided = GuidedOperator(rig, Habits.careful(), np.random.default_rng(2))
     guided.show(target_at(rig, 204))
     targets = np.concatenate([p.pokes.targets for p in presses(guided, 1200)])
     ignored = targets != 204
@@ -156,7 +156,7 @@ def test_it_goes_where_it_likes_in_one_poke_of_twelve(rig):
 def test_a_target_counts_until_a_reaction_before_the_touch(rig):
     habits = replace(FOLLOWS, approach_s=(0.6, 0.6))
     for late, expected in ((0.30, 288), (0.40, 204)):
-        guided = Guided(rig, habits, np.random.default_rng(3))
+        guided = GuidedOperator(rig, habits, np.random.default_rng(3))
         guided.show(target_at(rig, 204))
         second = replace(target_at(rig, 288), number=2)
         one = presses(guided, 1, lambda now, at=late, other=second, hand=guided: now >= at and hand.show(other))[0]
@@ -167,7 +167,7 @@ def test_a_target_counts_until_a_reaction_before_the_touch(rig):
 
 
 def test_the_hand_waits_where_nothing_is_to_be_poked_and_goes_on(rig):
-    guided = Guided(rig, FOLLOWS, np.random.default_rng(5))
+    guided = GuidedOperator(rig, FOLLOWS, np.random.default_rng(5))
     guided.show(target_at(rig, 204))
     assert guided.next(0.0) is None, "the hand is on its way"
     guided.show(NoTarget.WAIT)
@@ -182,17 +182,17 @@ def test_the_hand_waits_where_nothing_is_to_be_poked_and_goes_on(rig):
 
 
 def test_it_follows_over_all_poses_and_ends_after_its_pokes(rig):
-    guided = Guided(rig, FOLLOWS, np.random.default_rng(6), pokes=6, poses=("2", "1"))
+    guided = GuidedOperator(rig, FOLLOWS, np.random.default_rng(6), pokes=6, poses=("2", "1"))
     guided.show(target_at(rig, 204))
     done = presses(guided, 8)
-    assert [a.stance.name for a in done if isinstance(a, Move)] == ["2", "1"]
+    assert [a.arm_pose.name for a in done if isinstance(a, Move)] == ["2", "1"]
     assert guided.done
     assert guided.next(1e6) is None
 
 
 def test_the_same_seed_and_targets_give_the_same_pokes(rig):
     def session(seed):
-        guided = Guided(rig, Habits(), np.random.default_rng(seed))
+        guided = GuidedOperator(rig, Habits(), np.random.default_rng(seed))
         shown = iter([204, 205, 288, 289] * 20)
         pressed = [0]
 
@@ -217,7 +217,7 @@ def test_the_pace_shortens_the_ways_and_not_the_presses():
 
 
 def test_each_operator_says_what_it_does_not_take(rig, rng):
-    guided, obedient = Guided(rig, FOLLOWS, rng), Told(rig, FOLLOWS, rng)
+    guided, obedient = GuidedOperator(rig, FOLLOWS, rng), ScriptedOperator(rig, FOLLOWS, rng)
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=0)):
         guided.show(PokeTarget(1, 0, np.zeros(3), np.array([0.0, 0.0, -1.0])))
     for order in (PokeOrder(204), PoseOrder("2")):
@@ -229,7 +229,7 @@ def test_each_operator_says_what_it_does_not_take(rig, rng):
 
 
 def test_each_number_is_poked_once_and_said_to_be_reached_when_the_hand_is_back(rig):
-    guided, answers = Guided(rig, FOLLOWS, np.random.default_rng(3)), []
+    guided, answers = GuidedOperator(rig, FOLLOWS, np.random.default_rng(3)), []
     guided.answered = answers.append
     guided.show(replace(target_at(rig, 204), number=7))
     (done,) = (action for now in np.arange(0.0, 9.0, STEP) if (action := guided.next(now)) is not None)
@@ -246,7 +246,7 @@ def test_each_number_is_poked_once_and_said_to_be_reached_when_the_hand_is_back(
 def guided_session(rig, pokes, seed=1):
     """Return how many of so many pokes were answered most by the taxel that was asked for, through bytes and detector."""
     scene = rig.scene
-    operator = Guided(rig, Habits.careful(), np.random.default_rng(seed), pokes)
+    operator = GuidedOperator(rig, Habits.careful(), np.random.default_rng(seed), pokes)
     line = DeviceTimeline(rig, operator, np.random.default_rng(seed + 1))
     pipeline = Pipeline(
         scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
@@ -290,7 +290,7 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
     )
     assert np.linalg.norm(rig.places - heads[0][0], axis=1).min() > 0.03, "no taxel feels it"
     for (head, outward), felt in zip(heads, (False, True), strict=True):
-        operator = Guided(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
+        operator = GuidedOperator(rig, Habits(double_rate=0.0), np.random.default_rng(3), 6)
         operator.show(read_line(write_line(PokeTarget(1, None, head, -outward, known=True))))
         ask_on(operator)
         line = DeviceTimeline(rig, operator, np.random.default_rng(4))

@@ -13,9 +13,9 @@ import serial
 from skincal.cli import main
 from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import Auto, Habits
+from skincal.simulate.operator import AutoOperator, Habits
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.serve import Server
 from skincal.streams.decoders.auto_detect import make_decoder
 from tests.approved import approved
@@ -31,7 +31,7 @@ KEY = "Ctrl-Z" if sys.platform == "win32" else "Ctrl-D"
 def serving(*, tcp, form="skb", name="flat-patch"):
     rig = make_rig(RigErrors.noise(), 1, name)
     rng = np.random.default_rng(1)
-    line = DeviceTimeline(rig, Auto(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
+    line = DeviceTimeline(rig, AutoOperator(rig, Habits.careful(), rng), rng, DeviceSettings(format=form))
     with closing(Server(line, tcp=tcp)) as server, meanwhile(server.run):
         yield server
 

@@ -9,8 +9,8 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors, WrenchNoise
-from skincal.simulate.operator import Habits, aim, place
+from skincal.simulate.operator import Habits, presses_at, unguided_presses
+from skincal.simulate.rig_errors import RigErrors, WrenchNoise
 from skincal.simulate.simulated_rig import Foam, Rig, answer, felt_share
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import make_rig, scene_and_surface
@@ -42,14 +42,14 @@ def test_noiseless_contacts_are_pure_forces_whose_axes_pass_through_the_contact(
 def test_sensor_moment_is_lever_times_force_by_hand():
     # The flat patch: the sensor 45 mm below, axes parallel. A push straight down at (10, -5, 0) mm.
     rig = make_rig(RigErrors.none(), name="flat-patch")
-    wrench = rig.true_wrenches(np.array([[0.010, -0.005, 0.0]]), np.array([[0.0, 0.0, -10.0]]), rig.stance())
+    wrench = rig.true_wrenches(np.array([[0.010, -0.005, 0.0]]), np.array([[0.0, 0.0, -10.0]]), rig.arm_pose())
     # c = (0.010, -0.005, 0.045); c x f = (cy fz, -cx fz, 0).
     np.testing.assert_allclose(wrench, [[0, 0, -10, 0.05, 0.1, 0]], atol=1e-15)
 
 
 def test_unguided_pushes_are_uniform_in_the_cone_and_point_inward(rng):
     rig = make_rig(RigErrors.none())
-    pokes = aim(rig, np.tile(rig.channels, 60), Habits(), rng)
+    pokes = unguided_presses(rig, np.tile(rig.channels, 60), Habits(), rng)
     cosines = -np.sum(pokes.directions * pokes.normals, axis=1)
     floor = np.cos(np.radians(30.0))
     assert cosines.min() >= floor - 1e-12
@@ -62,7 +62,7 @@ def test_unguided_pushes_are_uniform_in_the_cone_and_point_inward(rng):
 
 def test_pokes_lie_on_the_surface_beside_their_taxels(rng):
     rig = make_rig(RigErrors.none())
-    pokes = aim(rig, np.tile(rig.channels, 20), Habits(), rng)
+    pokes = unguided_presses(rig, np.tile(rig.channels, 20), Habits(), rng)
     assert rig.surface is not None
     nearest, _ = nearest_points(rig.surface, pokes.points)
     assert np.linalg.norm(nearest - pokes.points, axis=1).max() < 1e-9
@@ -105,7 +105,7 @@ def test_answers_rise_with_force_and_saturate_mildly():
 
 def test_raw_values_fall_under_pressure_and_are_whole_bytes(rng):
     rig = make_rig(RigErrors.noise())
-    poke = place(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
+    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
     rows, values = rig.answers(poke, poke.forces)
     answers = np.zeros((200, len(rig.channels)))
     answers[100:, rows[0]] = values[0]
@@ -124,7 +124,7 @@ def test_raw_values_fall_under_pressure_and_are_whole_bytes(rng):
 
 def test_values_rise_where_the_scene_says_up(rng):
     rig = make_rig(RigErrors.none(), name="flat-patch")
-    poke = place(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
+    poke = presses_at(rig, rig.channels[:1], np.zeros((1, 2)), np.zeros(1), np.zeros(1), np.array([9.0]), rng)
     rows, values = rig.answers(poke, poke.forces)
     answers = np.zeros((1, len(rig.channels)))
     answers[0, rows[0]] = values[0]
@@ -154,14 +154,14 @@ def test_truth_is_the_plan_displaced_as_a_patch():
 def test_pose_error_has_the_stated_size():
     turns, shifts = [], []
     for seed in range(60):
-        for stance in plane_rig(RigErrors.paper(), seed).stances.values():
-            error = np.linalg.inv(stance.reported) @ stance.true
+        for arm_pose in plane_rig(RigErrors.paper(), seed).arm_poses.values():
+            error = np.linalg.inv(arm_pose.reported) @ arm_pose.true
             turns.append(np.arccos(np.clip((np.trace(error[:3, :3]) - 1) / 2, -1, 1)))
             shifts.append(np.linalg.norm(error[:3, 3]))
     assert np.degrees(np.sqrt(np.mean(np.square(turns)) / 3)) == pytest.approx(1.0, rel=0.08)
     assert np.sqrt(np.mean(np.square(shifts)) / 3) == pytest.approx(0.002, rel=0.08)
-    for stance in make_rig(RigErrors.noise()).stances.values():
-        np.testing.assert_allclose(stance.true, stance.reported, atol=1e-15)
+    for arm_pose in make_rig(RigErrors.noise()).arm_poses.values():
+        np.testing.assert_allclose(arm_pose.true, arm_pose.reported, atol=1e-15)
 
 
 def test_matrix_error_has_the_stated_size_and_crosstalk():
@@ -207,7 +207,7 @@ def test_a_poke_has_the_noise_of_the_guidance_study(rng):
     pokes = unguided(rig, 12, rng)
     contacts = simulate_contacts(rig, pokes, rng)
     rows = [c.poke - 1 for c in contacts]
-    truth = rig.true_wrenches(pokes.points[rows], pokes.forces[rows, None] * pokes.directions[rows], rig.stance())
+    truth = rig.true_wrenches(pokes.points[rows], pokes.forces[rows, None] * pokes.directions[rows], rig.arm_pose())
     error = np.array([np.append(c.force, c.moment) for c in contacts]) - truth
     np.testing.assert_allclose(error[:, :3].std(axis=0), 0.10, rtol=0.12)
     np.testing.assert_allclose(error[:, 3:].std(axis=0), 0.010, rtol=0.12)
@@ -219,7 +219,7 @@ def test_a_tare_around_every_poke_leaves_little_of_the_drift(rng):
     pokes = unguided(rig, 12, rng)
     contacts = simulate_contacts(rig, pokes, np.random.default_rng(5))
     rows = [c.poke - 1 for c in contacts]
-    loads = rig.true_wrenches(pokes.points[rows], pokes.forces[rows, None] * pokes.directions[rows], rig.stance())
+    loads = rig.true_wrenches(pokes.points[rows], pokes.forces[rows, None] * pokes.directions[rows], rig.arm_pose())
     error = np.array([c.force for c in contacts]) - rig.read_wrenches(loads)[:, :3]
     assert np.sqrt(np.mean(error**2)) < 0.12
 
@@ -247,7 +247,7 @@ def test_a_scene_without_an_anchor_is_named(rng):
     with pytest.raises(InputError, match=approved_pattern("operator.no_taxel", channel=5)):
         rig.row_of(5)
     with pytest.raises(InputError, match="'8'"):
-        rig.stance("8")
+        rig.arm_pose("8")
 
 
 def test_everything_turns_with_the_part(rng):
@@ -265,6 +265,6 @@ def test_everything_turns_with_the_part(rng):
     there = Rig(moved_scene, None, RigErrors.none(), np.random.default_rng(2))
     np.testing.assert_allclose(there.places, here.places @ turn[:3, :3].T + turn[:3, 3], atol=1e-15)
     points, forces = here.places[:5], rng.standard_normal((5, 3))
-    ours = here.true_wrenches(points, forces, here.stance())
-    theirs = there.true_wrenches(points @ turn[:3, :3].T + turn[:3, 3], forces @ turn[:3, :3].T, there.stance())
+    ours = here.true_wrenches(points, forces, here.arm_pose())
+    theirs = there.true_wrenches(points @ turn[:3, :3].T + turn[:3, 3], forces @ turn[:3, :3].T, there.arm_pose())
     np.testing.assert_allclose(ours, theirs, atol=1e-14)

@@ -18,7 +18,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.solver import machine as solver_machine
 from skincal.solver.machine import PROGRAM, Machine
 from skincal.taxels import solve
@@ -95,7 +95,7 @@ def answers():
     rig = make_rig(RigErrors.paper(), 1)
     whole = make_surface(rig.surface.vertices, rig.surface.triangles)
     layout = ModuleModel(rig.scene.skin.layout, rig.scene.skin.anchor, whole)
-    contacts = [contact for pose in rig.stances for contact in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
+    contacts = [contact for pose in rig.arm_poses for contact in simulate_contacts(rig, unguided(rig, 1, rng), rng, pose)]
     for method in estimate_taxels(contacts, rig.channels.tolist(), list(Method), rig.scene.noise, whole, model=layout).values():
         yield from estimate_bytes(method)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skincal.plotting import render
-from skincal.simulate.courses import Conditions
+from skincal.simulate.poking_strategies import Conditions
 from skincal.studies import guidance_study
 from skincal.studies.guidance_study import QUICK_SIZES
 

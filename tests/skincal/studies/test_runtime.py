@@ -15,7 +15,7 @@ from skincal.mesh.search import nearest_in_metric, nearest_points
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.plotting import render
-from skincal.simulate.benches import SHAPES, Bench
+from skincal.simulate.example_parts import SHAPES, ExamplePart
 from skincal.studies import baselines, runtime
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed, usable_cores
 from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary
@@ -27,7 +27,7 @@ from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
 
 @lru_cache
 def bench():
-    return Bench(FOREARM)
+    return ExamplePart(FOREARM)
 
 
 @lru_cache

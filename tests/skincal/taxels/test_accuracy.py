@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method
 from tests.skincal.estimate_support import solve
 from tests.skincal.sim_support import make_rig
@@ -92,7 +92,7 @@ def papers_rig(seed):
     rng = np.random.default_rng(seed)
     rig = make_rig(RigErrors.paper(), seed)
     alone, positions = {method: [] for method in PER_TAXEL}, {method: [] for method in PER_TAXEL}
-    for pose in rig.stances:
+    for pose in rig.arm_poses:
         contacts = simulate_contacts(rig, unguided(rig, 3, rng), rng, pose)
         for method in PER_TAXEL:
             found, _ = estimate(rig, contacts, method, every=2)

@@ -7,7 +7,7 @@ import pytest
 
 from skincal.contacts.outcome import Contact
 from skincal.simulate.contacts import simulate_contacts
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import PressedPlaces, answer
 from skincal.taxels.gains import MIN_LOAD_N, MIN_POKES_FOR_GAIN, taxel_gains
 from skincal.taxels.result import Estimate, Method, State

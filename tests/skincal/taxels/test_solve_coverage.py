@@ -13,7 +13,7 @@ import pytest
 
 from skincal.methods import estimate_taxels
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import PER_TAXEL, Method, State
 from tests.skincal.sim_support import make_rig, recipe
 
@@ -93,7 +93,7 @@ def in_wrong_poses(seed, pokes=2, every=12, poses=7):
     wrong = replace(RigErrors.noise(), pose_turn=np.radians(1.0), pose_shift=0.002)
     rig, rng = make_rig(wrong, seed), np.random.default_rng(1000 + seed)
     contacts = []
-    for number, pose in enumerate(list(rig.stances)[:poses]):
+    for number, pose in enumerate(list(rig.arm_poses)[:poses]):
         contacts += simulate_contacts(rig, unguided(rig, pokes, rng), rng, pose, first_poke=1 + 1000 * number)
     noise = replace(rig.scene.noise, pose_turn=wrong.pose_turn, pose_shift=wrong.pose_shift)
     return solve(rig, contacts, noise, every)

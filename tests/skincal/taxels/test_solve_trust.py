@@ -13,8 +13,8 @@ from skincal.geometry import pitch
 from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
 from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Method
 from skincal.taxels.solve import solve
@@ -129,7 +129,7 @@ def test_a_rig_with_a_wrong_matrix_and_wrong_poses_keeps_its_pokes():
         rig, _ = session(10, False, seed, False, "paper")
         several = [
             replace(contact, poke=contact.poke + 10_000 * i, pose=pose)
-            for i, pose in enumerate(list(rig.stances)[:3])
+            for i, pose in enumerate(list(rig.arm_poses)[:3])
             for contact in simulate_contacts(rig, unguided(rig, 4, np.random.default_rng(i)), np.random.default_rng(i), pose)
         ]
         found = trust(ContactTable(several).evidence(rig.channels.tolist()), rig.scene.noise)

@@ -474,7 +474,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
 """By the name that `--as` takes."""
 
 
-def assign(names: tuple[str, ...], streams: tuple[Stream, ...]) -> dict[Stream, str]:
+def assign_devices(names: tuple[str, ...], streams: tuple[Stream, ...]) -> dict[Stream, str]:
     """Return who sends each stream: of the named ones the first that can, and where none can, nobody.
 
     Raises

@@ -11,7 +11,16 @@ from typing import TypeAlias
 import numpy as np
 
 from skincal.model.readings import Stream
-from skincal.simulate.makers import DeviceTalk, NameTalk, PageTalk, PlainTalk, RtdeTalk, SkinManagerTalk, XelaTalk, YarpTalk
+from skincal.simulate.emulated_devices import (
+    DeviceTalk,
+    NameTalk,
+    PageTalk,
+    PlainTalk,
+    RtdeTalk,
+    SkinManagerTalk,
+    XelaTalk,
+    YarpTalk,
+)
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 
 RDT_RECORD = 36

@@ -30,7 +30,7 @@ from skincal.model.scene import Scene, load_scene, resource
 from skincal.model.skin import Layout
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
-from skincal.simulate.faults import RigErrors
+from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import NEIGHBOURS, Rig
 
 LAID_ON = 4_000
@@ -117,7 +117,7 @@ class _Rig(Rig):
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class ExamplePart:
     """A scene that ships and is poked."""
 
     name: str = "icub-forearm"
@@ -183,7 +183,7 @@ class Bench:
     def contacts(self, per_taxel: int, seed: int) -> list[Contact]:
         """Poke each taxel `per_taxel` times, shared out among the arm poses."""
         rng = np.random.default_rng((seed, per_taxel))
-        poses = list(self.rig.stances)
+        poses = list(self.rig.arm_poses)
         contacts: list[Contact] = []
         first = 1
         for place, pose in enumerate(poses[:per_taxel]):

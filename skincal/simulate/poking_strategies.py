@@ -22,11 +22,11 @@ from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
-from skincal.simulate.benches import Bench
 from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
-from skincal.simulate.faults import RigErrors
-from skincal.simulate.operator import OPERATORS, Habits, aim, by_habit
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, by_hand, held, push_directions, tangents
+from skincal.simulate.example_parts import ExamplePart
+from skincal.simulate.operator import OPERATORS, Habits, apply_bias, unguided_presses
+from skincal.simulate.rig_errors import RigErrors
+from skincal.simulate.simulated_rig import PressedPlaces, Rig, add_hand_noise, limit_tilt, push_directions, tangents
 from skincal.taxels.result import Estimate, Method
 
 POSE = "2"
@@ -65,7 +65,7 @@ class Conditions:
         return replace(beside, drift_force=self.drift, drift_moment=self.drift * 0.024)
 
 
-def rig_beside(part: Bench, conditions: Conditions, seed: int) -> Rig:
+def displaced_rig(part: ExamplePart, conditions: Conditions, seed: int) -> Rig:
     """Return a rig whose skin lies beside its plan its own way."""
     return Rig(part.scene, part.surface, conditions.errors, np.random.default_rng([seed, 7]))
 
@@ -80,8 +80,8 @@ class MeantPokes:
     """(n, 3) float, unit."""
 
 
-def poked(
-    part: Bench, rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
+def poke_by_hand(
+    part: ExamplePart, rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
 ) -> tuple[list[Contact], PressedPlaces]:
     """Return the contacts that a hand makes of the pokes it means, and where they were; the first has the number `first`."""
     count = len(meant.places)
@@ -90,8 +90,8 @@ def poked(
     beside = conditions.aim * rng.standard_normal((count, 2))
     points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
     normals = part.surface.normals[triangles]
-    meant_pushes = by_habit(meant.pushes, normals, conditions.habits)
-    pushes = held(by_hand(meant_pushes, conditions.hand, rng), normals, conditions.usable)
+    meant_pushes = apply_bias(meant.pushes, normals, conditions.habits)
+    pushes = limit_tilt(add_hand_noise(meant_pushes, conditions.hand, rng), normals, conditions.usable)
     pokes = PressedPlaces(
         np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
     )
@@ -99,44 +99,44 @@ def poked(
     return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
 
 
-PokingWay: TypeAlias = Callable[[Bench, Conditions, int, np.random.Generator], MeantPokes]
+PokingWay: TypeAlias = Callable[[ExamplePart, Conditions, int, np.random.Generator], MeantPokes]
 """Gives so many pokes."""
 
 
-def _at(part: Bench, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> MeantPokes:
+def _at(part: ExamplePart, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> MeantPokes:
     normals = part.plan.normals[rows]
     return MeantPokes(part.plan.places[rows], push_directions(normals, tilts, azimuths))
 
 
-def _straight(part: Bench, rows: IntArray) -> MeantPokes:
+def _straight(part: ExamplePart, rows: IntArray) -> MeantPokes:
     return _at(part, rows, np.zeros(len(rows)), np.zeros(len(rows)))
 
 
-def _rounds(part: Bench, count: int, rng: np.random.Generator) -> IntArray:
+def _rounds(part: ExamplePart, count: int, rng: np.random.Generator) -> IntArray:
     taxels = len(part.plan.channels)
     return np.concatenate([rng.permutation(taxels) for _ in range(-(-count // taxels))])[:count]
 
 
-def clumped(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def clumped(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke as people do who are asked for nothing: favourite places again and again, along the normal."""
     del conditions
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
 
 
-def random(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def random(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke anywhere, along the normal."""
     del conditions
     return _straight(part, rng.integers(len(part.plan.channels), size=count))
 
 
-def round_robin(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def round_robin(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, along the normal."""
     del conditions
     return _straight(part, _rounds(part, count, rng))
 
 
-def tilt_recipe(part: Bench, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def tilt_recipe(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, tilted, the tilt turned with each round: what can be printed on a card."""
     rows = _rounds(part, count, rng)
     turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
@@ -188,7 +188,7 @@ class ErrorCourse:
         return float(self.pokes[above[-1] + 1]) if above[-1] + 1 < len(self.pokes) else float("inf")
 
 
-def looks(limit: int) -> IntArray:
+def evaluation_counts(limit: int) -> IntArray:
     """Return after which pokes a course of `limit` pokes is looked at."""
     first = list(range(10, min(limit, DENSE) + 1, 2))
     while first[-1] < limit:
@@ -196,14 +196,14 @@ def looks(limit: int) -> IntArray:
     return np.array(first)
 
 
-def run_course(part: Bench, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> ErrorCourse:
+def run_course(part: ExamplePart, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> ErrorCourse:
     """Poke `limit` times, and look at the errors now and then."""
-    rig = rig_beside(part, conditions, seed)
+    rig = displaced_rig(part, conditions, seed)
     # Another stream than the rig's: every way to poke meets the same rig of a seed.
     rng = np.random.default_rng([seed, 11])
     own = part, rig, method, conditions, rng, limit
     steps = _guided(*own) if way == "guided" else _unguided(way, *own)
-    at = set(looks(limit).tolist())
+    at = set(evaluation_counts(limit).tolist())
     rows: list[tuple[int, float, float, float]] = []
     last: tuple[Session, Guidance | None] | None = None
     enough, given_up = float("inf"), 0
@@ -234,7 +234,7 @@ def poke_rounds(rig: Rig, pose: str, count: int, rng: np.random.Generator, first
     """Return the contacts of so many unguided pokes in an arm pose, round by round, from random sides."""
     rounds = -(-count // len(rig.channels))
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(rounds)])[:count]
-    return simulate_contacts(rig, aim(rig, targets, Habits.careful(), rng), rng, pose, first)
+    return simulate_contacts(rig, unguided_presses(rig, targets, Habits.careful(), rng), rng, pose, first)
 
 
 def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, list[Contact]]:
@@ -259,14 +259,14 @@ Step = tuple[int, float, Session, Guidance | None]
 
 
 def _unguided(
-    way: str, part: Bench, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+    way: str, part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as planned before the first poke."""
     meant = WAYS[way](part, conditions, limit, rng)
-    contacts, pokes = poked(part, rig, meant, conditions, rng, 1)
+    contacts, pokes = poke_by_hand(part, rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
-    for count in looks(limit).tolist():
+    for count in evaluation_counts(limit).tolist():
         while added < len(contacts) and contacts[added].poke <= count:
             session.add(contacts[added])
             added += 1
@@ -274,7 +274,7 @@ def _unguided(
 
 
 def _guided(
-    part: Bench, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
+    part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke as a guide says, one after another."""
     session, seconds, hand = _session(part, method), 0.0, None
@@ -289,7 +289,7 @@ def _guided(
             # Enough, says the guide: who goes on all the same pokes what is known worst.
             worst = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
             meant = MeantPokes(guidance.places[worst][None], -part.plan.normals[worst][None])
-        made, pokes = poked(part, rig, meant, conditions, rng, count)
+        made, pokes = poke_by_hand(part, rig, meant, conditions, rng, count)
         seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
         hand = pokes.points[0]
         for contact in made:
@@ -300,11 +300,11 @@ def _guided(
         yield count, seconds, session, guidance
 
 
-def _session(part: Bench, method: Method) -> Session:
+def _session(part: ExamplePart, method: Method) -> Session:
     return Session(part.scene, part.surface, {*ALONE, method})
 
 
-def _guide(part: Bench, method: Method) -> Guide:
+def _guide(part: ExamplePart, method: Method) -> Guide:
     return Guide(part.plan, part.scene.noise, method, part.spacing, GuideSettings())
 
 
