@@ -255,7 +255,7 @@ def _write(folder: Path, session: Session, pairs: Iterable[Pair], *, find: bool,
 
 
 def _append(folder: Path, actions: Iterable[Action]) -> None:
-    """Write actions into a new segment of a session, with one time stamp, by which `_undo_last_call` finds them."""
+    """Write actions into a new segment of a session, with one time stamp, so that `_undo_last_call` finds them."""
     from skincal.session.replay import resume
 
     pipeline = resume(folder)

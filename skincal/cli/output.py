@@ -34,12 +34,12 @@ def print_result(result: Mapping[str, Any], text: Sequence[str], as_json: bool) 
 
 
 def verdict_words(verdict: Verdict) -> str:
-    """Say what a session has reached, without a full stop."""
+    """Summarize the verdict on a session, without a full stop."""
     return verdict_sentence(verdict).rstrip(".")
 
 
 def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[str]:
-    """Say how far errors of sensor and arm may shift the taxels (m rms) that the predicted error leaves out."""
+    """Format the possible shift of the taxels (m rms) by sensor and arm errors, which the predicted error leaves out."""
     return [] if unchecked is None else [unchecked_sentence(unchecked, len(results.session.landmark_pokes))]
 
 

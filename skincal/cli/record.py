@@ -52,11 +52,11 @@ ORDER_MAX_BYTES = 1 << 16
 """Of a line on standard input; a longer one is no order."""
 SHOWN_BYTES = 200
 POKES_MOST = 100_000
-"""Pokes that may be asked for: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
+"""Largest allowed number of pokes: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
 DRAIN_WAIT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
 OPENING_NS = 1_500_000_000
-"""A link that is not open after this time, such as a host whose name nobody answers, is reported."""
+"""A link that is not open after this time, such as a host whose name is unknown, is reported."""
 LINK_CHECK_NS = 250_000_000
 """Time between two checks of the links."""
 
@@ -294,7 +294,7 @@ class LinkReports:
         return new
 
     def _problem(self, link: LinkHealth, events: Collection[str], now_ns: int) -> str | None:
-        """Say what is wrong with a link; empty if nothing is, `None` if that is not clear yet."""
+        """Describe the fault of a link; empty without one, `None` while that is not clear."""
         from skincal.words.link_words import link_verdict_words
 
         if link.state is not LinkState.OPEN:
@@ -345,7 +345,7 @@ def finish(
     Raises
     ------
     InputError
-        A link gave nothing, so that there is nothing of use in the session.
+        A link gave nothing, so the session holds no usable data.
     KeptError
         Not everything could be recorded, or a link gave nothing that could be used.
     """

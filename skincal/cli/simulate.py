@@ -188,7 +188,7 @@ def _make_operator(
 
 @contextmanager
 def _target_client(hand: AutoOperator | ScriptedOperator, targets: str | None) -> Generator[None]:
-    """Have a hand poke what is asked at a port, where one is named."""
+    """Have a simulated hand poke the targets of a port, if one is named."""
     from skincal.robot.target_lines import NoTarget
     from skincal.robot.target_server import parse_port
     from skincal.simulate.operator import GuidedOperator

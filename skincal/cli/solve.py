@@ -243,7 +243,7 @@ def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:
 
 
 def _estimates_if_corrected(results: SessionResults) -> Estimates | None:
-    """Estimate the taxels under the correction that is offered; `None` if none is, or it is in use."""
+    """Estimate the taxels under the offered correction; `None` without an offer, or if it is in use."""
     from skincal.methods import estimate_taxels
     from skincal.rig.correction import RIG, CorrectionErrors
 

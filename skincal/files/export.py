@@ -156,7 +156,7 @@ def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
     if len(own) < CHIRALITY_TAXELS or length == 0:
         return False
     pads, positions, normal = module.pads[own], taxels.positions[placed], normal / length
-    # Two directions across the normal: the plane in which the pads are compared.
+    # Two directions across the normal: the pads are compared in this plane.
     turn = cross_matrix(normal)
     across = turn @ np.eye(3)[np.abs(normal).argmin()]
     across = across / np.linalg.norm(across)
@@ -444,7 +444,7 @@ def write_calibration(
 
     Returns
     -------
-    Sentences that do not stop the writing: faults, what is left out, the suffix of another format, and the older file's name.
+    Sentences that do not stop the writing: faults, omitted data, the suffix of another format, and the older file's name.
 
     Raises InputError: the session has no such estimates, or the file cannot be written.
     """

@@ -5,7 +5,7 @@ the link's xy plane. That is R = Rz(yaw) Ry(pitch) with
 
     pitch = atan2(|(nx, ny)|, nz),   yaw = atan2(ny, nx),
 
-so the roll is 0 in URDF's and SDF's order of fixed angles. Which way x and y point says nothing of the taxel, which is round.
+so the roll is 0 in URDF's and SDF's order of fixed angles. The directions of x and y have no meaning: a taxel is round.
 Where the normal is not known the frame stands as the link's. Lengths are metres, angles radians; taxels without a position
 are left out.
 

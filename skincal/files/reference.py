@@ -34,7 +34,7 @@ class Origin(Enum):
     FILE = "file"
     """A file that the operator chose: as true as it was made."""
     PLAN = "plan"
-    """The scene's layout laid on the part: modules stretch and are glued askew, so it may lie a few millimetres off."""
+    """The scene's layout placed on the part: modules stretch and are glued askew, so it may be a few millimetres wrong."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ def read_place_sets(path: Path) -> tuple[TaxelPositions, ...]:
         rows = read_icub(path)
     except InputError as error:
         raise InputError(f"{error} Known places are read from {REFERENCE_FORMS}.") from None
-    # Zeros stand for no position in such a file.
+    # Zeros mean "no position" in these files.
     places = {channel: place for channel, place in enumerate(rows[:, :3]) if np.any(place != 0.0)}
     return (TaxelPositions(path.name, "", places),)
 

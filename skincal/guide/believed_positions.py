@@ -1,6 +1,6 @@
-"""Positions of taxels as the guide believes them: the layout laid on the part, corrected by the estimates.
+"""Positions of taxels as the guide believes them: the layout placed on the part, corrected by the estimates.
 
-A skin lies off its plan as a whole, then module by module, then taxel by taxel. Each step takes the mean offset of the
+A skin deviates from its plan as a whole, then module by module, then taxel by taxel. Each step takes the mean offset of the
 measured taxels, weighted by their precision, with a zero-mean prior.
 """
 
@@ -41,7 +41,7 @@ class PlannedPlaces:
     places: FloatArray
     """(n, 3) float, metres; NaN where the layout gives none."""
     normals: FloatArray
-    """(n, 3) float, unit, outward; NaN likewise."""
+    """(n, 3) float, unit, outward; NaN without a position."""
     modules: IntArray
     """(n,) index of the module, from 0."""
 

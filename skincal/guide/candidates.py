@@ -147,7 +147,7 @@ def predict_gains(state: ChoiceState, rows: IntArray, noise: NoiseSettings, othe
     before = _covariances(state, touched.ravel()).reshape(*touched.shape, 3, 3)
     total, less = _lowered(state, rows, before, touched, weights, noise)
     after = np.sqrt(np.maximum(total - less, 0.0))
-    # Nothing is gained below half the wanted error: what is known well is not polished further.
+    # No gain counts below half the wanted error: a well-known taxel needs no more pokes.
     floor = state.wanted / 2.0
     lower = np.maximum(np.sqrt(total), floor) - np.maximum(after, floor)
     lower *= (weights > 0)[:, None] * state.open[touched][:, None]
@@ -169,7 +169,7 @@ def _lowered(
     precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
     # The chance that it answers at all is about its share of the strongest answer.
     beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]
-    # The trace of S J'(D + J S J')^-1 J S, by which the contact lowers that of S.
+    # The trace of S J'(D + J S J')^-1 J S, the decrease of the trace of S by the contact.
     moved: FloatArray = pairs @ before[:, None]
     spread: FloatArray = moved @ pairs.transpose(0, 1, 2, 4, 3) + beside
     inverse = _inverse(spread)
@@ -221,7 +221,7 @@ def next_module_taxel(
     """Choose the next of the taxels `rows` (m,) if modules take turns; else as `next_taxel`.
 
     Pokes side by side say little about the turn of a module. Of its least poked taxels the one farthest from the poked ones is
-    next. A taxel that was asked for twice in vain counts as poked.
+    next. A taxel that was requested twice in vain counts as poked.
 
     Parameters
     ----------
@@ -245,5 +245,5 @@ def _earliest(rounds: FloatArray | IntArray) -> IntArray:
 
 
 def _rounds(asked: IntArray | FloatArray, own: IntArray | FloatArray) -> FloatArray:
-    """Count the rounds of each: own pokes; a target that was missed once is due again, each later miss is a round."""
+    """Count the rounds of each: own pokes; a target that was missed once is requested again, each later miss is a round."""
     return np.maximum(own, np.maximum(np.minimum(asked, own + 1), asked - 1)).astype(np.float64)

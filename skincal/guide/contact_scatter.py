@@ -21,7 +21,7 @@ from skincal.geometry import FloatArray, IntArray
 
 CHI2_2DOF_MEDIAN = 1.3863
 WINDOW_POKES = 12
-"""Pokes of one window, half a minute of work: 24 numbers, of which a rigid motion takes six."""
+"""Pokes of one window, half a minute of work: 24 numbers, six for a rigid motion."""
 MIN_WINDOWS = 8
 """Windows below which the scene's noise is kept: of fewer misses the median is too uncertain (8 % in standard deviations)."""
 MAX_NOISE_FACTOR = 1.5
@@ -136,7 +136,7 @@ def _median(misses: PokeMisses, shape: tuple[int, ...], scatter: Scatter, counte
 
 
 def _windows(misses: PokeMisses) -> IntArray:
-    """Find (w, WINDOW_POKES) rows of pokes that follow each other in one arm pose; what is left of a pose is dropped."""
+    """Find (w, WINDOW_POKES) rows of pokes that follow each other in one arm pose; the rest of a pose is dropped."""
     order = misses.pokes.argsort(kind="stable")
     found = [np.empty((0, WINDOW_POKES), dtype=np.int64)]
     for pose in np.unique(misses.poses):

@@ -1,6 +1,6 @@
 """Guidance at one moment: the target, the needs of each taxel, and the landmarks of the arm pose. Numbers, no sentences.
 
-A few landmarks are asked for in each arm pose, before pokes on the skin, which are worth more on a corrected rig. Three in the
+A few landmarks are requested in each arm pose, before pokes on the skin, which are worth more on a corrected rig. Three in the
 first pose show whether the sensor's frame is right. A correction of the rig is found from a few in each pose. Any may be
 skipped.
 """
@@ -215,7 +215,7 @@ class Guidance:
         Parameters
         ----------
         normal : (3,) float, unit, outward, of the part at the landmark
-        gain : of all landmarks that are asked for in this arm pose
+        gain : of all requested landmarks in this arm pose
         """
         place = asked.landmark.place
         target = Target(None, place, normal, -normal, 0.0, float("inf"), float("inf"), asked.landmark.name)

@@ -57,9 +57,9 @@ rigs); with a share of 1 it needs 93. See `docs/decisions/neighbours-in-the-swee
 NEIGHBOUR_SHARE_OWN = 0.3
 """The same in the phase of own pokes: with 0 it takes 6 % more pokes to 3 mm, with 1 neighbours are pulled together."""
 MAX_AIM_OFFSET_M = 0.002
-"""No poke is asked for farther from its taxel, or a neighbour would answer most."""
+"""Largest distance of a target from its taxel; beyond, a neighbour would answer most."""
 MAX_TAXELS_COMPARED = 150
-"""The free method's next target is chosen among so many: two thirds those nearest to the hand, one third the neediest."""
+"""The free method's number of candidates for the next target: two thirds those nearest to the hand, one third the neediest."""
 SAME_SIDE_COSINE = float(np.cos(np.radians(25.0)))
 """Two pushes within this angle come from the same side: half the angle between two that are tried."""
 AZIMUTH_STEP = 3

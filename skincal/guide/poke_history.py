@@ -57,9 +57,9 @@ class PokePosition(NamedTuple):
     """Position of a poke by its answers, relative to a taxel, whose own position becomes better known later."""
 
     row: int
-    """Index of the taxel that answered most; -1 if none is a taxel."""
+    """Index of the taxel that answered most; -1 if no taxel answered."""
     offset: FloatArray
-    """(3,) float, metres; NaN if none is a taxel."""
+    """(3,) float, metres; NaN if no taxel answered."""
     tilt: float
     """rad, angle of the push from that taxel's normal; NaN if unknown."""
 

@@ -35,7 +35,7 @@ class GuideSettings:
     module_pokes: int = 4
     """Own pokes of a module: three positions fix where it lies and how it is turned, and one is spare."""
     own_pokes: int = 3
-    """Own pokes of a taxel, which it answers most: those of its neighbours lie off to their side."""
+    """Own pokes of a taxel, which it answers most: those of its neighbours are to their side."""
     diversity: float = float(np.radians(15.0))
     """rad, free method: below it depth is four times less certain than the position across (1/sin)."""
     balance: float = 0.001

@@ -94,7 +94,7 @@ def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]
 
 
 def _thin_out(places: FloatArray, apart: float) -> IntArray:
-    """Select places (n, 3) in a fixed order so that none is nearer than `apart` to one selected before."""
+    """Select places (n, 3) in a fixed order each at least `apart` from those selected before."""
     # Imported late and in the background: a scene with a layout needs none of it.
     spatial: Any = import_module("scipy.spatial")
     tree = spatial.cKDTree(places)

@@ -84,7 +84,7 @@ class TaxelStatistics:
         shares = (evidence.weights**2 * evidence.trust)[:, None]
         off = np.array([centres[poke] for poke in evidence.pokes.tolist()]) - drawn[rows][of]
         total = np.add.reduceat(shares, starts, axis=0)
-        # A taxel of which no contact is trusted has no centre.
+        # A taxel without a trusted contact has no centre.
         centre = np.add.reduceat(shares * off, starts, axis=0) / np.where(total > 0, total, 1.0)
         self.offset[rows] = centre - np.sum(centre * normals[rows], axis=1, keepdims=True) * normals[rows]
         if not self._in_plane:
@@ -102,7 +102,7 @@ def axis_diversity(evidence: Evidence) -> FloatArray:
     u, shares = evidence.directions, (evidence.weights**2 * evidence.trust)[:, None, None]
     spread = np.add.reduceat(shares * (np.eye(3) - u[:, :, None] * u[:, None]), starts, axis=0)
     total = np.add.reduceat(shares, starts, axis=0)
-    # Axes of which none is trusted have no spread.
+    # Without a trusted axis there is no spread.
     spread /= np.where(total > 0, total, 1.0)
     return np.arcsin(np.sqrt(np.clip(np.linalg.eigvalsh(spread)[:, 0], 0.0, 1.0)))
 

@@ -25,9 +25,9 @@ TILT_STEP_RAD = float(np.radians(2.0))
 MIN_TILT_RAD = float(np.radians(10.0))
 """Smallest limit: a hand's own error is hardly smaller."""
 MAX_MISSES_IN_A_ROW = 2
-"""After so many the limit is lowered."""
+"""Number of misses after which the limit is lowered."""
 HITS_TO_RAISE = 4
-"""After so many hits in a row the limit is raised by `RAISE_RAD`."""
+"""Number of hits in a row after which the limit is raised by `RAISE_RAD`."""
 RAISE_RAD = float(np.radians(4.0))
 
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
 HELD_OUT_INTERVAL = 6
-"""One poke in so many is held out."""
+"""One poke in this many is held out."""
 MIN_HELD_OUT = 20
 """In a short session more are held out, up to all: twice `MIN_CHECKED`, since some cannot be predicted. The choice depends on
 the number of pokes alone, never on where they fell."""
@@ -51,11 +51,11 @@ CHI2_2DOF_95 = 5.991
 OUTSIDE_SHARE = 0.05
 """Expected share of the pokes outside if the predicted errors are true."""
 MIN_CHANCE = 0.01
-"""With a smaller chance so many pokes outside are no accident."""
+"""Below this chance the number of pokes outside is no accident."""
 MIN_CHANCE_TO_AGREE = 0.1
 """With a smaller chance they are not said to agree: at most one true session in ten."""
 MIN_CHECKED = 10
-"""Fewer held-out pokes say nothing: of five, none is outside by chance in three sessions of four."""
+"""Fewer held-out pokes say nothing: with five, all are inside by chance in three sessions of four."""
 MIN_OTHER_CONTACTS = 2
 """Other contacts of its taxel that a prediction needs."""
 
@@ -83,12 +83,12 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether so many outside are likely by chance."""
+        """Whether this many outside are likely by chance."""
         return self.chance >= MIN_CHANCE_TO_AGREE
 
     @property
     def believed(self) -> bool:
-        """Whether so many outside are possible by chance."""
+        """Whether this many outside are possible by chance."""
         return self.chance >= MIN_CHANCE
 
 
@@ -252,7 +252,7 @@ class Verdict:
 
     method: Method
     enough: bool
-    """Whether no poke is asked for any more."""
+    """Whether the guide requests no more pokes."""
     wanted: float
     """m, wanted predicted error."""
     done: int
@@ -275,7 +275,7 @@ class Verdict:
     closings: tuple[Closing, ...] = ()
     """Each closing check; the last one counts."""
     landmarks_left: int = 0
-    """Landmark pokes that are still asked for."""
+    """Number of landmark pokes that the guide still requests."""
 
     @property
     def doubted(self) -> bool:

@@ -39,7 +39,7 @@ from skincal.taxels.shared_errors import add_covariances
 GAUSS_NEWTON_STEPS = 3
 """A module moves by a millimetre, over which a distance is nearly linear."""
 FOLDS = 6
-"""One poke in so many is held out at a time, as for the verdict."""
+"""One poke in this many is held out at a time, as for the verdict."""
 
 
 class DistanceUse(Enum):
@@ -96,7 +96,7 @@ class _Rows:
 
 
 class _Update:
-    """Kalman update of a prior by rows, of which there may be none."""
+    """Kalman update of a prior by zero or more rows."""
 
     def __init__(self, prior: _Prior, rows: _Rows) -> None:
         flat = rows.slopes.reshape(len(rows.left), prior.means.size)
@@ -216,7 +216,7 @@ class _Pokes:
     of: IntArray
     """(m,) module."""
     folds: IntArray
-    """(m,) fold in which a poke is held out."""
+    """(m,) fold that holds a poke out."""
     slopes: FloatArray
     misses: FloatArray
     trust: FloatArray
@@ -237,7 +237,7 @@ class _Pokes:
     def priors_without_folds(self, prior: _Prior, factors: FloatArray) -> tuple[list[_Prior], NDArray[np.bool_]]:
         """Compute the prior without each fold's pokes, and (folds, b) whether the others determine a module.
 
-        If they do not, nothing of it is taken out.
+        If they do not, its prior stays whole.
         """
         weighted = self.trust[:, None, None] * self.slopes.transpose(0, 2, 1)
         pulls = (weighted @ self.misses[:, :, None])[:, :, 0]

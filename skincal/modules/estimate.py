@@ -13,7 +13,7 @@ deviations and t its trust. Without poke i the information is N_i = sum t A'A - 
     r_i becomes r_i + t_i A_i N_i^-1 A_i' r_i,   with the covariance I + A_i N_i^-1 A_i',
 
 exactly if the centre is linear in the module's unknowns, as it nearly is over a millimetre. The offset of the contact from the
-centre is part of the noise. The trust of the other pokes stays as it is with the poke.
+centre is part of the noise. The trust of the other pokes is not changed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ surface, from few pokes, by up to centimetres."""
 UNDETERMINED_SHARE = 1e-6
 """Smallest part of an undetermined direction in a pad's motion; below it is rounding."""
 MIN_OTHER_POKES = 2
-"""Other pokes of its module for a prediction: one shows nothing of the module's turn."""
+"""Other pokes of its module for a prediction: a single one does not determine the module's turn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

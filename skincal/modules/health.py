@@ -52,7 +52,7 @@ REWEIGHTINGS = 5
 SAME_CORNER_M = 1e-3
 """Corners of an outline that are nearer are the same."""
 NEIGHBOUR_SPACINGS = 1.3
-"""Taxels of one module within so many spacings are neighbours; the next ring is at 1.7."""
+"""Taxels of one module within this many spacings are neighbours; the next ring is at 1.7."""
 MAX_REPAIRS = 3
 """Corrections in turn: whether a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
 
@@ -126,7 +126,7 @@ def miss_of(model: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
 
 
 def _all_seen(model: ModuleModel, estimates: Mapping[int, Estimate]) -> tuple[dict[int, _Seen], FloatArray]:
-    """Find the modules of which enough is known, their plans moved by the common motion, and that motion (4, 4)."""
+    """Find the modules with enough estimates, their plans moved by the common motion, and that motion (4, 4)."""
     each = {index: _fit_known_module(model, index, estimates) for index in range(len(model.pads))}
     seen = {index: module for index, module in each.items() if module is not None}
     if not seen:

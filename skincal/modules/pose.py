@@ -121,7 +121,7 @@ ModuleGround: TypeAlias = ModulesOnSurface | ModulesInSpace
 
 def _walked(surface: Surface, poses: ModulePoses, ways: FloatArray) -> MeshPoints:
     """Walk straight along the surface from poses, by `ways` (n, 2), metres."""
-    # Imported only now: a scene without a mesh loads nothing of it.
+    # Imported only now: a scene without a mesh does not need it.
     from skincal.mesh.geodesics import MeshPoints, geodesics_of
 
     return geodesics_of(surface).walk(MeshPoints(poses.triangles, poses.points, poses.x), ways)

@@ -117,7 +117,7 @@ def assign_pokes(
 
     Parameters
     ----------
-    evidence : of channels of the layout: of a module all that are used, or none
+    evidence : rows of the layout's channels: all used ones of a module, or none of it
     totals : (n,) float, sum of the weights of all answers of an answer's poke, of other channels too
     wanted : indices of modules
     """
@@ -269,7 +269,7 @@ def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, nor
     """Move a pose onto the surface, if there is one; `None` if the surface there faces away or along x."""
     if not isinstance(ground, ModulesOnSurface):
         return ModulePoses(origin[None], x[None], normal[None], np.full(1, -1, dtype=np.int64))
-    # Imported only now: a scene without a mesh loads nothing of it.
+    # Imported only now: a scene without a mesh does not need it.
     from skincal.mesh.search import nearest_points
 
     point, triangle = nearest_points(ground.surface, origin[None])
@@ -282,11 +282,11 @@ def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, nor
 
 
 FULL_TRUST_SDS, ZERO_TRUST_SDS = 2.8, 3.8
-"""Misses up to which a poke counts fully, and from which on not at all: as in `trust.h`."""
+"""Miss below which a poke counts fully, and above which not at all, as in `trust.h`."""
 MIN_POKES_FOR_TRUST = 4
 """With fewer pokes of a module all count fully."""
 MIN_POKES_PER_POSE = 8
-"""From so many pokes in one arm pose these are judged among themselves."""
+"""From this number of pokes on, those of one arm pose are compared with each other."""
 MIN_TRUST_SUM = 2.0
 """Below it all pokes count fully: nothing says which one is right."""
 ROBUST_SDS = 2.0
@@ -409,7 +409,7 @@ def _machine(ground: ModuleGround) -> tuple[Machine, int]:
     """Get the machine that fits modules, and the place of the surface in it; 0 without a surface."""
     if not isinstance(ground, ModulesOnSurface):
         return shared(), 0
-    # Imported only now: a scene without a mesh loads nothing of it.
+    # Imported only now: a scene without a mesh does not need it.
     from skincal.mesh.geodesics import geodesics_of
 
     known = geodesics_of(ground.surface)

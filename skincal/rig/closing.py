@@ -40,12 +40,12 @@ from skincal.rig.expected_gain import rows_in_metres
 CHECKED_PLACES = 3
 """Places that are repeated: one may be missed, and two still tell."""
 MIN_PLACES = 2
-"""With fewer places nothing is said: a single poke may have been anywhere."""
+"""With fewer places there is no result: a single poke may have been anywhere."""
 MAX_CHANCE = 0.01
-"""A movement is told if its chance without one is smaller."""
+"""A movement is reported if its chance without one is smaller."""
 MAX_CHANCE_WITHOUT_ONE = 0.05
 """The same with any one poke left out. It is less strict, since the chance with all pokes is small already. With 0.01 movements
-of 8 mm are told on 53 to 67 of 100 rigs, with 0.05 on 68 to 81."""
+of 8 mm are reported on 53 to 67 of 100 rigs, with 0.05 on 68 to 81."""
 CHI2_QUANTILES = (0.0, 6.635, 9.210, 11.345)
 """Chi-square with none to three degrees of freedom, exceeded with `MAX_CHANCE`."""
 OBSERVABLE_SD_M = 0.010

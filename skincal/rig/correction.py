@@ -70,7 +70,7 @@ class Correction:
         return replace(self, matrix=self.matrix @ first.matrix, everywhere=first.everywhere @ self.everywhere)
 
     def corrected(self, poke: Poke) -> Poke:
-        """Correct a poke; one without a force stays as it is."""
+        """Correct a poke; one without a force is not changed."""
         if poke.force is None or poke.moment is None or poke.link_from_sensor is None:
             return poke
         force, moment = self.wrench(poke.force, poke.moment)
@@ -184,7 +184,7 @@ class RigState:
 
     @classmethod
     def at_prior(cls, poses: int, columns: int = 6) -> RigState:
-        """Make the state of an exact rig, with so many columns of C."""
+        """Make the state of an exact rig, with this number of columns of C."""
         return cls(np.zeros((6, columns)), np.zeros((poses, 3)), np.zeros((poses, 3)))
 
     def add_step(self, step: FloatArray, scales: FloatArray) -> RigState:

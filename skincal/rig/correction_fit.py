@@ -64,7 +64,7 @@ MAX_MISS_RATIO = 1.5
 """Landmarks agree up to this ratio of misses to their prediction. On rigs with modelled errors 21 pokes at six landmarks have
 0.7 to 1.1."""
 MAX_NOISE_FACTOR = 2.0
-"""From this factor on the scene's noise, agreeing landmarks say little and the operator is told so: their prediction was
+"""From this factor on the scene's noise, agreeing landmarks say little and the operator reads that: their prediction was
 widened by their own misses."""
 REPORT_TRUST_BELOW = 0.9
 """A landmark poke with less trust is named to the operator."""
@@ -133,7 +133,7 @@ class ModuleGroups(_Groups):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaxelGroups(_Groups):
-    """The taxels that were poked, each by itself."""
+    """The taxels that were poked, each alone."""
 
     points: FloatArray
     """(count, 3) float, metres."""
@@ -154,7 +154,7 @@ RigidGroups: TypeAlias = ModuleGroups | TaxelGroups
 def module_groups(
     table: ContactTable, model: ModuleModel, estimates: Mapping[int, Estimate], noise: NoiseSettings, channels: list[int]
 ) -> ModuleGroups | None:
-    """Fit the modules that were poked with the rig as reported; `None` if none was.
+    """Fit the modules that were poked with the rig as reported; `None` without any.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ def expected_error(
     ----------
     pokes : those that are made
     places, normals : (n, 3) float, metres and unit, outward, link frame: of the taxels, estimated or planned
-    poses : by name (4, 4) float, link_from_sensor as reported: those in which the skin is poked
+    poses : by name (4, 4) float, link_from_sensor as reported: those with pokes on the skin
 
     Raises
     ------

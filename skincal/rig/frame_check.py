@@ -10,7 +10,7 @@ the prior, and a hypothesis costs
     r' V^-1 r + log det V.
 
 The log-determinant penalizes hypotheses that fit anything. A push from inside the part costs as much as three standard
-deviations. A sensor that sits elsewhere by a rotation w and a shift t, of which only the sizes are known (`MOUNT_TURN_SD`,
+deviations. A sensor that sits elsewhere by a rotation w and a shift t, with known sizes only (`MOUNT_TURN_SD`,
 `MOUNT_SHIFT_SD_M`), has the same likelihood averaged over all w and t: V + M M', with M the change of r with them.
 
 One poke may have been at another point than its landmark. So each hypothesis is also tried with each poke k at another point:

@@ -47,7 +47,7 @@ class ArmPoses:
         self.current: CurrentPose = ("", None)
 
     def add_used(self, name: str, link_from_sensor: FloatArray | None) -> None:
-        """Remember a pose in which something was poked or skipped."""
+        """Remember a pose with a poke or a skip."""
         if link_from_sensor is None or self._arm is None or name in self._arm.poses or not name or name in self._used:
             return
         self._used.append(name)

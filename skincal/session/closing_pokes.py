@@ -1,7 +1,7 @@
 """Closing checks of a session: which pokes belong to each, and what they show; see `skincal.rig.closing`.
 
 A check can be repeated, and the last one with a result counts. It ignores the pokes of earlier checks: something may have been
-loose then that is fastened now. If a single poke decides that something moved, its place is repeated once more.
+loose then that is fastened now. If a single poke decides that something moved, its place is repeated again.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 
 MAX_POKES_PER_PLACE = 3
-"""After so many pokes for each place a closing check asks for nothing more."""
+"""Largest number of pokes for each place in a closing check."""
 MIN_CONTACTS_BETWEEN_CHECKS = 10
-"""Contacts since the last closing check until another is due: fewer are not worth its three pokes."""
+"""Contacts since the last closing check until the next one: fewer are not worth its three pokes."""
 MAX_REPEATS = 2
-"""Repeats of a place because a single poke decides: with them 68 to 81 of 100 movements of 8 mm are told, without 47 to 67."""
+"""Repeats of a place after a single deciding poke: 68 to 81 of 100 movements of 8 mm are reported, without them 47 to 67."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class ClosingProgress:
     is_complete: bool = False
     """All its places are repeated."""
     repeat_place: ClosingPlace | None = None
-    """Place to repeat once more, because a single poke there decides that something moved."""
+    """Place to repeat, because a single poke there decides that something moved."""
     is_finished: bool = False
     """It gets no more pokes."""
 
@@ -129,7 +129,7 @@ def _place_to_repeat(
 
 
 def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
-    """Whether a closing check is due: there was none, or enough was poked since the last one."""
+    """Whether it is time for a closing check: there was none, or enough was poked since the last one."""
     if not rounds:
         return True
     last = max(rounds[-1].pokes, default=snapshot.decisions.closings[-1].after)

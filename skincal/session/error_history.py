@@ -158,7 +158,7 @@ class ErrorCourse:
         self._points: Mapping[int, Spreads] = {}
         """By the number of contacts; replaced and never changed, since `work` reads it."""
         self._stride = 1
-        # `work` solves the past with this session, in which these contacts count.
+        # `work` solves the past with this session; these contacts count in it.
         self._replica, self._fed = Session(scene, surface), tuple[Contact, ...]()
 
     def update(self, snapshot: Snapshot) -> None:
@@ -212,7 +212,7 @@ class ErrorCourse:
         self._fed = contacts
 
     def series(self) -> ErrorSeries:
-        """Give the course as far as it is solved."""
+        """Give the solved part of the course."""
         counts = np.array(sorted(self._points), dtype=np.int64)
         points = [self._points[count] for count in counts.tolist()]
         methods: tuple[Method, ...] = tuple(points[-1]) if points else ()
@@ -286,7 +286,7 @@ class ErrorFollower:
         self._run(work, add)
 
     def series(self) -> ErrorSeries:
-        """Give the course as far as it is solved."""
+        """Give the solved part of the course."""
         return self._course.series()
 
 

@@ -115,7 +115,7 @@ class GuidedSession:
         is_recording: bool = True,
         seen_ns: int | None = None,
     ) -> bool:
-        """Follow the session: say what to poke next, record that, and send it to a robot.
+        """Choose the next target, record the request, and send it to a robot.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class GuidedSession:
 
         Returns
         -------
-        Whether a robot was told that it is enough.
+        Whether a robot got the message that it is enough.
         """
         pose, evidence = pipeline.poses.current, pipeline.session.evidence
         self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
@@ -153,7 +153,7 @@ def record_request(guidance: Guidance | None, pipeline: Pipeline, now_ns: int) -
     asked = asked_poke(guidance)
     if asked != pipeline.session.asked:
         pipeline.act(asked, now_ns)
-    # Guidance may be older than the session, in which the check has begun meanwhile.
+    # Guidance may be older than the session, and the check has begun meanwhile.
     closing = None if guidance is None else guidance.closing
     if closing is not None and len(pipeline.session.decisions.closings) < closing.number:
         pipeline.act(BeginClosing(), now_ns)
@@ -177,10 +177,10 @@ class RobotGuide:
         self._guided.method = method or self._guided.method
         self._next_ns = 0
         self.enough = False
-        """The robot was told that no more pokes are needed."""
+        """The robot got the message that no more pokes are needed."""
 
     def guide_robot(self, now_ns: int) -> list[str]:
-        """Do what is due at `now_ns` of the host's monotonic clock; give sentences for the operator."""
+        """Handle answers and send targets at `now_ns` of the host's monotonic clock; give sentences for the operator."""
         if now_ns < self._next_ns:
             return []
         self._next_ns = now_ns + STEP_NS

@@ -1,6 +1,6 @@
 """Guide of an open session: the next poke, landmarks first, the verdict, and when the modules method needs no more pokes.
 
-Nothing here changes the session; `guided_session` records what is asked for.
+Nothing here changes the session; `guided_session` records the requests.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class SessionGuide:
         evidence: Callable[[Collection[int]], Evidence],
         now_s: float,
     ) -> Guidance | None:
-        """Say what to poke next; `None` while guidance is off. The same snapshot and method cost nothing again.
+        """Choose the next target; `None` while guidance is off. The same snapshot and method cost nothing again.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class SessionGuide:
         return self._guidance
 
     def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
-        """Say what to poke next on the skin, without landmarks."""
+        """Choose the next target on the skin, without landmarks."""
         guide = self._guide_of(method)
         for skip in snapshot.decisions.skips[self._skipped[method] :]:
             # A place without a known taxel is skipped for all methods.
@@ -119,7 +119,7 @@ class SessionGuide:
         )
 
     def remaining_work(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
-        """Say what a method still needs, on the skin and at landmarks. This alone decides whether it is enough.
+        """List the remaining needs of a method, on the skin and at landmarks. This alone decides whether it is enough.
 
         It follows from the session alone, with its skips, and not from the time. A streamed arm counts as standing still in the
         pose of the last poke.
@@ -230,7 +230,7 @@ class LandmarkGuide:
         self._targets, self._known = [], ()
 
     def before_skin(self, guidance: Guidance, snapshot: Snapshot, pose: CurrentPose, now_s: float) -> Guidance:
-        """Put a landmark before the skin's guidance, if one is due; `now_s` as for `SessionGuide.next_target`."""
+        """Put a landmark before the skin's guidance, if one is needed; `now_s` as for `SessionGuide.next_target`."""
         before, self._pose = self._pose[0], pose
         if pose[0] != before:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.

@@ -53,7 +53,7 @@ class NearestLandmark:
 
 
 class LandmarkFinder:
-    """Finds which new pokes were at the landmark that the operator was asked for.
+    """Finds the new pokes at the requested landmark.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The calibrated part as a scene describes it: mesh, layout laid on it, and places where taxels may be.
+"""The calibrated part as a scene describes it: mesh, placed layout, and places where taxels may be.
 
 Imports are inside the functions, so that a window can load a part while it starts.
 """

@@ -144,7 +144,7 @@ class Pipeline:
             self._record(lambda journal: journal.sync())
 
     def note_skipped_pose(self, action: Action) -> None:
-        """Remember the arm pose in which a landmark was skipped."""
+        """Remember the arm pose of a skipped landmark."""
         if isinstance(action, SkipLandmark) and action.link_from_sensor:
             self.poses.add_used(action.pose, np.reshape(action.link_from_sensor, (4, 4)))
 

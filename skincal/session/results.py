@@ -83,7 +83,7 @@ class SessionResults:
         return leading_method(self.snapshot.estimates)
 
     def choose_method(self, asked: Method | None) -> Method:
-        """Return the method that is asked for, else the leading one.
+        """Choose the requested method, else the leading one.
 
         Raises InputError: the scene lacks what the method needs.
         """
@@ -127,7 +127,7 @@ class SessionResults:
         return {estimate.channel: estimate for estimate in known.get(Method.SURFACE) or known.get(Method.FREE, ())}
 
     def calibration(self) -> Calibration:
-        """Return what files are written from, with the verdict on every method."""
+        """Build the calibration that files are written from, with the verdict on every method."""
         verdicts = {method: self.verdict(method) for method in self.snapshot.estimates}
         return checked(self.session.calibration(), self.rig, verdicts)
 

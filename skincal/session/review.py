@@ -55,7 +55,7 @@ class Review:
     after: Mapping[Method, FloatArray]
     """The same with the correction that was found. Empty if it is not worth using or one is in use."""
     used: Mapping[str, UsedCorrection] = field(default_factory=dict[str, UsedCorrection])
-    """Corrections in use when it was asked for, `Decisions.corrections` itself. It is void for a session that uses others."""
+    """Corrections in use at the request, `Decisions.corrections` itself. It is void for a session that uses others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ class ReviewRequest:
 
     @staticmethod
     def from_session(session: Session) -> ReviewRequest:
-        """Ask for a review of a session as it is now."""
+        """Make a request with the session's present state."""
         decisions = session.decisions
         return ReviewRequest(session.rig_request(), decisions.landmarks, session.channels, decisions.corrections)
 

@@ -63,7 +63,7 @@ class RobotDialogue:
         self._last_line: NoTarget | None = None
         """The last line if it was no target."""
         self._is_stopped = False
-        """After a fault: nothing is asked for until the robot connects again or wants another target."""
+        """After a fault: no target is sent until the robot connects again or wants another target."""
         self._judged_poke = -1
         """Number of the newest poke that is judged, or that was there before."""
         self._number = 0

@@ -9,7 +9,7 @@ only makes delays longer, and drops out. The constant d remains; no stamp of arr
 keep the mean delay instead.
 
 Live, the points of the last minute count, and the line is extended to the newest one. To keep the work per reading constant,
-readings are gathered in buckets of a quarter second, of which only the point lowest above the present line is kept: at most 240
+readings are gathered in buckets of a quarter second. Each keeps the point lowest above the present line: at most 240
 points for the hull, which is updated when a bucket ends. What a bucket drops could only matter when the line turns: a change of
 slope of 100 parts in a million moves it by 25 microseconds within a bucket. A point below the line pushes the line down at
 once, so no reading is ever dated after its arrival.
@@ -32,7 +32,7 @@ from skincal.model.readings import Batch, Stream
 WINDOW_S = 60.0
 """s. Older points no longer count: crystals wander with temperature over minutes."""
 BUCKET_S = 0.25
-"""s. Time in which one point is kept."""
+"""s. Length of a bucket, which keeps one point."""
 SLOPE_CHANGE_MAX = 0.02
 """Largest difference of the two clocks' speeds: a factory-trimmed RC oscillator is within 2 %, a resonator within 0.5 %."""
 JUMP_S = 0.5
@@ -42,13 +42,13 @@ BEHIND_S = 3.0
 STEP_S = 1e-6
 """s. Least step between two stamps of a stream: stamps never go back when the line is pushed down."""
 PACE_LEARNING_S, PACE_LEARNING_READINGS = 2.0, 20
-"""The pace of a device without a clock is learnt over so long and so many readings: within 1 % under a jitter of 16 ms."""
+"""The pace of a device without a clock is learnt over this time and number of readings: within 1 % under a jitter of 16 ms."""
 PACE_ERROR_MAX = 0.2
 """Largest relative error of the pace as first learnt: a stall of 0.4 s among the first two seconds."""
 LATE_MIN_PERIODS, LATE_MIN_S = 0.7, 0.005
 """A device without a clock that is late by more than both for a whole bucket lost a reading."""
 RESTARTS_MAX, RESTARTS_WINDOW_S = 3, 60.0
-"""More restarts than this in so many seconds mean that the device keeps no pace."""
+"""More restarts than this in this many seconds mean that the device keeps no pace."""
 
 Point: TypeAlias = tuple[float, float]
 """A reading's time by the device's clock and its arrival, seconds."""

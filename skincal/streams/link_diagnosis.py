@@ -96,7 +96,7 @@ class LinkMonitor:
     Parameters
     ----------
     carries : wanted streams; none for those that come
-    widths : number of values of a reading of each stream, as far as it is known; for joints the least
+    widths : number of values of a reading of each stream, if it is known; for joints the least
     make_fallback : makes a decoder of every stream and width; `None` if the format cannot be read so
     noisy : streams whose readings always differ
     """
@@ -236,7 +236,7 @@ class LinkMonitor:
         return LinkVerdict(LinkAnswer.LISTENING if is_early else LinkAnswer.NO_READING, wanted, tried=self._bauds_tried)
 
     def _wrong_width(self, wanted: Stream, decoded_as: Stream, width: int) -> LinkVerdict:
-        """Name the stream that sends lines of so many values; lines without names were decoded as a skin of any width."""
+        """Name the stream that sends lines of this width; lines without names were decoded as a skin of any width."""
         found = Stream.WRENCH if decoded_as is Stream.WRENCH else Stream.SKIN if self._is_skin(width, wanted) else wanted
         if found is not wanted:
             return LinkVerdict(LinkAnswer.OTHER_STREAM, wanted, found, width)

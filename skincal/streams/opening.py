@@ -59,7 +59,7 @@ class NetworkQuestions:
         return answer
 
     def get_page(self, where: str, host: str, port: int, path: str) -> bytes:
-        # Not http.client: its time limit counts each line anew, so a host that drips would hold the reader for minutes.
+        # Not http.client: its time limit starts again with each line, so a host that drips would hold the reader for minutes.
         request = f"GET {path} HTTP/1.0\r\nHost: {host}\r\n\r\n".encode()
         return self.ask_tcp(where, host, port, request, b"</netft").partition(b"\r\n\r\n")[2]
 

@@ -30,7 +30,7 @@ INTERPOLATION_MAX_S = 0.05
 STAMP_TOLERANCE_S = 1e-6
 """s. A reading this little after an edge counts as on it: stamps are rounded to the microsecond by the devices."""
 FRAMES_WAITING_MAX = 4096
-"""Frames that may wait, whatever their stamps say: a bound for memory."""
+"""Largest number of waiting frames, independent of their stamps: a bound for memory."""
 JOINTS_KEPT = 512
 WRENCHES_KEPT = 16384
 """10 s at 1.6 kHz."""

@@ -19,7 +19,7 @@ MAX_NAMED_MODULES = 4
 
 
 def misfit_sentence(misfit: MisplacedModule) -> str:
-    """Say how a module differs from the layout, what to change, and the mean offset of its taxels before and after."""
+    """Describe a misplaced module, the change to make, and the mean offset of its taxels before and after."""
     turn = f"{np.degrees(misfit.turn):.0f}"
     too = f", and its angle_deg by {turn} degrees" if misfit.turn else ""
     what = {
@@ -38,7 +38,7 @@ def change_words(change: ModuleChange) -> str:
 
 
 def left_sentences(mend: LayoutRepair) -> list[str]:
-    """Say which modules a changed layout does not explain, one sentence each."""
+    """Name the modules that a changed layout does not explain, one sentence each."""
     return [_unmended_sentence(left) for left in mend.left]
 
 

@@ -12,7 +12,7 @@ REST_OF_SENTENCE_LENGTH = 30
 
 
 def silent_links(links: Sequence[LinkHealth]) -> str:
-    """Say which links gave no usable reading, and why; empty if all gave some."""
+    """Name the links without a usable reading, with the reason; empty if all gave some."""
     said = [
         " ".join(
             f"No usable readings from the {link_name(link)}: {_why_silent(link, brief=brief).rstrip('.')}."

@@ -44,7 +44,7 @@ ADVICE: Mapping[Reason, str] = {
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
-"""Advice after a poke too far from the landmark that was asked for."""
+"""Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
     Reason.TWO_CONTACTS: "two contacts?",
     Reason.NOT_CONNECTED: "far apart",
@@ -84,7 +84,7 @@ def short_rejection(rejection: Rejection) -> str:
 
 
 def missed_words(missed: MissedLandmark) -> str:
-    """Say how far a poke was from the requested landmark: `"52 mm beside wrist, top (limit 34 mm)"`."""
+    """Format the distance of a poke from the requested landmark: `"52 mm beside wrist, top (limit 34 mm)"`."""
     if missed.behind:
         return f"not on the side of {missed.name}"
     return f"{missed.miss * 1e3:.0f} mm beside {missed.name} (limit {missed.limit * 1e3:.0f} mm)"

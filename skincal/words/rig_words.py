@@ -48,7 +48,7 @@ def _judged(closing: Closing) -> str:
 
 
 def correction_words(used: UsedCorrection) -> str:
-    """Say what was corrected, with the error before and after; without a full stop, since files use it in comments."""
+    """Describe a correction, with the error before and after; without a full stop, since files use it in comments."""
     after, before = f"{used.after * 1e3:.1f} mm", f"{used.before * 1e3:.1f} mm"
     if used.of == FRAME:
         return f"the sensor frame is corrected from {used.pokes} landmark pokes: their error falls from {before} to {after}"

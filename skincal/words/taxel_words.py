@@ -106,7 +106,7 @@ def error_words(found: PredictedError | None, off: float | None) -> str:
 
 
 def unchecked_sentence(off: float, landmark_pokes: int) -> str:
-    """Say how far errors of an uncorrected sensor and arm may shift the taxels: `off` metres, root mean square."""
+    """Format the possible shift of the taxels by an uncorrected sensor and arm: `off` metres, root mean square."""
     known = f"{plural(landmark_pokes, 'landmark poke')} cannot rule that out. " if landmark_pokes else ""
     return (
         f"The expected error leaves out errors of sensor and arm. They usually shift the skin by about {off * 1e3:.1f} mm. "

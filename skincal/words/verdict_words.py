@@ -35,7 +35,7 @@ WHY_WORDS: Mapping[Why, str] = {
 
 
 def verdict_sentence(verdict: Verdict) -> str:
-    """Say what the session has reached: `"All 84 taxels are finished, expected error 3 mm or less. Test pokes agree."`.
+    """Summarize the verdict: `"All 84 taxels are finished, expected error 3 mm or less. Test pokes agree."`.
 
     Taxels with a small expected error that still need something else are not counted as finished.
     """
@@ -70,7 +70,7 @@ def _skin_words(verdict: Verdict) -> str:
 
 
 def _landmark_words(verdict: Verdict) -> str:
-    """Say whether landmarks agree, whatever the test pokes show: only landmarks reveal a common shift of all taxels."""
+    """Say whether landmarks agree, independent of the test pokes: only landmarks reveal a common shift of all taxels."""
     landmarks = verdict.landmarks
     if landmarks is None:
         return "Not checked with landmarks: a common shift of all taxels would go unnoticed."
@@ -97,7 +97,7 @@ def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
 
 
 def done_words(method: Method, wanted: float) -> str:
-    """Say what finishes a taxel, `wanted` in metres: `"an expected error of 3 mm or less, and 4 pokes on its module"`."""
+    """Describe a finished taxel, `wanted` in metres: `"an expected error of 3 mm or less, and 4 pokes on its module"`."""
     settings = GuideSettings()
     error = f"an expected error of {1e3 * wanted:g} mm or less"
     if method is Method.MODULES:

@@ -246,7 +246,7 @@ def _separator_of(line: str) -> str | None:
 
 
 def _commented_header(path: Path) -> str:
-    """Read a header that stands in a comment, as `numpy.savetxt` writes it; empty if the first line is none."""
+    """Read a header in a comment, as `numpy.savetxt` writes it; empty if the first line is no comment."""
     with contextlib.suppress(OSError), TextIOWrapper(open_regular(path), encoding="utf-8-sig", errors="replace") as file:
         line = file.readline(MAX_LINE_CHARS).strip()
         text = line.lstrip("# ")
@@ -268,7 +268,7 @@ def _fields(line: str, separator: str | None, splits: int = -1) -> list[str]:
 def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[str]]:
     """Yield the fields of each row, in quotes or not. Empty lines and lines that begin with # are left out.
 
-    With `splits` the rest of the line after so many fields stays together.
+    With `splits` the rest of the line after that many fields stays together.
     """
     marks = [mark for mark in " \t\"'" if mark != separator and separator != "\n"]
     try:
@@ -277,7 +277,7 @@ def _rows(path: Path, separator: str | None, splits: int = -1) -> Iterator[list[
             for text in iter(partial(file.readline, MAX_LINE_CHARS), ""):
                 if len(text) == MAX_LINE_CHARS:
                     raise InputError(f"{path}: a line has {MAX_LINE_CHARS} letters or more; expected a row a reading.")
-                # A tab at an end stands beside an empty field.
+                # A tab at an end follows or precedes an empty field.
                 line = text.strip(" \r\n") if separator == "\t" else text.strip()
                 if line and not line.startswith("#"):
                     quoted = any(mark in line for mark in marks)

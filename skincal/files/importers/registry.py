@@ -121,7 +121,7 @@ def importer_of(path: Path) -> Importer:
 def find_recordings(folder: Path) -> list[Path]:
     """List the recordings in a folder, no deeper than two folders, since it may be a whole disk: folders first, else files."""
     for each in (each for each in IMPORTERS if each.marker):
-        # The recording of a single stream lies beside those of the others.
+        # Recordings of single streams are in one folder.
         inside = (folder / each.marker).is_file()
         if inside and not each.one_stream:
             return [folder]

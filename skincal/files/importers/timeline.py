@@ -47,7 +47,7 @@ CHUNK_NS = 100_000_000
 CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
 INTERVAL_STEPS = 500
-"""Steps of which the median is the usual interval: 5 s at 100 Hz."""
+"""Number of steps in the median for the usual interval: 5 s at 100 Hz."""
 MAX_LISTED_JUMPS = 3
 START_NS = 1_000_000_000
 """A recording begins at this time of the host's clock; 0 would mean never."""

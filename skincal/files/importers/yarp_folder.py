@@ -1,6 +1,6 @@
 """Recordings of `yarpdatadumper` as the chunks of a session.
 
-A folder holds `data.log`, one message a line, and `info.log`, whose `Stamp:` line says which times stand in it. Old
+A folder holds `data.log`, one message a line, and `info.log`, whose `Stamp:` line says which times it has. Old
 dumpers wrote no `Stamp:` line: then a log has two stamps where its third column is a time within seconds of the second.
 A sender without an envelope leaves its stamp 0: a log with such lines is read by the receiver's stamps, all of it, since the
 two clocks may differ.

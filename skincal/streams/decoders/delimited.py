@@ -1,12 +1,12 @@
 """Delimited lines as makers' sketches send them, without a checksum: lenient, and so the last choice.
 
 One frame a line, or one row a line and a blank line after each frame. Fields are separated by comma, semicolon (then a
-comma is a decimal point), tab or spaces. A line's number of values says what it is: six of a wrench where the link
+comma is a decimal point), tab or spaces. A line's number of values determines its stream: six of a wrench where the link
 carries wrenches, the width of the skin where it carries skin, anything constant for joints (degrees). Words, such as a
 banner at boot, are passed over. A header line that names leading columns (`seq`, `t`, `time`, `t_s`, `t_ms`, `t_us`;
 seconds unless the name says otherwise) makes them the number and the device's clock.
 
-Limits: a line that lost a digit, or two lines joined into one with the right count, are read as they are.
+Limits: a line that lost a digit, or two lines joined into one with the right count, are not noticed.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class TextDecoder(FrameDecoder):
         return self._add(Stream.SKIN, NO_SEQ, math.nan, [each for row in rows for each in row]) if rows else None
 
     def _stream_of(self, count: int) -> Stream | None:
-        """Find the stream of a line with so many values: one of this width, else one of unknown width."""
+        """Find the stream of a line by its number of values: one of this width, else one of unknown width."""
         widths = {stream: self._width(stream) for stream in self._carries}
         for stream, width in widths.items():
             if width == count:

@@ -56,7 +56,7 @@ class SktDecoder(FrameDecoder):
         text, tail = line[:-TAIL_BYTES], line[-TAIL_BYTES:]
         if tail != b"*%04X" % binascii.crc_hqx(text, CRC_CCITT_START):
             return Loss.BAD_CHECKSUM
-        # Before the record is read: its checksum proves the format, whatever the record says.
+        # Before the record is read: its checksum proves the format, independent of the record.
         self.valid_records += 1
         return self._record(text)
 

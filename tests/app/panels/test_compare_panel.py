@@ -425,7 +425,7 @@ def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, r
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
     calls = []
-    for owner, name in ((ModulesCheck, "follow"), (ComparePanel, "show_state"), (ComparePanel, "update_view")):
+    for owner, name in ((ModulesCheck, "check_snapshot"), (ComparePanel, "show_state"), (ComparePanel, "update_view")):
         monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
     bench.open_served("flat-patch")
     bench.until(lambda: len(bench.accepted()) >= 1)
