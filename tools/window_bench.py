@@ -118,10 +118,10 @@ class Measure(QObject):
 
     def take(self, tick: Tick) -> None:
         """Take a moment of the session: whether the tool presses."""
-        from skincal.guide.press_coaching import PRESSING
+        from skincal.guide.press_coaching import PRESSING_PHASES
 
         now = time.monotonic()
-        pressing = tick.live.progress.phase in PRESSING
+        pressing = tick.live.progress.phase in PRESSING_PHASES
         if pressing and self._pressing_since is None:
             self._pressing_since = now
         elif not pressing and self._pressing_since is not None:

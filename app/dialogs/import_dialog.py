@@ -55,13 +55,13 @@ from app.theme import GAP
 from app.workers.processes import JobQueue, import_job, preview_job
 from app.workers.threads import ThreadService
 from skincal.files.importers.preview import RecordingFiles, RecordingPreview, guess_streams
-from skincal.files.importers.registry import IMPORTERS, RecordedPlace
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
 from skincal.geometry import FloatArray
 from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene
-from skincal.session.importing import STOPPED, Imported, ImportRequest, missing_folders, take_away
+from skincal.session.importing import IMPORT_STOPPED, Imported, ImportRequest, missing_folders, take_away
 
 SIZE_PX = (760, 680)
 PREVIEW_DELAY_MS = 400
@@ -70,7 +70,7 @@ PROGRESS_MS = 100
 """Between two updates of the progress bar."""
 STOP_PATIENCE_MS = 500
 """A stopped import ends within this time, or is killed: while it reads a large log, it does not react."""
-FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in IMPORTERS for suffix in each.suffixes)});;All files (*)"
+FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in RECORDING_IMPORTERS for suffix in each.suffixes)});;All files (*)"
 STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
 STREAM_HINTS = {
     Stream.WRENCH: "a folder with data.log, or a table",
@@ -391,7 +391,7 @@ class ImportDialog(QDialog):
 
     def _kill_import(self) -> None:
         self._jobs.drop()
-        self._fail(STOPPED)
+        self._fail(IMPORT_STOPPED)
 
     def done(self, result: int) -> None:
         self._typing.stop()

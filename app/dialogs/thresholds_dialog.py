@@ -25,8 +25,8 @@ from skincal.contacts.thresholds import NEWEST_POKES, threshold_uses
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.words.threshold_words import (
-    ABOUT,
-    GROUPS,
+    THRESHOLD_GROUPS,
+    THRESHOLDS_INTRODUCTION,
     ThresholdWords,
     objections,
     shown_value,
@@ -96,7 +96,7 @@ class ThresholdsDialog(QDialog):
         self.back = self.buttons.addButton("Use those of the scene", QDialogButtonBox.ButtonRole.ResetRole)
         plain_buttons(self.buttons)
         column = QVBoxLayout(self)
-        column.addWidget(secondary_label(ABOUT, wrap=True))
+        column.addWidget(secondary_label(THRESHOLDS_INTRODUCTION, wrap=True))
         column.addWidget(self.area, 1)
         column.addWidget(self.buttons)
         self.use.setDefault(True)
@@ -106,7 +106,7 @@ class ThresholdsDialog(QDialog):
         self.buttons.rejected.connect(self.reject)
 
     def _fill(self) -> None:
-        for title, group in GROUPS.items():
+        for title, group in THRESHOLD_GROUPS.items():
             heading = QLabel(title)
             set_bold(heading)
             self._grid.addWidget(heading, self._grid.rowCount(), 0, 1, 4)

@@ -12,7 +12,7 @@ from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segment
 from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
-from skincal.guide.press_coaching import PRESSING
+from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
@@ -88,7 +88,7 @@ class AxesLayer(Layer):
 def _key(progress: Progress) -> bytes:
     """Return a key that changes with the current axis; empty while nothing presses."""
     known = np.isfinite([progress.force, progress.axis_point]).all() and progress.force.any()
-    return progress.force.tobytes() + progress.axis_point.tobytes() if known and progress.phase in PRESSING else b""
+    return progress.force.tobytes() + progress.axis_point.tobytes() if known and progress.phase in PRESSING_PHASES else b""
 
 
 def _span(at: FloatArray, directions: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from app.scene3d.scene_state import BALL_DIAMETER, View3DState
 from skincal.geometry import FloatArray, cross_matrix
 from skincal.guide.guidance import Target
-from skincal.guide.press_coaching import PRESSING
+from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import Surface, point_on_skin
 
 if TYPE_CHECKING:
@@ -305,7 +305,7 @@ class AutoCamera:
         self._target = target
         if target is None:
             return False
-        if state.live is not None and state.live.progress.phase in PRESSING:
+        if state.live is not None and state.live.progress.phase in PRESSING_PHASES:
             # After the poke an interrupted turn begins again.
             self._is_due, self._way = self._is_due or self._way is not None, None
             return False

@@ -21,7 +21,7 @@ from app.text.guidance_text import newly_done
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, GuidePhase
-from skincal.guide.press_coaching import PRESSING
+from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.session.snapshot import Snapshot
 from skincal.words.poke_words import REASON_WORDS
 
@@ -135,7 +135,7 @@ def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]
         outcome=newest,
         at_landmark=newest is not None and newest.poke in at.snapshot.at_landmarks,
         phase=phase,
-        held=phase is PressPhase.HELD or (memory.held and phase in PRESSING),
+        held=phase is PressPhase.HELD or (memory.held and phase in PRESSING_PHASES),
         guidance=at.guidance,
         lost=lost,
         alarm_s=memory.alarm_s,
@@ -162,7 +162,7 @@ def _poking_cue(before: CueMemory, now: CueMemory) -> DueCue | None:
         return DueCue(Cue.ACCEPTED)
     if now.held and not before.held:
         return DueCue(Cue.HELD)
-    return DueCue(Cue.CONTACT) if now.phase in PRESSING and before.phase not in PRESSING else None
+    return DueCue(Cue.CONTACT) if now.phase in PRESSING_PHASES and before.phase not in PRESSING_PHASES else None
 
 
 def _is_new_poke(before: Outcome | None, now: Outcome | None) -> bool:

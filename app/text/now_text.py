@@ -34,7 +34,7 @@ from app.text.outcomes import (
 )
 from skincal.contacts.outcome import Outcome, PressPhase, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase
-from skincal.guide.press_coaching import PRESSING
+from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.guide.progress import GuideSettings
 from skincal.model.readings import LinkAnswer, Stream
 from skincal.session.snapshot import Snapshot
@@ -137,7 +137,7 @@ def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
     trouble = _trouble(at)
     if trouble is not None:
         return replace(trouble, result=deed), memory
-    if memory.phase in PRESSING:
+    if memory.phase in PRESSING_PHASES:
         return replace(_pressing(memory, at), result=deed), memory
     if deed is None and at.now_s < memory.verdict_until_s and memory.outcome is not None:
         return _verdict(memory.outcome, memory, at), memory
@@ -205,7 +205,7 @@ def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
     if phase is not memory.coming:
         memory = replace(memory, coming=phase, coming_since_s=at.now_s)
     # Begin and end of a poke are shown at once: the detector's two thresholds prevent flicker.
-    if phase in PRESSING or memory.phase in PRESSING or at.now_s - memory.coming_since_s >= PHASE_DEBOUNCE_S:
+    if phase in PRESSING_PHASES or memory.phase in PRESSING_PHASES or at.now_s - memory.coming_since_s >= PHASE_DEBOUNCE_S:
         memory = replace(memory, phase=phase)
     return memory
 

@@ -25,7 +25,7 @@ import typer
 
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
-from skincal.files.importers.registry import IMPORTERS, Importer, RecordedPlace
+from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
 from skincal.model.readings import SILENT_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
@@ -71,7 +71,7 @@ def add_to(app: typer.Typer) -> None:
         no_args_is_help=True,
         epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
     )
-    for each in IMPORTERS:
+    for each in RECORDING_IMPORTERS:
         example = f"Example: skincal import {each.name} --wrench ft --skin skin --pose 1 --scene icub-forearm --out monday"
         purpose = f"Make a session of a recording: {each.title}."
         importing.command(each.name, help=purpose, epilog=example)(_import_command(each))

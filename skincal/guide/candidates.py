@@ -26,11 +26,11 @@ from skincal.taxels.noise import offset_square, row_precision
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-AZIMUTHS = 8
+TRIED_AZIMUTHS = 8
 """Directions around the normal that are tried."""
 TILT_SHARES = (0.6, 1.0)
 """Shares of the usable tilt that are tried, in addition to no tilt."""
-PUSHES_PER_TAXEL = 1 + AZIMUTHS * len(TILT_SHARES)
+PUSHES_PER_TAXEL = 1 + TRIED_AZIMUTHS * len(TILT_SHARES)
 MAX_NEIGHBOUR_SPACINGS = 1.35
 """Neighbours within this many spacings may answer: on the simulated forearm nine in ten of those that do are nearer."""
 MIN_NEIGHBOUR_WEIGHT = 1e-3
@@ -80,8 +80,8 @@ def candidate_pushes(normals: FloatArray, usable: float) -> FloatArray:
     tries = [-normals]
     for share in TILT_SHARES:
         tilt = share * usable
-        for step in range(AZIMUTHS):
-            turn = 2.0 * np.pi * step / AZIMUTHS
+        for step in range(TRIED_AZIMUTHS):
+            turn = 2.0 * np.pi * step / TRIED_AZIMUTHS
             aside = np.cos(turn) * east + np.sin(turn) * north
             tries.append(np.sin(tilt) * aside - np.cos(tilt) * normals)
     return np.stack(tries, axis=1)

@@ -32,7 +32,7 @@ MOTION_LEVER_M = 0.2
 """Typical distance from the sensor to the skin: a turn counts as the way at this distance."""
 MOTION_RIDGE = 1.0
 """1/m^2, added to the information of each motion (a prior of 1 m): one that a window does not determine is no division by 0."""
-BISECTIONS = 16
+BISECTION_STEPS = 16
 EDGE_ANSWER_RATIO = 0.6
 """Pokes with at most this share of the session's median number of answers are taken for pokes at the skin's edge."""
 MIN_EDGE_POKES = 24
@@ -114,7 +114,7 @@ def _bisect(median: Callable[[float], float], misses: PokeMisses, max_factor: fl
     low, high = 0.0, (max_factor**2 - 1.0) * float(np.median(misses.variances))
     if median(low) <= CHI2_2DOF_MEDIAN or median(high) > CHI2_2DOF_MEDIAN:
         return 0.0
-    for _ in range(BISECTIONS):
+    for _ in range(BISECTION_STEPS):
         middle = (low + high) / 2.0
         low, high = (middle, high) if median(middle) > CHI2_2DOF_MEDIAN else (low, middle)
     return high

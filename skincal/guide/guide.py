@@ -15,8 +15,8 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.believed_positions import PlannedPlaces, believed_positions
 from skincal.guide.candidates import (
-    AZIMUTHS,
     PUSHES_PER_TAXEL,
+    TRIED_AZIMUTHS,
     BoolArray,
     ChoiceState,
     GainCache,
@@ -377,8 +377,8 @@ class Guide:
         order = list(range(PUSHES_PER_TAXEL))
         if self._tilted:
             # The pushes of the largest tilt come last, one for each azimuth.
-            turn, tilted = AZIMUTH_STEP * int(self._own()[row]), order[-AZIMUTHS:]
-            order = [*(tilted[(turn + step) % AZIMUTHS] for step in range(AZIMUTHS)), *order]
+            turn, tilted = AZIMUTH_STEP * int(self._own()[row]), order[-TRIED_AZIMUTHS:]
+            order = [*(tilted[(turn + step) % TRIED_AZIMUTHS] for step in range(TRIED_AZIMUTHS)), *order]
         skipped = self._skipped_pushes(row)
         return next((push for push in order if not skipped[push]), order[0])
 

@@ -16,7 +16,7 @@ from skincal.guide.guidance import Guidance, Target
 from skincal.guide.progress import GuideSettings
 from skincal.taxels.result import Method
 
-PRESSING = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
+PRESSING_PHASES = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
 """Phases in which a tool presses."""
 MIN_FORCE_N = 2.0
 """Below it a reading gives the tilt to no better than 3 degrees, the tip to no better than a taxel (0.1 N, 10 N mm)."""
@@ -69,7 +69,7 @@ def smooth_wrench(before: SmoothedWrench | None, progress: Progress) -> Smoothed
     Force and moment are filtered, not the axis: the axis of a weak force counts little.
     """
     force, moment = progress.force, np.cross(progress.axis_point, progress.force)
-    if progress.phase not in PRESSING or not np.isfinite(moment).all():
+    if progress.phase not in PRESSING_PHASES or not np.isfinite(moment).all():
         return None
     if before is None:
         return SmoothedWrench(force, moment)

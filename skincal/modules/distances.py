@@ -38,7 +38,7 @@ from skincal.taxels.shared_errors import add_covariances
 
 GAUSS_NEWTON_STEPS = 3
 """A module moves by a millimetre, over which a distance is nearly linear."""
-FOLDS = 6
+HELD_OUT_FOLDS = 6
 """One poke in this many is held out at a time, as for the verdict."""
 
 
@@ -188,7 +188,7 @@ class LinkedModules:
         """Compute (b,) the gain in log likelihood of the held-out pokes of each module by the distances."""
         pokes = _Pokes.of_modules(self.fitted)
         left, known = pokes.priors_without_folds(self.prior, self._factors)
-        outs = [pokes.select((pokes.folds == fold) & known[fold, pokes.of]) for fold in range(FOLDS)]
+        outs = [pokes.select((pokes.folds == fold) & known[fold, pokes.of]) for fold in range(HELD_OUT_FOLDS)]
         return np.sum([self._gains_of(prior, rows, out) for prior, out in zip(left, outs, strict=True)], axis=0)
 
     def _gains_of(self, prior: _Prior, rows: _Rows, out: _Pokes) -> FloatArray:
@@ -227,7 +227,7 @@ class _Pokes:
         counts = [len(own.trust) for own in fitted]
         return cls(
             np.repeat(np.arange(len(fitted)), counts),
-            np.concatenate([np.arange(count) % FOLDS for count in counts]),
+            np.concatenate([np.arange(count) % HELD_OUT_FOLDS for count in counts]),
             *(np.concatenate(each) for each in zip(*((m.slopes, m.misses, m.trust, m.shared) for m in fitted), strict=True)),
         )
 
@@ -244,7 +244,7 @@ class _Pokes:
         information, pulls, shared = (
             self._sums(each, len(factors)) for each in (weighted @ self.slopes, pulls, weighted @ self.shared)
         )
-        others = 1.0 - np.eye(FOLDS)
+        others = 1.0 - np.eye(HELD_OUT_FOLDS)
         left, whole = np.tensordot(others, information, 1), information.sum(axis=0)
         values = np.linalg.eigvalsh(left)
         known = np.asarray(values[..., 0] > RANK_RATIO * values[..., -1])
@@ -254,11 +254,11 @@ class _Pokes:
         means = -(inverse @ np.where(known[..., None], pulls, 0.0)[..., None])[..., 0]
         moves = -inverse @ np.where(known[..., None, None], np.tensordot(others, shared, 1), shared.sum(axis=0))
         covariances = prior.covariances + more
-        return [_Prior(means[fold], covariances[fold], moves[fold]) for fold in range(FOLDS)], known
+        return [_Prior(means[fold], covariances[fold], moves[fold]) for fold in range(HELD_OUT_FOLDS)], known
 
     def _sums(self, values: FloatArray, count: int) -> FloatArray:
         """Sum values (m, ...) over the pokes of each fold and module: (folds, b, ...)."""
-        sums = np.zeros((FOLDS, count, *values.shape[1:]))
+        sums = np.zeros((HELD_OUT_FOLDS, count, *values.shape[1:]))
         np.add.at(sums, (self.folds, self.of), values)
         return sums
 

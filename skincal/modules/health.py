@@ -48,7 +48,7 @@ ROBUST_SCALE_M = 0.008
 """Modules with a larger residual count less for the common motion."""
 NORMAL_LEVER_M = 0.02
 """A module's normal counts as a point this far above it, so that a flat skin is not turned upside down."""
-REWEIGHTINGS = 5
+REWEIGHTING_STEPS = 5
 SAME_CORNER_M = 1e-3
 """Corners of an outline that are nearer are the same."""
 NEIGHBOUR_SPACINGS = 1.3
@@ -151,7 +151,7 @@ def _common(seen: Sequence[_Seen]) -> FloatArray:
     up, outward = (NORMAL_LEVER_M * np.array([module.normals[row] for module in seen]) for row in range(2))
     weights, motion = np.ones(len(here)), np.eye(4)
     motion[:3, 3] = np.median(there - here, axis=0)
-    for _ in range(REWEIGHTINGS if len(here) > 2 else 0):
+    for _ in range(REWEIGHTING_STEPS if len(here) > 2 else 0):
         off = there - here @ motion[:3, :3].T - motion[:3, 3]
         weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / ROBUST_SCALE_M**2)
         middle, centre = weights @ here / weights.sum(), weights @ there / weights.sum()

@@ -210,7 +210,7 @@ TURN_SD_MAX_RAD = 0.35
 """If the estimates determine the turn worse, the plan's is taken; a search finds its way back from 60 degrees."""
 ROBUST_SCALE_M = 0.004
 """Estimates with a larger residual count less."""
-REWEIGHTINGS = 3
+REWEIGHTING_STEPS = 3
 
 
 def find_start(model: ModuleModel, module: int, others: Sequence[Mapping[int, Estimate]]) -> ModulePoses | None:
@@ -251,7 +251,7 @@ def _fit_estimates(
     # Points of a plane as complex numbers: to turn is to multiply.
     flat, own = places @ (x + 1j * y), pads @ np.array([1.0, 1j])
     counts, turn, shift = weights, 1.0 + 0.0j, 0.0j
-    for _ in range(REWEIGHTINGS):
+    for _ in range(REWEIGHTING_STEPS):
         middle, centre = counts @ own / counts.sum(), counts @ flat / counts.sum()
         product = np.sum(counts * np.conj(own - middle) * (flat - centre))
         known = np.sum(counts * np.abs(own - middle) ** 2) * TURN_SD_MAX_RAD**2 > 1.0 and abs(product) > 0

@@ -64,9 +64,9 @@ NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
 """The sensor's noise is part of `LANDMARK_SD_M`."""
 HAND_FORCE_RANGE_N = (3.0, 25.0)
 """N: range of a hand's pokes."""
-GRAVITY = 9.80665
+STANDARD_GRAVITY = 9.80665
 """m/s^2: newtons in a kilogram-force."""
-UNIT_FACTORS = ((1.0, 1.0), (1.0, 1e-3), (1.0, 1e-2), (1.0, GRAVITY), (GRAVITY, 1.0))
+UNIT_FACTORS = ((1.0, 1.0), (1.0, 1e-3), (1.0, 1e-2), (1.0, STANDARD_GRAVITY), (STANDARD_GRAVITY, 1.0))
 """Factors of force and moment: none, moments in N mm, in N cm and in kgf m, forces in kgf."""
 
 

@@ -113,7 +113,7 @@ def apply_action(action: Action, now: Decisions, context: ActionContext) -> Deci
     InputError
         There is no such poke, pose, landmark or channel, or its numbers make no sense.
     """
-    return _EFFECTS[type(action)](action, now, context)
+    return _ACTION_EFFECTS[type(action)](action, now, context)
 
 
 _CHANGED_FIELDS: dict[type[Action], tuple[str, ...]] = {
@@ -151,7 +151,7 @@ def take_back(action: Action, before: Decisions, now: Decisions) -> Decisions:
             return replace(now, **{name: getattr(before, name) for name in _CHANGED_FIELDS[type(action)]})
 
 
-_DESCRIPTIONS: dict[type[Action], Callable[[Any], str]] = {
+_ACTION_DESCRIPTIONS: dict[type[Action], Callable[[Any], str]] = {
     Exclude: lambda action: f"exclusion of poke {action.poke}",
     Restore: lambda action: f"return of poke {action.poke}",
     SetPose: lambda action: f"choice of pose {action.name}" if action.name else "choice of the streamed pose",
@@ -169,7 +169,7 @@ _DESCRIPTIONS: dict[type[Action], Callable[[Any], str]] = {
 
 def describe_action(action: Action) -> str:
     """Describe an action that can be undone, for the operator."""
-    return _DESCRIPTIONS[type(action)](action)
+    return _ACTION_DESCRIPTIONS[type(action)](action)
 
 
 def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
@@ -286,7 +286,7 @@ def _with_request(action: AskLandmark | AskPoke | SkipPoke | SkipLandmark, now: 
     return replace(now, skips=(*now.skips, action)) if isinstance(action, SkipPoke | SkipLandmark) else now
 
 
-_EFFECTS: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
+_ACTION_EFFECTS: dict[type[Action], Callable[[Any, Decisions, ActionContext], Decisions]] = {
     Exclude: _with_poke,
     Restore: _with_poke,
     SetPose: _with_pose,

@@ -24,7 +24,7 @@ from skincal.words.poke_words import no_poke_sentence
 
 PROGRESS_CHUNKS = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
-STOPPED = "The import was stopped; nothing was left behind."
+IMPORT_STOPPED = "The import was stopped; nothing was left behind."
 
 
 class KeptError(InputError):
@@ -106,7 +106,7 @@ def play_recording(
         span_ns = max(recording.span_ns, 1)
         for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
             if count % PROGRESS_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
-                raise StoppedError(STOPPED)
+                raise StoppedError(IMPORT_STOPPED)
             pipeline.feed(chunk)
             if pipeline.journal_failure:
                 break

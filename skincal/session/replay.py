@@ -21,7 +21,7 @@ from skincal.session.part import load_scene_surface
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
 
-_MISFIT = "An action of the operator no longer fits and is left out"
+_ACTION_MISFIT = "An action of the operator no longer fits and is left out"
 
 
 def replay(folder: Path, layout: Path | None = None) -> Pipeline:
@@ -56,7 +56,7 @@ def _load(log: SessionLog, layout: Path | None = None) -> Pipeline:
         try:
             _load_step(pipeline, item)
         except InputError as error:
-            misfits.append(f"{_MISFIT}: {error}")
+            misfits.append(f"{_ACTION_MISFIT}: {error}")
     # Results hold for the scene of their recording only, and a segment with a damaged line file has none.
     if log.scene_changed or not log.has_results:
         return _played(SessionLog(log.folder, own=log.own), layout)
@@ -133,6 +133,6 @@ def _played(log: SessionLog, layout: Path | None) -> Pipeline:
             if not isinstance(item, TimedAction):
                 raise
             # With changed thresholds of the scene a poke may have another outcome.
-            misfits.append(f"{_MISFIT}: {error}")
+            misfits.append(f"{_ACTION_MISFIT}: {error}")
     pipeline.findings = (*log.findings, *misfits)
     return pipeline

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
     from skincal.taxels.contact_table import Evidence
 
-MARKED = "marked by the operator"
+MARKED_DEAD = "marked by the operator"
 """Reason of a channel that the operator left out."""
 
 
@@ -354,7 +354,7 @@ class Session:
     def _update_dead(self) -> None:
         before, revived = self.dead, self.decisions.revived
         found = {channel: why for channel, why in self.found_dead.items() if channel not in revived}
-        found |= dict.fromkeys(self.decisions.marked, MARKED)
+        found |= dict.fromkeys(self.decisions.marked, MARKED_DEAD)
         self.dead = {channel: found[channel] for channel in sorted(found)}
         known = before.keys() | found.keys()
         self._solving.taxels_changed(channel for channel in known if before.get(channel) != found.get(channel))

@@ -27,7 +27,7 @@ REASON_WORDS: Mapping[Reason, str] = {
     Reason.NO_POSE: "arm pose unknown",
     Reason.ARM_MOVED: "arm moved",
 }
-ADVICE: Mapping[Reason, str] = {
+REJECTION_ADVICE: Mapping[Reason, str] = {
     Reason.TOO_SOFT: "Press harder, then hold.",
     Reason.TOO_HARD: "Press softer.",
     Reason.NOT_STILL: "Press, then hold still until the ring is full.",

@@ -9,7 +9,7 @@ import numpy as np
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT_TRUST_BELOW, RigAnswer
-from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis
+from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis
 
 FRAME_MISS_NOTED_M = 0.005
 """Above this miss with a right frame the sentence names errors of sensor and arm: noise and hand cause 1 to 3 mm."""
@@ -123,13 +123,13 @@ def _mistake_words(found: FrameCorrection) -> str:
 
 
 def _unit_words(found: FrameCorrection) -> str:
-    if found.force_scale == GRAVITY:
+    if found.force_scale == STANDARD_GRAVITY:
         return "forces are in kilogram-force, moments in newton metres"
     return {
         1.0: "",
         1e-3: "moments are in newton millimetres, not newton metres",
         1e-2: "moments are in newton centimetres, not newton metres",
-        GRAVITY: "moments are in kilogram-force metres, forces in newtons",
+        STANDARD_GRAVITY: "moments are in kilogram-force metres, forces in newtons",
     }[found.moment_scale]
 
 

@@ -11,7 +11,9 @@ from skincal.contacts.thresholds import ThresholdUse
 from skincal.model.scene import FORCE_ORDER, ContactSettings, setting_limit
 from skincal.words.units import UNITS, DisplayUnit, count, number
 
-ABOUT = "Conditions for a poke to count. A change applies to later pokes only, is saved in the session and can be undone."
+THRESHOLDS_INTRODUCTION = (
+    "Conditions for a poke to count. A change applies to later pokes only, is saved in the session and can be undone."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +25,9 @@ class ThresholdWords:
     reason: str
 
 
-_RAW = DisplayUnit(1.0, "raw", 1)
+_RAW_UNIT = DisplayUnit(1.0, "raw", 1)
 
-GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
+THRESHOLD_GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
     "Force": {
         "force_min": ThresholdWords(
             "Least force",
@@ -52,7 +54,9 @@ GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
     },
     "What the skin answers": {
         "taxels_max": ThresholdWords("Taxels that answer", UNITS[""], "Maximum; a palm or a large tip reaches more."),
-        "response_min": ThresholdWords("A taxel answers above", _RAW, "In raw values above the baseline; 10 of 255 is common."),
+        "response_min": ThresholdWords(
+            "A taxel answers above", _RAW_UNIT, "In raw values above the baseline; 10 of 255 is common."
+        ),
         "response_noises": ThresholdWords(
             "and above its noise times", DisplayUnit(1.0, "", 1), "Keeps a noisy taxel from answering without a touch."
         ),
@@ -68,24 +72,24 @@ GROUPS: Mapping[str, Mapping[str, ThresholdWords]] = {
     },
 }
 """By the names of `ContactSettings`."""
-WORDS = {name: words for group in GROUPS.values() for name, words in group.items()}
+THRESHOLD_WORDS = {name: words for group in THRESHOLD_GROUPS.values() for name, words in group.items()}
 
 
 def shown_value(name: str, value: float) -> str:
     """Format a threshold for its field, without the unit."""
-    return f"{value * WORDS[name].unit.factor:.6g}"
+    return f"{value * THRESHOLD_WORDS[name].unit.factor:.6g}"
 
 
 def with_unit(name: str, value: float) -> str:
     """Format a threshold with its unit."""
-    return f"{shown_value(name, value)} {WORDS[name].unit.text}".rstrip()
+    return f"{shown_value(name, value)} {THRESHOLD_WORDS[name].unit.text}".rstrip()
 
 
 def typed_value(name: str, text: str) -> float:
     """Parse a typed value into the threshold's SI unit; NaN if it is no number."""
     try:
         # As people write it where the comma is the point; Python alone takes 1_0 for ten.
-        return float(text.replace(",", ".").replace("_", "?")) / WORDS[name].unit.factor
+        return float(text.replace(",", ".").replace("_", "?")) / THRESHOLD_WORDS[name].unit.factor
     except ValueError:
         return math.nan
 
@@ -95,13 +99,13 @@ def objections(values: Mapping[str, float]) -> dict[str, str]:
     wrong = {name: sentence for name, value in values.items() if (sentence := _objection(name, value))}
     for low, high in pairwise(FORCE_ORDER):
         if low not in wrong and high not in wrong and not values[low] < values[high]:
-            title = WORDS[high].title[0].lower() + WORDS[high].title[1:]
+            title = THRESHOLD_WORDS[high].title[0].lower() + THRESHOLD_WORDS[high].title[1:]
             wrong[low] = f"Expected less than {with_unit(high, values[high])}, which is for: {title}."
     return wrong
 
 
 def _objection(name: str, value: float) -> str:
-    unit = WORDS[name].unit
+    unit = THRESHOLD_WORDS[name].unit
     if not 0 < value <= setting_limit(name):
         most = f" and at most {with_unit(name, setting_limit(name))}" if name.endswith("_s") else ""
         return f"Expected a number above 0{most}, {_in(unit)}."
@@ -117,7 +121,7 @@ def use_words(name: str, use: ThresholdUse) -> str:
     """Compare the newest pokes with a threshold."""
     if not use.pokes:
         return "No poke yet."
-    unit = WORDS[name].unit
+    unit = THRESHOLD_WORDS[name].unit
     ends = [number(end(use.values) * unit.factor, unit.decimals) for end in (min, max)] if use.values else []
     had = [f"{' to '.join(dict.fromkeys(ends))} {unit.text}".rstrip()] if ends else []
     rejected = f"{use.rejected or 'none'} rejected by it"

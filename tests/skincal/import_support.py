@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skincal.files.importers.registry import IMPORTERS, RecordedPlace
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
 from skincal.model.readings import Chunk, Sample, Stream
 from skincal.streams.links import LinkSpec
 
@@ -18,7 +18,7 @@ def read_recording(
     kind: str, wrench: Path, skin: Path, joints: Path | None = None
 ) -> tuple[tuple[LinkSpec, ...], Iterator[Chunk], tuple[str, ...]]:
     """Links, chunks and findings of a recording."""
-    importer = next(each for each in IMPORTERS if each.name == kind)
+    importer = next(each for each in RECORDING_IMPORTERS if each.name == kind)
     places = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
     opened = importer.open_recording({stream: RecordedPlace(path) for stream, path in places.items() if path is not None})
     return opened.links, opened.chunks(), opened.findings

@@ -11,7 +11,7 @@ from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKi
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import GRAVITY, FrameCorrection, FrameDiagnosis, Slip
+from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis, Slip
 from skincal.taxels.result import Cause, StateReason
 from skincal.words.layout_words import change_words, left_sentences, misfit_sentence
 from skincal.words.link_words import STREAM_NAMES, link_verdict_words, silent_links
@@ -216,10 +216,10 @@ def test_a_right_frame_is_said_to_be_and_errors_of_the_rig_are_named():
         (FrameCorrection(np.diag([1.0, 1.0, -1.0])[[2, 0, 1]]), approved("sensor_frame.axes_order", order="-z, x, y")),
         (FrameCorrection(moment_scale=1e-3), approved("sensor_frame.moments_in_nmm")),
         (FrameCorrection(moment_scale=1e-2), approved("sensor_frame.moments_in_ncm")),
-        (FrameCorrection(moment_scale=GRAVITY), approved("sensor_frame.moments_in_kgfm")),
-        (FrameCorrection(force_scale=GRAVITY), approved("sensor_frame.forces_in_kgf")),
+        (FrameCorrection(moment_scale=STANDARD_GRAVITY), approved("sensor_frame.moments_in_kgfm")),
+        (FrameCorrection(force_scale=STANDARD_GRAVITY), approved("sensor_frame.forces_in_kgf")),
         (
-            FrameCorrection(-np.eye(3), GRAVITY),
+            FrameCorrection(-np.eye(3), STANDARD_GRAVITY),
             approved("sensor_frame.reaction_and_force_unit"),
         ),
     ],

@@ -84,7 +84,7 @@ class Importer:
         return getattr(import_module(f"skincal.files.importers.{self.module}"), name)
 
 
-IMPORTERS = (
+RECORDING_IMPORTERS = (
     Importer(
         "csv",
         "CSV tables",
@@ -113,14 +113,14 @@ IMPORTERS = (
 
 def importer_of(path: Path) -> Importer:
     """Choose the importer of a file or folder by its name, or by the files in it; `yarp` if nothing tells."""
-    named = (each for each in IMPORTERS if path.suffix.lower() in each.suffixes)
-    marked = (each for each in IMPORTERS if each.marker and (path / each.marker).is_file())
-    return next(named, None) or next(marked, IMPORTERS[-1])
+    named = (each for each in RECORDING_IMPORTERS if path.suffix.lower() in each.suffixes)
+    marked = (each for each in RECORDING_IMPORTERS if each.marker and (path / each.marker).is_file())
+    return next(named, None) or next(marked, RECORDING_IMPORTERS[-1])
 
 
 def find_recordings(folder: Path) -> list[Path]:
     """List the recordings in a folder, no deeper than two folders, since it may be a whole disk: folders first, else files."""
-    for each in (each for each in IMPORTERS if each.marker):
+    for each in (each for each in RECORDING_IMPORTERS if each.marker):
         # Recordings of single streams are in one folder.
         inside = (folder / each.marker).is_file()
         if inside and not each.one_stream:
@@ -128,7 +128,7 @@ def find_recordings(folder: Path) -> list[Path]:
         start, patterns = (folder.parent, ("*/",)) if inside else (folder, ("*/", "*/*/"))
         if found := sorted({path.parent for pattern in patterns for path in start.glob(pattern + each.marker)}):
             return found
-    suffixes = {suffix for each in IMPORTERS if not each.marker for suffix in each.suffixes}
+    suffixes = {suffix for each in RECORDING_IMPORTERS if not each.marker for suffix in each.suffixes}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
 
 
@@ -136,4 +136,4 @@ def is_recording(path: Path) -> bool:
     """Return whether a path is named like a recording, or is a folder with some."""
     if path.is_dir():
         return bool(find_recordings(path))
-    return path.is_file() and any(path.suffix.lower() in each.suffixes for each in IMPORTERS)
+    return path.is_file() and any(path.suffix.lower() in each.suffixes for each in RECORDING_IMPORTERS)

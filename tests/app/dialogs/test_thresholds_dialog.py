@@ -16,7 +16,7 @@ from skincal.contacts.thresholds import ThresholdUse
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.session.replay import load, replay
-from skincal.words.threshold_words import WORDS, objections, shown_value, typed_value, use_words
+from skincal.words.threshold_words import THRESHOLD_WORDS, objections, shown_value, typed_value, use_words
 from tests.app.test_commands import dialog_of, tap
 from tests.app.window_support import changed, pixels
 from tests.approved import approved
@@ -45,8 +45,8 @@ def type_into(bench, dialog, name, text) -> None:
 
 def test_each_threshold_has_its_words_and_its_value_comes_back():
     settings = ContactSettings()
-    assert set(WORDS) == {item.name for item in fields(ContactSettings)}
-    for name in WORDS:
+    assert set(THRESHOLD_WORDS) == {item.name for item in fields(ContactSettings)}
+    for name in THRESHOLD_WORDS:
         value = getattr(settings, name)
         assert typed_value(name, shown_value(name, value)) == value
     assert shown_value("pitch_max", 0.008) == "8"
@@ -55,7 +55,7 @@ def test_each_threshold_has_its_words_and_its_value_comes_back():
 
 
 def test_values_that_no_rig_has_are_refused_at_their_field():
-    good = {name: float(getattr(ContactSettings(), name)) for name in WORDS}
+    good = {name: float(getattr(ContactSettings(), name)) for name in THRESHOLD_WORDS}
     assert objections(good) == {}
     for name, value, sentence in (
         ("slide_max", -0.001, approved("thresholds.above", unit="in mm")),

@@ -12,7 +12,7 @@ import pytest
 
 from skincal.cli import main
 from skincal.cli.record import POKES_MOST, OrderLine, _handle_item, find_scene
-from skincal.files.importers.registry import IMPORTERS
+from skincal.files.importers.registry import RECORDING_IMPORTERS
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.session.importing import new_session
@@ -389,7 +389,7 @@ def test_the_part_is_written_to_the_icub_file(run, session, tmp_path):
 
 COMMANDS = [
     "", "solve", "export", "apply", "compare", "report", "devices", "watch", "landmarks", "record", "simulate", "import",
-    *(f"import {each.name}" for each in IMPORTERS), "study", *(f"study {name}" for name in STUDIES),
+    *(f"import {each.name}" for each in RECORDING_IMPORTERS), "study", *(f"study {name}" for name in STUDIES),
 ]  # fmt: skip
 
 

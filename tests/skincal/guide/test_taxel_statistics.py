@@ -210,5 +210,5 @@ def test_an_uncertain_depth_wants_tilt_and_on_a_surface_none():
     information = np.tile(np.diag([1e6, 1e6, 1e4]), (25, 1, 1))
     free, held = (candidates.predict_gains(state(information, flat), np.array([12]), NOISE, 0.0)[0] for flat in (False, True))
     assert free[0] < 0.2 * free.max()
-    assert free.argmax() > candidates.AZIMUTHS, "the largest tilt"
+    assert free.argmax() > candidates.TRIED_AZIMUTHS, "the largest tilt"
     assert held[0] > 0.95 * held.max()

@@ -9,7 +9,7 @@ import pytest
 from skincal.modules.pose import rotations
 from skincal.rig.correction import FRAME, RIG, Correction, RigPrior
 from skincal.rig.correction_fit import RigAnswer
-from skincal.rig.frame_check import GRAVITY, FrameCorrection, diagnose, frame_correction
+from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, diagnose, frame_correction
 from skincal.session.corrections import offered
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.simulate.contacts import poke_landmarks
@@ -64,7 +64,7 @@ def said_right(trial):
         lambda poke: poke,
         lambda contact: replace(contact, force=axes.T @ contact.force, moment=axes.T @ contact.moment),
         lambda contact: replace(contact, moment=1e3 * contact.moment),
-        lambda contact: replace(contact, force=contact.force / GRAVITY),
+        lambda contact: replace(contact, force=contact.force / STANDARD_GRAVITY),
         lambda contact: replace(contact, link_from_sensor=contact.link_from_sensor @ motion),
     )[kind]
     said = diagnose([change(poke) for poke in pokes], normals)
@@ -73,7 +73,7 @@ def said_right(trial):
         said.right,
         np.array_equal(said.correction.axes, axes) and said.correction.moment_scale == 1.0,
         plain and said.correction.moment_scale == 1e-3 and "newton millimetres" in frame_sentence(said),
-        plain and said.correction.force_scale == GRAVITY and "kilogram-force" in frame_sentence(said),
+        plain and said.correction.force_scale == STANDARD_GRAVITY and "kilogram-force" in frame_sentence(said),
         not np.array_equal(said.correction.motion, np.eye(4)) and said.corrected_miss < said.miss,
     )[kind]
 
