@@ -18,7 +18,13 @@ from packaging.requirements import Requirement
 CHECKOUT = Path(__file__).resolve().parent.parent
 LOCKS = ("requirements.lock", "requirements-dev.lock")
 LINES_MAX = 900
-PACKAGE_OF = {"bota_driver": "bota-driver", "serial": "pyserial", "PySide6": "PySide6-Essentials", "vtkmodules": "vtk"}
+PACKAGE_OF = {
+    "bota_driver": "bota-driver",
+    "PIL": "pillow",
+    "PySide6": "PySide6-Essentials",
+    "serial": "pyserial",
+    "vtkmodules": "vtk",
+}
 """Where the name that is imported is not the name that is installed."""
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 PLATFORMS = ("linux", "win32", "darwin")

@@ -118,9 +118,9 @@ def test_the_window_and_what_it_starts_run_nothing_of_the_working_folder(poisone
     command = (sys.executable, CHECKOUT / "start.py", "--scene", "flat-patch")
     window = subprocess.Popen(command, cwd=poisoned, env=env, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + LIMIT_S
-    while not list(own.glob("skincal-*/session/segment-*.mcap")) and window.poll() is None and time.monotonic() < end:
+    while not list(own.rglob("segment-*.mcap")) and window.poll() is None and time.monotonic() < end:
         time.sleep(0.1)
-    recorded = list(own.glob("skincal-*/session/segment-*.mcap"))
+    recorded = list(own.rglob("segment-*.mcap"))
     window.terminate()
     _, said = window.communicate(timeout=LIMIT_S)
     assert recorded, said

@@ -88,7 +88,7 @@ def end(child: subprocess.Popen[str]) -> str:
 
 
 def killed_in_a_row(folder: Path, kills: int, seed: int) -> int:
-    """Record, kill, go on, kill, ..., at random instants; return the accepted pokes, all of which must be kept."""
+    """Record, kill, go on, kill, ..., at random instants after the first poke; return the number of accepted pokes, all kept."""
     rng, told = random.Random(seed), []
     with second_opener(folder / "s"):
         for turn in range(kills):
@@ -96,6 +96,7 @@ def killed_in_a_row(folder: Path, kills: int, seed: int) -> int:
             if turn == 0:
                 assert child.stdout is not None
                 assert child.stdout.readline() == "open\n"
+                told.append(child.stdout.readline().rstrip("\n"))
             time.sleep(rng.uniform(0.0, 0.8))
             lines = end(child).splitlines(keepends=True)
             # A torn line is of a poke that nobody was told of.
