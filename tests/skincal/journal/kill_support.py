@@ -88,7 +88,7 @@ def end(child: subprocess.Popen[str]) -> str:
 
 
 def killed_in_a_row(folder: Path, kills: int, seed: int) -> int:
-    """Record, kill, go on, kill, ..., at random instants after the first poke; return the number of accepted pokes, all kept."""
+    """Record, kill, go on, kill, ..., at random instants after the first poke; return the number of accepted pokes."""
     rng, told = random.Random(seed), []
     with second_opener(folder / "s"):
         for turn in range(kills):
