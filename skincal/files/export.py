@@ -280,7 +280,7 @@ LANDMARK_KEYS = {
 }  # fmt: skip
 ERROR_KEYS = {"mean": "mean_m", "worst": "worst_m", "whole": "whole_skin_m", "among": "among_taxels_m"}
 CLOSING_KEYS = {
-    "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "moved": "moved",
+    "after": "after_poke", "names": "places", "shift": "shift_m", "limit": "limit_m", "chance": "chance", "has_moved": "moved",
     "observable_directions": "directions_seen", "chance_without_worst": "chance_without_poke",
     "poke": "poke_left_out", "place": "place_left_out",
 }  # fmt: skip

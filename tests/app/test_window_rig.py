@@ -249,7 +249,7 @@ def test_painting_changes_nothing_of_the_session(poked, monkeypatch):
         (pipeline, ("feed", "act", "apply_note", "begin_segment")),
         (pipeline.session, ("act", "add", "set_detected_dead", "finalize_outcomes")),
         (view.guided.guide, ("next_target", "skip")),
-        (view.guided.errors, ("follow", "choose")),
+        (view.guided.errors, ("update", "choose")),
         (bench.controller, ("act", "publish_again", "tick", "pause", "resume")),
     ):
         for name in names:

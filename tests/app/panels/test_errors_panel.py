@@ -242,7 +242,7 @@ def test_a_taxel_estimated_at_its_known_position_has_no_error():
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     calls: list[str] = []
-    for owner, name in ((ErrorCourse, "update"), (ErrorCourse, "series"), (ErrorCourse, "work"), (ErrorFollower, "follow")):
+    for owner, name in ((ErrorCourse, "update"), (ErrorCourse, "series"), (ErrorCourse, "work"), (ErrorFollower, "update")):
         real = getattr(owner, name)
         monkeypatch.setattr(owner, name, lambda *args, real=real, name=name: calls.append(name) or real(*args))
     bench.open_served("flat-patch")
