@@ -109,7 +109,7 @@ def test_ten_minutes_at_full_rate_lose_nothing_and_stay_flat():
         try:
             named = json.loads(robot.stdout.readline())
             options = [word for stream, address in named.items() for word in (f"--{stream}", address)]
-            bench = [sys.executable, "-m", "tools.window_bench", "--json", "--scene", SCENE, *options]
+            bench = [sys.executable, "-m", "tests.benchmarks.window_bench", "--json", "--scene", SCENE, *options]
             seconds = str(MINUTES * 60 + AFTER_S)
             done = subprocess.run([*bench, "--seconds", seconds], cwd=CHECKOUT, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stderr

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tools.window_bench import percentile, table
+from tests.benchmarks.window_bench import percentile, table
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -18,7 +18,7 @@ def test_a_percentile_is_one_of_the_values():
 
 
 def test_the_window_is_measured():
-    command = [sys.executable, "-m", "tools.window_bench", "--seconds", "14", "--scene", "flat-patch", "--json"]
+    command = [sys.executable, "-m", "tests.benchmarks.window_bench", "--seconds", "14", "--scene", "flat-patch", "--json"]
     done = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT, timeout=100)
     result = json.loads(done.stdout)
     assert 0.0 < result["first_paint_s"] < 60.0

@@ -1,18 +1,17 @@
-"""The window's live figures: `python -m tools.window_bench --seconds 30`.
+"""Measure the window's live figures: `python -m tests.benchmarks.window_bench --seconds 30`.
 
-Opens the real window on the display there is (or under `xvfb-run -a -s "-screen 0 1600x1000x24"`), lets the simulated rig
-that ships poke, and measures, without changing anything that the window does:
+Opens the real window on the present display (or under `xvfb-run -a -s "-screen 0 1600x1000x24"`) and lets the shipped simulated
+rig poke. The window itself is unchanged. Measured are:
 
-- first paint and first 3D picture, from the start of this program;
-- pictures of the 3D view a second while the tool presses;
-- from the arrival of the reading that ends a poke to the end of the picture that shows its outcome;
-- from the arrival of the reading that fills a poke's still window to the first sample of its sound in the hands of the sound
-  device; where there is none, of the library's own that nobody hears;
-- how long the window does not answer: the lateness of a timer of 5 ms; and what of it its own thread works, by processor
-  time, which other programs on the machine do not change;
-- how much memory the program takes, each ten seconds, on Linux; and what each link brought and lost.
+- the first paint and the first 3D picture, from the start of this program;
+- 3D pictures a second while the tool presses;
+- the time from the reading that ends a poke to the end of the paint that shows its outcome;
+- the time from the reading that fills a poke's still window to the first sample of its sound at the sound device, or at the
+  sound library's null device;
+- stalls: the lateness of a 5 ms timer, and the processor time of the window's thread in it, which other programs do not change;
+- the program's memory each ten seconds (Linux only), and the readings and losses of each link.
 
-With `--wrench`, `--skin` and `--joints` the devices are those at these addresses, and not the simulated rig.
+`--wrench`, `--skin` and `--joints` give addresses of real devices.
 """
 
 # ruff: noqa: E402 - what the imports take is part of what is measured.
@@ -21,7 +20,7 @@ from __future__ import annotations
 
 import time
 
-STARTED = time.monotonic()
+START_TIME = time.monotonic()
 
 import argparse
 import json
@@ -44,19 +43,19 @@ if TYPE_CHECKING:
     from app.window import Window
 
 Call: TypeAlias = Callable[..., Any]
-SIZE = (1280, 720)
-BEAT_MS = 5
-SETTLED_S = 5.0
-"""s. Stalls from here on are those of work; before, those of start-up."""
-LONG_S = 0.1
-"""s. A stall that a person sees."""
-MEMORY_MS = 10_000
-SHORT_S = 0.3
-"""s. Pressing that is shorter is no measure of pictures a second."""
+WINDOW_SIZE_PX = (1280, 720)
+TIMER_MS = 5
+START_UP_S = 5.0
+"""s. Earlier stalls belong to start-up."""
+VISIBLE_STALL_S = 0.1
+"""s. People see a longer stall."""
+MEMORY_INTERVAL_MS = 10_000
+MIN_PRESS_S = 0.3
+"""s. Shorter presses are not used for the picture rate."""
 
 
 class Measure(QObject):
-    """Times of what happens to a window."""
+    """Time measurements of one window."""
 
     def __init__(self, window: Window, sounds: Sounds) -> None:
         super().__init__()
@@ -67,26 +66,26 @@ class Measure(QObject):
         self.presses: list[tuple[float, float]] = []
         self.latencies: list[float] = []
         self.stalls: list[tuple[float, float, float]] = []
-        """When, how late, and for how much work of the window's thread."""
+        """Time, lateness and processor time of the window's thread, s."""
         self._canvas: QWidget | None = None
         self._pressing_since: float | None = None
         self._released: list[tuple[int, float]] = []
-        """Number and time of each poke that ended and is not shown yet."""
+        """Number and end time of each poke that is not shown yet."""
         self.sounds = sounds
-        self._last_beat, self._worked = time.monotonic(), time.thread_time()
-        self._beat = QTimer(self)
-        self._beat.setInterval(BEAT_MS)
-        self._beat.timeout.connect(self._take_beat)
-        self._beat.start()
+        self._last_timer, self._worked = time.monotonic(), time.thread_time()
+        self._timer = QTimer(self)
+        self._timer.setInterval(TIMER_MS)
+        self._timer.timeout.connect(self._on_timer)
+        self._timer.start()
         self.memory: list[tuple[float, float]] = []
-        """When, s, and how much, MB."""
-        self._look = QTimer(self)
-        self._look.timeout.connect(self._take_memory)
-        self._look.start(MEMORY_MS)
+        """Time, s, and memory, MB."""
+        self._memory_timer = QTimer(self)
+        self._memory_timer.timeout.connect(self._record_memory)
+        self._memory_timer.start(MEMORY_INTERVAL_MS)
         window.installEventFilter(self)
 
     def watch(self) -> bool:
-        """Watch the session and the 3D view; return whether both are there."""
+        """Start to measure the session and the 3D view; return False if they do not exist yet."""
         session_view = self.window.session_view
         if session_view is None or not session_view.workspace.view.list_layers():
             return False
@@ -97,27 +96,27 @@ class Measure(QObject):
         assert canvas is not None
         self._canvas = canvas
         canvas.installEventFilter(self)
-        around(Pipeline, "feed", self._feed)
+        wrap_method(Pipeline, "feed", self._feed)
         self.sounds.watch(Pipeline)
         session_view.workspace.view.update()
         session_view.workspace.show_tab("Readings")
         return True
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Paint, and take the time at which it is done."""
+        """Let the widget paint, and note the time of its end."""
         if event.type() is not QEvent.Type.Paint:
             return False
-        # Handled here, and then taken from Qt: so the time after it is the end of the painting.
+        # Returning True tells Qt that the event is done.
         watched.event(event)
         if watched is self._canvas:
             self._painted()
         else:
-            self.first_paint = time.monotonic() - STARTED
+            self.first_paint = time.monotonic() - START_TIME
             watched.removeEventFilter(self)
         return True
 
-    def take(self, tick: Tick) -> None:
-        """Take a moment of the session: whether the tool presses."""
+    def on_tick(self, tick: Tick) -> None:
+        """Note when the tool starts and stops pressing."""
         from skincal.guide.press_coaching import PRESSING_PHASES
 
         now = time.monotonic()
@@ -138,29 +137,29 @@ class Measure(QObject):
     def _painted(self) -> None:
         now = time.monotonic()
         if not self.pictures:
-            self.first_picture = now - STARTED
+            self.first_picture = now - START_TIME
         self.pictures.append(now)
         shown = self._shown_poke()
         self.latencies += [now - ended for poke, ended in self._released if poke <= shown]
         self._released[:] = [(poke, ended) for poke, ended in self._released if poke > shown]
 
     def _shown_poke(self) -> int:
-        """Return the newest poke of the state that is painted; the target in it is the one after that poke."""
+        """Return the number of the newest poke in the painted state."""
         state = None if self.window.session_view is None else self.window.session_view.state
         return state.snapshot.pokes[-1].outcome.poke if state is not None and state.snapshot.pokes else 0
 
-    def _take_beat(self) -> None:
+    def _on_timer(self) -> None:
         now, worked = time.monotonic(), time.thread_time()
-        self.stalls.append((now - STARTED, now - self._last_beat - BEAT_MS * 1e-3, worked - self._worked))
-        self._last_beat, self._worked = now, worked
+        self.stalls.append((now - START_TIME, now - self._last_timer - TIMER_MS * 1e-3, worked - self._worked))
+        self._last_timer, self._worked = now, worked
 
-    def _take_memory(self) -> None:
+    def _record_memory(self) -> None:
         held = memory_mb()
         if held is not None:
-            self.memory.append((time.monotonic() - STARTED, held))
+            self.memory.append((time.monotonic() - START_TIME, held))
 
     def _links(self) -> dict[str, Any]:
-        """Return readings and losses of each link, as the window's newest state has them."""
+        """Return readings and losses of each link."""
         view = self.window.session_view
         state = None if view is None else view.state
         links = () if state is None else state.live.links
@@ -173,12 +172,12 @@ class Measure(QObject):
         }
 
     def result(self) -> dict[str, Any]:
-        """Return the figures: seconds, and pictures a second."""
-        self._beat.stop()
-        long_enough = [(a, b) for a, b in self.presses if b - a >= SHORT_S]
+        """Return the figures, seconds and pictures per second."""
+        self._timer.stop()
+        long_enough = [(a, b) for a, b in self.presses if b - a >= MIN_PRESS_S]
         shown = sum(sum(a <= t <= b for t in self.pictures) for a, b in long_enough)
         pressed = sum(b - a for a, b in long_enough)
-        early, later = ([s for s in self.stalls if (s[0] >= SETTLED_S) is settled] for settled in (False, True))
+        early, later = ([s for s in self.stalls if (s[0] >= START_UP_S) is settled] for settled in (False, True))
         return {
             "first_paint_s": self.first_paint,
             "first_picture_s": self.first_picture,
@@ -197,11 +196,11 @@ class Measure(QObject):
             "longest_work_starting_s": max((work for _, _, work in early), default=None),
             "longest_stall_s": max((late for _, late, _ in later), default=None),
             "longest_work_s": max((work for _, _, work in later), default=None),
-            "stalls_above_100_ms": sum(late > LONG_S for _, late, _ in later),
+            "stalls_above_100_ms": sum(late > VISIBLE_STALL_S for _, late, _ in later),
             "memory_mb": self.memory,
             "links": self._links(),
             "load_average": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-            "cpu_share": time.process_time() / (time.monotonic() - STARTED),
+            "cpu_share": time.process_time() / (time.monotonic() - START_TIME),
         }
 
 
@@ -212,14 +211,14 @@ class Sounds:
         self.latencies: list[float] = []
         self.device: str | None = None
         self._full = False
-        """The still window was filled in this call of the pipeline."""
+        """The present call of the pipeline filled the still window."""
         self._since: float | None = None
-        """When the reading came that filled it, until its sound is on its way."""
+        """Time of the reading that filled it, until the sound is requested."""
         self._asked: float | None = None
-        """The same, while the sound is on its way."""
+        """The same, until the sound begins."""
 
     def open(self) -> Output:
-        """Open the sound device, or one that nobody hears where there is none."""
+        """Open the sound device, or the library's null device."""
         from app.sound.player import NoSoundError, open_output
 
         try:
@@ -230,14 +229,14 @@ class Sounds:
         return output
 
     def watch(self, pipeline: type[Any]) -> None:
-        """Watch the pipeline of the readings, the press on it, and the player."""
+        """Measure calls of the pipeline, its press and the player."""
         from app.sound.player import Line, Player
         from skincal.contacts.press import Press
 
-        around(Press, "add", self._add)
-        around(pipeline, "feed", self._feed)
-        around(Player, "play", self._play)
-        around(Line, "take", self._take)
+        wrap_method(Press, "add", self._add)
+        wrap_method(pipeline, "feed", self._feed)
+        wrap_method(Player, "play", self._play)
+        wrap_method(Line, "take", self._on_sound_read)
 
     def _add(self, call: Call, press: Any, *arguments: Any) -> None:
         before = press.may_release
@@ -255,7 +254,7 @@ class Sounds:
             self._asked, self._since = self._since, None
         call(player, sound, word)
 
-    def _take(self, call: Call, line: Any, frames: int) -> bytes:
+    def _on_sound_read(self, call: Call, line: Any, frames: int) -> bytes:
         begins = not line.taken
         part = call(line, frames)
         if begins and part and self._asked is not None:
@@ -264,14 +263,14 @@ class Sounds:
         return part
 
 
-def around(kind: type[Any], name: str, see: Callable[..., Any]) -> None:
-    """Let every call of a method go through `see`, which gets the method and what it is called with."""
+def wrap_method(kind: type[Any], name: str, see: Callable[..., Any]) -> None:
+    """Replace a method by `see`, which receives the original method and its arguments."""
     call = getattr(kind, name)
     setattr(kind, name, lambda its, *arguments: see(call, its, *arguments))
 
 
 def memory_mb() -> float | None:
-    """Return how much memory this process holds; None where the system does not say."""
+    """Return the memory of this process; `None` except on Linux."""
     try:
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     except OSError:
@@ -280,13 +279,13 @@ def memory_mb() -> float | None:
 
 
 def percentile(values: list[float], share: float) -> float | None:
-    """Return the value that `share` percent do not exceed; None of nothing."""
+    """Return a percentile, one of the values; `None` for an empty list."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(len(ordered) * share / 100))] if ordered else None
 
 
 def measure(seconds: float, scene: Path | None, addresses: Sequence[str] = ()) -> dict[str, Any]:
-    """Run the window for so long and return its figures."""
+    """Run the window for `seconds` and return its figures."""
     from app.run import run_window
     from app.session.opening import Addresses, OpenRequest, find_scene, server_command
     from app.sound.player import Player
@@ -298,9 +297,9 @@ def measure(seconds: float, scene: Path | None, addresses: Sequence[str] = ()) -
 
     def attach() -> None:
         window = next(widget for widget in QApplication.topLevelWidgets() if isinstance(widget, Window))
-        window.resize(*SIZE)
+        window.resize(*WINDOW_SIZE_PX)
         measured = Measure(window, sounds)
-        window.controller.ticked.connect(measured.take)
+        window.controller.ticked.connect(measured.on_tick)
         watching.timeout.connect(lambda: measured.watch() and watching.stop())
         watching.start()
         QTimer.singleShot(round(seconds * 1e3), lambda: end(measured))
@@ -318,7 +317,7 @@ def measure(seconds: float, scene: Path | None, addresses: Sequence[str] = ()) -
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the figures as lines for a person: times in milliseconds."""
+    """Format the figures as lines, times in milliseconds."""
 
     def words(name: str, value: object) -> str:
         if isinstance(value, float):
@@ -339,10 +338,10 @@ def main() -> int:
     options = parser.parse_args()
     reason = no_display() or objection()
     if reason:
-        print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tools.window_bench', file=sys.stderr)
+        print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tests.benchmarks.window_bench', file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as folder:
-        # The operator's own settings and log stay as they are.
+        # Keeps the user's own settings and log unchanged.
         QStandardPaths.setTestModeEnabled(True)
         QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
         result = measure(options.seconds, options.scene, (options.wrench, options.skin, options.joints))
