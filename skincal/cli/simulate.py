@@ -128,7 +128,7 @@ def simulate(
     rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
-    settings = DeviceSettings(speakers=_speakers(speak_as, loaded), flicker=SERVED_NOISE_NM)
+    settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_NOISE_NM)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})

@@ -1,4 +1,4 @@
-"""The ends of the links of makers' devices: TCP with a talk, UDP with its page, a pseudo-terminal that hears commands."""
+"""Device ends of the links of makers' devices: TCP with a dialogue, UDP with a web page, pseudo-terminals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from skincal.model.readings import Stream
 from skincal.simulate.emulated_devices import (
-    DeviceTalk,
     NameTalk,
     PageTalk,
     PlainTalk,
@@ -23,26 +22,32 @@ from skincal.simulate.emulated_devices import (
 )
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
 
-RDT_RECORD = 36
+RDT_RECORD_BYTES = 36
+YARP_PORTS = {
+    Stream.WRENCH: "/icub/right_arm/analog:o",
+    Stream.SKIN: "/icub/skin/right_forearm",
+    Stream.JOINTS: "/icub/right_arm/state:o",
+}
 
 
 class TalkOutlet(TcpOutlet):
-    """A TCP port where each host is talked to, and gets readings once it asked for them."""
+    """A TCP port with a dialogue for each host.
 
-    def __init__(self, talk: Callable[[], DeviceTalk], form: str) -> None:
-        """Take who talks to a host, and the address around the port's number."""
+    `form` is the address, with {} for the port's number.
+    """
+
+    def __init__(self, talk: Callable[[], PlainTalk], form: str) -> None:
         super().__init__()
         self._talk = talk
-        self._talks: dict[socket.socket, DeviceTalk] = {}
+        self._talks: dict[socket.socket, PlainTalk] = {}
         self.port: int = self._server.getsockname()[1]
         self.address = form.format(self.port)
 
     def poll(self) -> tuple[bool, bytes]:
-        """Talk to every host; what they said is nobody else's affair."""
         super().poll()
         self.write(b"")
         for client, talk in list(self._talks.items()):
-            if talk.over and not self._clients.get(client):
+            if talk.closing and not self._clients.get(client):
                 self._drop(client)
         return False, b""
 
@@ -50,12 +55,12 @@ class TalkOutlet(TcpOutlet):
         data = super()._read(client)
         if data:
             talk = self._talks.setdefault(client, self._talk())
-            self._clients[client] += talk.hear(data)
+            self._clients[client] += talk.on_request(data)
         return data
 
     def _share(self, client: socket.socket, data: bytes) -> bytes:
         talk = self._talks.setdefault(client, self._talk())
-        return talk.wrap(data) if data and talk.ready else b""
+        return talk.frame(data) if data and talk.ready else b""
 
     def _drop(self, client: socket.socket) -> None:
         self._talks.pop(client, None)
@@ -63,32 +68,28 @@ class TalkOutlet(TcpOutlet):
 
 
 class YarpOutlet(TalkOutlet):
-    """A port of a YARP network, and its part in the name server and the skinManager that all of them share."""
+    """A port of a YARP network. It also runs the network's name server and skinManager."""
 
     def __init__(self, stream: Stream, names: dict[str, int], shared: tuple[TalkOutlet, TalkOutlet]) -> None:
         super().__init__(lambda: YarpTalk(self.port), "{}")
         self._shared = shared
-        name = {Stream.WRENCH: "/icub/right_arm/analog:o", Stream.SKIN: "/icub/skin/right_forearm"}.get(
-            stream, "/icub/right_arm/state:o"
-        )
+        name = YARP_PORTS[stream]
         names[name] = self.port
         self.address = f"yarp://127.0.0.1:{shared[0].port}{name}"
 
     def poll(self) -> tuple[bool, bytes]:
-        """See `TalkOutlet`."""
         for outlet in self._shared:
             outlet.poll()
         return super().poll()
 
     def close(self) -> None:
-        """See `TalkOutlet`."""
         for outlet in self._shared:
             outlet.close()
         super().close()
 
 
 class RdtOutlet:
-    """A Net F/T: UDP records to the last host that asked, and the page with the counts."""
+    """A Net F/T: UDP records to the newest host, and its web page."""
 
     def __init__(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -99,9 +100,8 @@ class RdtOutlet:
         self.address = f"netft://127.0.0.1:{self._socket.getsockname()[1]}?page={self._page.port}"
 
     def poll(self) -> tuple[bool, bytes]:
-        """Take requests: a second host steals the stream."""
         self._page.poll()
-        # A host that has left is reported as an error of the next call; that is no affair of the sensor's.
+        # The system reports a host that left as an error of the next call.
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while True:
                 data, host = self._socket.recvfrom(64)
@@ -111,20 +111,18 @@ class RdtOutlet:
         return False, b""
 
     def write(self, data: bytes) -> None:
-        """Send each record as a datagram."""
-        for at in range(0, len(data), RDT_RECORD):
+        for at in range(0, len(data), RDT_RECORD_BYTES):
             if self._host is not None:
                 with contextlib.suppress(BlockingIOError, ConnectionError):
-                    self._socket.sendto(data[at : at + RDT_RECORD], self._host)
+                    self._socket.sendto(data[at : at + RDT_RECORD_BYTES], self._host)
 
     def close(self) -> None:
-        """Switch the sensor off."""
         self._page.close()
         self._socket.close()
 
 
 class RobotiqOutlet(PtyOutlet):
-    """An FT 300 at its adapter: silent until it is started."""
+    """An FT 300 at its serial adapter, silent until the host starts it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,7 +130,6 @@ class RobotiqOutlet(PtyOutlet):
         self._streams = False
 
     def poll(self) -> tuple[bool, bytes]:
-        """Start and stop as told."""
         _, said = super().poll()
         if b"\xff" * 50 in said:
             self._streams = False
@@ -142,16 +139,14 @@ class RobotiqOutlet(PtyOutlet):
         return False, b""
 
     def write(self, data: bytes) -> None:
-        """Send only what a started sensor does."""
         if self._streams:
             super().write(data)
 
 
 class SilentPtyOutlet(PtyOutlet):
-    """A serial device that hears nothing, or commands that change nothing here."""
+    """A serial device that ignores commands."""
 
     def poll(self) -> tuple[bool, bytes]:
-        """See `PtyOutlet`."""
         came, _ = super().poll()
         return came, b""
 
@@ -160,7 +155,7 @@ MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RobotiqOutlet | SilentPtyOutle
 
 
 class SkinManagerOutlet(TalkOutlet):
-    """The RPC port of a skinManager that has no positions yet."""
+    """The RPC port of a skinManager without positions."""
 
     def __init__(self, channels: int) -> None:
         self.poses = np.zeros((channels, 7))
@@ -168,11 +163,9 @@ class SkinManagerOutlet(TalkOutlet):
 
 
 class MakerOutlets:
-    """Opens the outlets of one rig's devices; ports of a YARP network share one name server.
+    """Opens the outlets of one rig's devices. All ports of a YARP network share a name server and a skinManager.
 
-    Parameters
-    ----------
-    channels : of the skin, for the skinManager in that network
+    `channels` is the skin's width, for the skinManager.
     """
 
     def __init__(self, channels: int) -> None:
@@ -181,22 +174,24 @@ class MakerOutlets:
         self._shared: tuple[TalkOutlet, TalkOutlet] | None = None
 
     def open(self, maker: str, stream: Stream, *, tcp: bool) -> MakerOutlet:
-        """Return the outlet of a maker's device; with `tcp` serial devices are behind a TCP port, too."""
-        if maker == "yarp":
-            if self._shared is None:
-                manager = SkinManagerOutlet(self._channels)
-                self._shared = TalkOutlet(lambda: NameTalk(self._names), "{}"), manager
-                self._names["/skinManager/rpc"] = manager.port
-            return YarpOutlet(stream, self._names, self._shared)
-        if maker == "netft":
-            return RdtOutlet()
-        talks: dict[str, tuple[Callable[[], DeviceTalk], str]] = {
-            "rtde": (lambda: RtdeTalk(b"actual_q" if stream is Stream.JOINTS else b"ft_raw_wrench"), "rtde://127.0.0.1:{}"),
-            "xela": (XelaTalk, "xela://127.0.0.1:{}"),
-            "robotiq-text": (PlainTalk, "robotiq://127.0.0.1:{}"),
-        }
-        if maker in talks:
-            return TalkOutlet(*talks[maker])
-        if tcp:
-            return TalkOutlet(PlainTalk, "socket://127.0.0.1:{}")
-        return RobotiqOutlet() if maker == "robotiq" else SilentPtyOutlet()
+        """Open the outlet of a maker's device; with `tcp`, serial devices get a TCP port, too."""
+        match maker:
+            case "yarp":
+                if self._shared is None:
+                    manager = SkinManagerOutlet(self._channels)
+                    self._shared = TalkOutlet(lambda: NameTalk(self._names), "{}"), manager
+                    self._names["/skinManager/rpc"] = manager.port
+                return YarpOutlet(stream, self._names, self._shared)
+            case "netft":
+                return RdtOutlet()
+            case "rtde":
+                field = b"actual_q" if stream is Stream.JOINTS else b"ft_raw_wrench"
+                return TalkOutlet(lambda: RtdeTalk(field), "rtde://127.0.0.1:{}")
+            case "xela":
+                return TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")
+            case "robotiq-text":
+                return TalkOutlet(PlainTalk, "robotiq://127.0.0.1:{}")
+            case _ if tcp:
+                return TalkOutlet(PlainTalk, "socket://127.0.0.1:{}")
+            case _:
+                return RobotiqOutlet() if maker == "robotiq" else SilentPtyOutlet()

@@ -298,6 +298,31 @@ def presses_at(
     return PressedPlaces(targets, points, normals, directions, forces, rng.uniform(0.0, np.pi / 2, len(rows)))
 
 
+def aimed_presses(
+    rig: Rig, rows: IntArray, places: FloatArray, pushes: FloatArray, habits: Habits, rng: np.random.Generator
+) -> PressedPlaces:
+    """Simulate a hand that aims at shown places (n, 3), metres, with unit pushes (n, 3).
+
+    Places move to the surface, or without a surface to the plane of the taxels in `rows` (n,).
+    """
+    count = len(places)
+    places, normals = _on_part(rig, rows, places)
+    e1, e2 = tangents(normals)
+    offset = habits.aim * rng.standard_normal((count, 2))
+    points, normals = _on_part(rig, rows, places + offset[:, :1] * e1 + offset[:, 1:] * e2)
+    pushes = limit_tilt(add_hand_noise(apply_bias(pushes, normals, habits), habits.hand, rng), normals, habits.cone)
+    forces, turns = rng.uniform(*habits.force, count), rng.uniform(0.0, np.pi / 2, count)
+    return PressedPlaces(rig.channels[rows], points, normals, pushes, forces, turns)
+
+
+def _on_part(rig: Rig, rows: IntArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the nearest places on the surface, or without one in the planes of taxels; and the normals there."""
+    if rig.surface is not None:
+        return _on_skin(rig, places, places)
+    normals = rig.normals[rows]
+    return places - np.sum((places - rig.places[rows]) * normals, axis=1, keepdims=True) * normals, normals
+
+
 def _on_skin(rig: Rig, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return points brought back onto the surface, and its normals there; where there is none, what is given."""
     if rig.surface is None:
@@ -522,21 +547,15 @@ class GuidedOperator(AutoOperator):
         return press(self._rig, self._aimed(self._seen), touch, at_once, self._rng)
 
     def _aimed(self, target: PokeTarget) -> PressedPlaces:
-        """Return where the hand goes that is shown a target, or that goes where it likes."""
+        """Press at a shown target, or at a taxel of the hand's own choice."""
         habits, rng = self._habits, self._rng
         if rng.uniform() < habits.ignores:
             return unguided_presses(self._rig, rng.choice(self._channels, 1), habits, rng)
-        row = self._row(target)
-        place, normal = self._on_part(row, target.place)
-        e1, e2 = tangents(normal[None])
-        beside = habits.aim * rng.standard_normal(2)
-        place, normal = self._on_part(row, place + beside[0] * e1[0] + beside[1] * e2[0])
-        meant = apply_bias(target.push[None], normal[None], habits)
-        push = limit_tilt(add_hand_noise(meant, habits.hand, rng), normal[None], habits.cone)
-        channel = self._rig.channels[row : row + 1]
-        return PressedPlaces(
-            channel, place[None], normal[None], push, rng.uniform(*habits.force, 1), rng.uniform(0.0, np.pi / 2, 1)
-        )  # fmt: skip
+        if target.channel is not None:
+            row = self._rig.row_of(target.channel)
+        else:
+            row = int(np.sum((self._rig.places - target.place) ** 2, axis=1).argmin())
+        return aimed_presses(self._rig, np.array([row]), target.place[None], target.push[None], habits, rng)
 
     def _at_point(self, target: PokeTarget) -> PressedPlaces:
         """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
@@ -550,21 +569,6 @@ class GuidedOperator(AutoOperator):
         push = limit_tilt(add_hand_noise(meant, self._habits.hand, rng), normal, firm.cone)
         nobody = np.array([-1], dtype=np.int64)
         return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
-
-    def _row(self, target: PokeTarget) -> int:
-        """Return the index of the taxel that is shown, or of the one that is nearest to the place that is."""
-        if target.channel is not None:
-            return self._rig.row_of(target.channel)
-        return int(np.sum((self._rig.places - target.place) ** 2, axis=1).argmin())
-
-    def _on_part(self, row: int, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the nearest place on the part, and its normal; where there is no surface, in the plane of a taxel."""
-        rig = self._rig
-        if rig.surface is None:
-            normal = rig.normals[row]
-            return place - ((place - rig.places[row]) @ normal) * normal, normal
-        places, triangles = nearest_points(rig.surface, place[None])
-        return places[0], rig.surface.normals[triangles[0]]
 
 
 Operator: TypeAlias = AutoOperator | ScriptedOperator

@@ -1,10 +1,7 @@
-"""Ways to poke a part, and a hand that pokes what is asked for as well as a hand can.
+"""Poking strategies and their learning curves: the error of a session after each poke.
 
-The part is the forearm that ships, whose skin lies 4 mm beside its plan as a whole. Nobody knows that: all aim at where the
-plan, laid on the surface, puts a taxel; only the guide learns from what is measured. The rig is a good one: 0.10 N and
-10 N mm a poke, 6 to 12 N, tared around every poke, in the arm pose with the sensor 0.18 m from the skin.
-
-How the error of a session falls with its pokes: one course for each way to poke, method, conditions and seed.
+The part is the shipped forearm. Its skin is 4 mm off its plan, and strategies aim at the planned taxels; only the guide learns
+from measurements. The rig is good: noise of 0.10 N and 10 N mm a poke, 6 to 12 N, tared around every poke.
 """
 
 from __future__ import annotations
@@ -20,59 +17,47 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
-from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
 from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.operator import OPERATORS, Habits, apply_bias, unguided_presses
+from skincal.simulate.operator import OPERATORS, Habits, aimed_presses, unguided_presses
 from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import PressedPlaces, Rig, add_hand_noise, limit_tilt, push_directions, tangents
+from skincal.simulate.simulated_rig import PressedPlaces, Rig, push_directions
 from skincal.taxels.result import Estimate, Method
 
-POSE = "2"
-"""Of the scene's arm poses the one whose lever is 0.18 m."""
-BESIDE = 0.004
-"""m: the skin beside its plan, as a whole; this much in two directions together."""
-FORCE = (6.0, 12.0)
-"""N, of a hand."""
+SHORT_LEVER_POSE = "2"
+"""Arm pose of the scene with a lever of 0.18 m."""
+SKIN_OFFSET_M = 0.004
+"""m, rms offset of the skin from its plan, both directions together."""
 CAREFUL = OPERATORS["careful"]
-UNKNOWN = 0.060
-"""m: what a taxel without an estimate counts: the size of the patch."""
+ERROR_IF_UNKNOWN_M = 0.060
+"""m, error of a taxel without an estimate: the size of the patch."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """How well somebody pokes on which rig."""
+    """Hand and rig of a session."""
 
-    aim: float = 0.002
-    """m, sd of the place in each direction."""
-    hand: float = float(np.radians(6.0))
-    """rad, sd of the push about the one meant, in each direction."""
-    usable: float = float(np.radians(30.0))
-    """rad: a push that leans more slides off, so the hand takes it back to this."""
-    drift: float = 0.0
-    """N rms of drift in half an hour."""
-    doubled: float = 0.0
-    """Share of the pokes that touch a second place too."""
     habits: Habits = CAREFUL
-    """Of the hand, beside these."""
+    drift: float = 0.0
+    """N rms of force drift in half an hour."""
 
     @property
     def errors(self) -> RigErrors:
-        """The rig's."""
-        beside = replace(RigErrors.noise(), mount_shift=BESIDE / float(np.sqrt(2.0)), mount_turn=0.0)
+        """Errors of the rig."""
+        displaced = replace(RigErrors.noise(), mount_shift=SKIN_OFFSET_M / float(np.sqrt(2.0)), mount_turn=0.0)
         # N m to N as the ranges of the FT45, 35 N m to 1500 N.
-        return replace(beside, drift_force=self.drift, drift_moment=self.drift * 0.024)
+        return replace(displaced, drift_force=self.drift, drift_moment=self.drift * 0.024)
 
 
 def displaced_rig(part: ExamplePart, conditions: Conditions, seed: int) -> Rig:
-    """Return a rig whose skin lies beside its plan its own way."""
+    """Return a rig whose skin has a random offset from its plan."""
     return Rig(part.scene, part.surface, conditions.errors, np.random.default_rng([seed, 7]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeantPokes:
-    """n pokes that somebody means to make."""
+    """n intended pokes, link frame."""
 
     places: FloatArray
     """(n, 3) float, metres."""
@@ -81,26 +66,15 @@ class MeantPokes:
 
 
 def poke_by_hand(
-    part: ExamplePart, rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
+    rig: Rig, meant: MeantPokes, conditions: Conditions, rng: np.random.Generator, first: int
 ) -> tuple[list[Contact], PressedPlaces]:
-    """Return the contacts that a hand makes of the pokes it means, and where they were; the first has the number `first`."""
-    count = len(meant.places)
-    on, triangles = nearest_points(part.surface, meant.places)
-    e1, e2 = tangents(part.surface.normals[triangles])
-    beside = conditions.aim * rng.standard_normal((count, 2))
-    points, triangles = nearest_points(part.surface, on + beside[:, :1] * e1 + beside[:, 1:] * e2)
-    normals = part.surface.normals[triangles]
-    meant_pushes = apply_bias(meant.pushes, normals, conditions.habits)
-    pushes = limit_tilt(add_hand_noise(meant_pushes, conditions.hand, rng), normals, conditions.usable)
-    pokes = PressedPlaces(
-        np.zeros(count, dtype=np.int64), points, normals, pushes, rng.uniform(*FORCE, count), rng.uniform(0, np.pi / 2, count)
-    )
-    habits = replace(conditions.habits, double_rate=max(conditions.doubled, conditions.habits.double_rate))
-    return simulate_contacts(rig, pokes, rng, POSE, first, habits), pokes
+    """Simulate a hand that makes the intended pokes, the first with the number `first`; return contacts and true presses."""
+    pokes = aimed_presses(rig, np.zeros(len(meant.places), dtype=np.int64), meant.places, meant.pushes, conditions.habits, rng)
+    return simulate_contacts(rig, pokes, rng, SHORT_LEVER_POSE, first, conditions.habits), pokes
 
 
-PokingWay: TypeAlias = Callable[[ExamplePart, Conditions, int, np.random.Generator], MeantPokes]
-"""Gives so many pokes."""
+PokingWay: TypeAlias = Callable[[ExamplePart, int, np.random.Generator], MeantPokes]
+"""Plans a number of pokes."""
 
 
 def _at(part: ExamplePart, rows: IntArray, tilts: FloatArray, azimuths: FloatArray) -> MeantPokes:
@@ -117,71 +91,68 @@ def _rounds(part: ExamplePart, count: int, rng: np.random.Generator) -> IntArray
     return np.concatenate([rng.permutation(taxels) for _ in range(-(-count // taxels))])[:count]
 
 
-def clumped(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke as people do who are asked for nothing: favourite places again and again, along the normal."""
-    del conditions
+def clumped(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+    """Poke favourite places again and again, along the normal, as unguided people do."""
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
 
 
-def random(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def random(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke anywhere, along the normal."""
-    del conditions
     return _straight(part, rng.integers(len(part.plan.channels), size=count))
 
 
-def round_robin(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
+def round_robin(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, along the normal."""
-    del conditions
     return _straight(part, _rounds(part, count, rng))
 
 
-def tilt_recipe(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
-    """Poke each taxel once a round, tilted, the tilt turned with each round: what can be printed on a card."""
+def tilt_recipe(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+    """Poke each taxel once a round, tilted. The direction turns each round, as a printed card can say."""
     rows = _rounds(part, count, rng)
     turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
-    return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.usable)), turns)
+    return _at(part, rows, np.full(count, RECIPE_TILT), turns)
 
 
-WAYS: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
-"""By the name in JSON."""
+STRATEGIES: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
+"""Key: name in JSON."""
 
-LOOKED_AT = 1.03
-"""A course is looked at after so many times as many pokes as before, and after every second one up to `DENSE`."""
-DENSE = 260
-ALONE = (Method.FREE, Method.SURFACE)
-"""Methods that are solved whichever is followed: the guide takes places from the surface method."""
-FALSE = 5.0 / 3.0
-"""A taxel is falsely done where its true error exceeds the wanted one this many times."""
+EVALUATION_GROWTH = 1.03
+"""Ratio of the poke numbers of successive evaluations; up to `EVALUATE_DENSELY_UNTIL` every second poke is evaluated."""
+EVALUATE_DENSELY_UNTIL = 260
+BASE_METHODS = (Method.FREE, Method.SURFACE)
+"""Methods that are always solved: the guide uses positions of the surface method."""
+FALSE_DONE_RATIO = 5.0 / 3.0
+"""A taxel is falsely done if its error exceeds the wanted error by this factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorCourse:
-    """One session's errors."""
+    """Errors of one session."""
 
     pokes: IntArray
     """(n,) ascending."""
     mean: FloatArray
-    """(n,) float, metres, over all taxels; one without an estimate counts `UNKNOWN`."""
+    """(n,) float, metres, over all taxels; one without an estimate counts `ERROR_IF_UNKNOWN_M`."""
     p95: FloatArray
     """(n,) float, metres."""
     seconds: FloatArray
-    """(n,) float, modelled: pokes, and the hand's way between them."""
+    """(n,) float, model of the time for pokes and hand movements."""
     done: int
     """Taxels that the guide calls done at the end."""
     falsely: int
-    """Of these, how many are not."""
+    """Number of these whose error is too large."""
     enough: float
-    """After how many pokes the guide had nothing more to ask for; infinite if it always had, or nobody followed it."""
+    """Poke after which the guide had no target; infinite if it always had one, or without a guide."""
     given_up: int
-    """Taxels that it had given up by then, or by the end."""
+    """Taxels that the guide had given up by then."""
 
     def mean_at(self, pokes: float) -> float:
-        """Return the mean error after so many pokes, metres, between two looks along a line."""
+        """Return the mean error after `pokes`, metres, interpolated."""
         return float(np.interp(pokes, self.pokes, self.mean))
 
     def pokes_to(self, error: float, of_p95: bool = False) -> float:
-        """Return how many pokes it takes until the error is and stays at most `error`, metres; infinite if it never does."""
+        """Return the poke from which the mean (or p95) error stays at most `error`, metres; infinite if there is none."""
         above = np.flatnonzero((self.p95 if of_p95 else self.mean) > error)
         if not len(above):
             return float(self.pokes[0])
@@ -189,17 +160,17 @@ class ErrorCourse:
 
 
 def evaluation_counts(limit: int) -> IntArray:
-    """Return after which pokes a course of `limit` pokes is looked at."""
-    first = list(range(10, min(limit, DENSE) + 1, 2))
+    """Return the poke numbers at which a session of `limit` pokes is evaluated."""
+    first = list(range(10, min(limit, EVALUATE_DENSELY_UNTIL) + 1, 2))
     while first[-1] < limit:
-        first.append(min(limit, round(first[-1] * LOOKED_AT)))
+        first.append(min(limit, round(first[-1] * EVALUATION_GROWTH)))
     return np.array(first)
 
 
 def run_course(part: ExamplePart, way: str, method: Method, conditions: Conditions, seed: int, limit: int) -> ErrorCourse:
-    """Poke `limit` times, and look at the errors now and then."""
+    """Poke `limit` times and evaluate the errors."""
     rig = displaced_rig(part, conditions, seed)
-    # Another stream than the rig's: every way to poke meets the same rig of a seed.
+    # A separate random stream, so that every strategy gets the same rig.
     rng = np.random.default_rng([seed, 11])
     own = part, rig, method, conditions, rng, limit
     steps = _guided(*own) if way == "guided" else _unguided(way, *own)
@@ -227,18 +198,18 @@ def run_course(part: ExamplePart, way: str, method: Method, conditions: Conditio
 
 
 TABLE_I: Mapping[str, float] = {"1": 13, "2": 5, "3": 4, "4": 7, "5": 7, "6": 7, "7": 7}
-"""Minutes for which the paper poked each arm pose (Table I)."""
+"""Minutes of poking in each arm pose in the paper (Table I)."""
 
 
 def poke_rounds(rig: Rig, pose: str, count: int, rng: np.random.Generator, first: int) -> list[Contact]:
-    """Return the contacts of so many unguided pokes in an arm pose, round by round, from random sides."""
+    """Simulate `count` unguided pokes in an arm pose: each taxel once a round, from random sides."""
     rounds = -(-count // len(rig.channels))
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(rounds)])[:count]
     return simulate_contacts(rig, unguided_presses(rig, targets, Habits.careful(), rng), rng, pose, first)
 
 
 def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, list[Contact]]:
-    """Return the contacts of each arm pose of `TABLE_I`, poked for `share` of its minutes."""
+    """Simulate `share` of the pokes of each arm pose of `TABLE_I`; return their contacts."""
     found: dict[str, list[Contact]] = {}
     first = 1
     for pose, minutes in TABLE_I.items():
@@ -249,10 +220,10 @@ def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, li
 
 
 def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
-    """Return (n,) the taxels' errors, metres."""
+    """Return the errors (n,) of the taxels, metres."""
     truth = [rig.places[rig.row_of(estimate.channel)] for estimate in estimates]
     found = zip((estimate.position for estimate in estimates), truth, strict=True)
-    return np.array([UNKNOWN if position is None else np.linalg.norm(position - place) for position, place in found])
+    return np.array([ERROR_IF_UNKNOWN_M if position is None else np.linalg.norm(position - place) for position, place in found])
 
 
 Step = tuple[int, float, Session, Guidance | None]
@@ -261,9 +232,9 @@ Step = tuple[int, float, Session, Guidance | None]
 def _unguided(
     way: str, part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
-    """Poke as planned before the first poke."""
-    meant = WAYS[way](part, conditions, limit, rng)
-    contacts, pokes = poke_by_hand(part, rig, meant, conditions, rng, 1)
+    """Poke a plan that is fixed before the first poke."""
+    meant = STRATEGIES[way](part, limit, rng)
+    contacts, pokes = poke_by_hand(rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))
     for count in evaluation_counts(limit).tolist():
@@ -276,7 +247,7 @@ def _unguided(
 def _guided(
     part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
-    """Poke as a guide says, one after another."""
+    """Poke the targets of a guide."""
     session, seconds, hand = _session(part, method), 0.0, None
     guide = _guide(part, method)
     contacts: dict[int, Contact] = {}
@@ -286,10 +257,10 @@ def _guided(
         if guidance.target is not None:
             meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
         else:
-            # Enough, says the guide: who goes on all the same pokes what is known worst.
+            # After the guide's end: the least certain taxel.
             worst = int(np.nan_to_num(guidance.rms, posinf=1e3).argmax())
             meant = MeantPokes(guidance.places[worst][None], -part.plan.normals[worst][None])
-        made, pokes = poke_by_hand(part, rig, meant, conditions, rng, count)
+        made, pokes = poke_by_hand(rig, meant, conditions, rng, count)
         seconds += float(_seconds(np.array([0.0 if hand is None else np.linalg.norm(pokes.points[0] - hand)]))[0])
         hand = pokes.points[0]
         for contact in made:
@@ -301,7 +272,7 @@ def _guided(
 
 
 def _session(part: ExamplePart, method: Method) -> Session:
-    return Session(part.scene, part.surface, {*ALONE, method})
+    return Session(part.scene, part.surface, {*BASE_METHODS, method})
 
 
 def _guide(part: ExamplePart, method: Method) -> Guide:
@@ -314,8 +285,8 @@ def _seconds(ways: FloatArray) -> FloatArray:
 
 
 def _judged(guidance: Guidance, estimates: tuple[Estimate, ...], rig: Rig) -> tuple[int, int]:
-    """Return how many taxels are called done, and how many of them wrongly."""
+    """Return the number of taxels that the guide calls done, and of those with a too large error."""
     wanted = GuideSettings().wanted
     errors = errors_of(estimates, rig)
     done = np.array([not missing for missing in guidance.needs])
-    return int(done.sum()), int((done & (errors > FALSE * wanted)).sum())
+    return int(done.sum()), int((done & (errors > FALSE_DONE_RATIO * wanted)).sum())

@@ -1,65 +1,52 @@
-"""Plays a time line in real time: a device process that a program cannot tell from hardware.
+"""Devices served in real time at TCP ports or pseudo-terminals; to a host they look like hardware.
 
-Bytes come out at a TCP port or a pseudo-terminal. Like a board, an outlet goes on whether or not somebody listens: bytes
-without a listener are gone, and a listener may leave and come back at any time.
+Like a board, an outlet sends whether or not a host listens. A host may leave and come back at any time.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from skincal.model.readings import Stream
 from skincal.simulate.device import DeviceTimeline
+from skincal.simulate.emulated_transports import MakerOutlets
 from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.streams.links import LinkSpec
 
 LATE_MAX_S = 1.0
-"""s. When the machine slept longer than this, the boards go on from now rather than send it all at once."""
+"""s. After a longer sleep of the machine the boards continue from now and skip the missed time."""
 
 
 class Server:
-    """One outlet a link, TCP ports on this machine or pseudo-terminals, and the loop that feeds them.
+    """An outlet for each link, and the loop that feeds them.
 
-    Boards understand the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` starts again.
-
-    Raises
-    ------
-    InputError
-        Pseudo-terminals are wanted and this platform has none.
+    Boards obey the commands of SKT/1 and SKB/1: `?` sends the header, `P` pauses, `S` continues.
+    Raises InputError without `tcp` on a platform without pseudo-terminals.
     """
 
     def __init__(self, line: DeviceTimeline, *, tcp: bool) -> None:
         self._line = line
         self._outlets: dict[str, Outlet] = {}
-        speakers = line.settings.speakers
+        self._paused: set[str] = set()
+        emulated, makers = line.settings.emulated, MakerOutlets(line.rig.scene.skin.channels)
         try:
-            if speakers:
-                self._open_makers(speakers, tcp=tcp)
-            for name in line.links:
-                if name not in self._outlets:
+            for name, stream in line.links.items():
+                if stream in emulated:
+                    self._outlets[name] = makers.open(emulated[stream], stream, tcp=tcp)
+                else:
                     self._outlets[name] = TcpOutlet() if tcp else PtyOutlet()
         except BaseException:
             self.close()
             raise
-        self._paused: set[str] = set()
-
-    def _open_makers(self, speakers: Mapping[Stream, str], *, tcp: bool) -> None:
-        from skincal.simulate.emulated_transports import MakerOutlets
-
-        makers = MakerOutlets(self._line.rig.scene.skin.channels)
-        for name, stream in self._line.links.items():
-            if stream in speakers:
-                self._outlets[name] = makers.open(speakers[stream], stream, tcp=tcp)
 
     @property
     def links(self) -> tuple[LinkSpec, ...]:
-        """What a host opens."""
+        """Links for the host."""
         return tuple(LinkSpec(name, self._outlets[name].address, (stream,)) for name, stream in self._line.links.items())
 
     def run(self, stop: threading.Event, each: Callable[[], object] = lambda: None) -> None:
-        """Play until `stop` is set; `each` is called after each block of readings."""
+        """Play until `stop` is set; call `each` after each block."""
         start = time.monotonic() - self._line.now
         while not stop.is_set():
             late = time.monotonic() - start - self._line.now
@@ -68,23 +55,22 @@ class Server:
             elif late < self._line.settings.block_s:
                 stop.wait(self._line.settings.block_s - late)
                 continue
-            self._listen()
-            for _, link, data in self._line.step():
+            self._handle_commands()
+            for _, link, data in self._line.advance():
                 if link not in self._paused:
                     self._outlets[link].write(data)
             each()
 
-    def _listen(self) -> None:
+    def _handle_commands(self) -> None:
         for name, outlet in self._outlets.items():
-            came, said = outlet.poll()
-            if b"P" in said:
+            connected, received = outlet.poll()
+            if b"P" in received:
                 self._paused.add(name)
-            if b"S" in said or came:
+            if b"S" in received or connected:
                 self._paused.discard(name)
-            if b"?" in said or came:
+            if b"?" in received or connected:
                 outlet.write(self._line.greeting(name))
 
     def close(self) -> None:
-        """Close every outlet."""
         for outlet in self._outlets.values():
             outlet.close()

@@ -79,7 +79,7 @@ def simulate_session(
         pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
     begun = 0
     while not line.finished:
-        for at_ns, link, data in line.step():
+        for at_ns, link, data in line.advance():
             pipeline.feed(Chunk(link, START_NS + at_ns, data))
         pipeline.tick(START_NS + round(line.now * 1e9))
         if progress is not None and operator.begun != begun:

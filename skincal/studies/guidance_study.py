@@ -18,7 +18,7 @@ from skincal.geometry import FloatArray
 from skincal.palette import BLACK, BLUE, ORANGE, VERMILION
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
 from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import Conditions, ErrorCourse, run_course
+from skincal.simulate.poking_strategies import CAREFUL, Conditions, ErrorCourse, run_course
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
 from skincal.taxels.result import Method
 
@@ -77,11 +77,10 @@ class GuidanceSizes:
 
 
 def _cases() -> dict[str, Conditions]:
-    standard = Conditions()
-    cases = {f"drift {drift:g} N": replace(standard, drift=drift) for drift in (0.1, 0.25, 0.5)}
-    cases["8 % double contacts"] = replace(standard, doubled=0.08)
-    cases |= {f"aim {1e3 * aim:g} mm": replace(standard, aim=aim) for aim in (0.001, 0.004)}
-    cases |= {f"tilt {tilt} degrees": replace(standard, usable=float(np.radians(tilt))) for tilt in (10, 20, 45)}
+    cases = {f"drift {drift:g} N": Conditions(drift=drift) for drift in (0.1, 0.25, 0.5)}
+    cases["8 % double contacts"] = Conditions(replace(CAREFUL, double_rate=0.08))
+    cases |= {f"aim {1e3 * aim:g} mm": Conditions(replace(CAREFUL, aim=aim)) for aim in (0.001, 0.004)}
+    cases |= {f"tilt {tilt} degrees": Conditions(replace(CAREFUL, cone=float(np.radians(tilt)))) for tilt in (10, 20, 45)}
     return cases
 
 
@@ -89,7 +88,7 @@ FULL_SIZES = GuidanceSizes(cases=_cases())
 QUICK_SIZES = GuidanceSizes(
     seeds=6, other_seeds=2, case_seeds=2, guided_limit=220, free_limit=220, surface_limit=252,
     modules_limit=60, modules_seeds=2, long=1008,
-    cases={"drift 0.25 N": replace(Conditions(), drift=0.25)},
+    cases={"drift 0.25 N": Conditions(drift=0.25)},
 )  # fmt: skip
 
 

@@ -133,7 +133,7 @@ def test_a_net_ft_over_udp_is_good(qtbot, page, device):
     name(
         page,
         "wrench",
-        device(lambda: encoder.wrenches(np.array([next(count) * 10_000]), rng.normal(0, 1, (1, 6))), outlet).address,
+        device(lambda: encoder.record(Stream.WRENCH, next(count) * 10_000, rng.normal(0, 1, 6).tolist()), outlet).address,
     )
     says(qtbot, page, "wrench", "good")
 

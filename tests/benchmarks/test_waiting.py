@@ -106,7 +106,7 @@ def write_log(bench, folder):
     texts = {stream: [] for stream in line.links.values()}
     begun = {}
     while not line.finished:
-        for at_ns, link, data in line.step():
+        for at_ns, link, data in line.advance():
             stream = line.links[link]
             for _, batch in decoders[link].feed(data, at_ns):
                 # Each device has a clock of its own; a log has the computer's.

@@ -327,7 +327,7 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join(f"{name.removesuffix('_s').replace('_', ' '):34} {words(name, value)}" for name, value in result.items())
 
 
-def main() -> int:
+def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser("window_bench", description="Measure the window's live figures.")
     parser.add_argument("--seconds", type=float, default=30.0)
@@ -338,16 +338,14 @@ def main() -> int:
     options = parser.parse_args()
     reason = no_display() or objection()
     if reason:
-        print(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tests.benchmarks.window_bench', file=sys.stderr)
-        return 2
+        sys.exit(f'{reason}\nOr: xvfb-run -a -s "-screen 0 1600x1000x24" python -m tests.benchmarks.window_bench')
     with tempfile.TemporaryDirectory() as folder:
         # Keeps the user's own settings and log unchanged.
         QStandardPaths.setTestModeEnabled(True)
         QSettings.setPath(QSettings.Format.NativeFormat, QSettings.Scope.UserScope, folder)
         result = measure(options.seconds, options.scene, (options.wrench, options.skin, options.joints))
-    print(json.dumps(result, indent=1) if options.json else table(result))
-    return 0
+    sys.stdout.write((json.dumps(result, indent=1) if options.json else table(result)) + "\n")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -267,12 +267,12 @@ class Twisting:
         self._out += twisted(self._rng, data) if data and self._rng.random() < 0.4 else data
 
     def write(self, data):
-        self._send(self._talk.hear(data))
+        self._send(self._talk.on_request(data))
 
     def read(self, _timeout_s):
         if not self._out and self._talk.ready:
             stream, self._stream = self._stream, b""
-            self._send(self._talk.wrap(stream))
+            self._send(self._talk.frame(stream))
         if not self._out:
             raise LinkError(FailureKind.VANISHED, "gone")
         cut = self._rng.randint(1, len(self._out))
@@ -287,8 +287,8 @@ def stream_of(maker):
     """What a maker's device sends, ten readings."""
     encoder = MAKERS[maker].encoder()
     if Stream.WRENCH in MAKERS[maker].carries:
-        return encoder.wrenches(np.arange(10) * 10_000, np.full((10, 6), 1.5))
-    return b"".join(encoder.skin(k * 10_000, np.arange(24.0)) for k in range(10))
+        return encoder.encode(Stream.WRENCH, np.arange(10) * 10_000, np.full((10, 6), 1.5))
+    return encoder.encode(Stream.SKIN, np.arange(10) * 10_000, np.tile(np.arange(24.0), (10, 1)))
 
 
 YARP_SERVER = 10000

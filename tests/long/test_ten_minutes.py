@@ -20,7 +20,7 @@ from skincal.model.readings import Stream
 from skincal.model.scene import load_scene, scene_file
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.emulated_devices import assign_devices
-from skincal.simulate.emulated_transports import RDT_RECORD, RdtOutlet
+from skincal.simulate.emulated_transports import RDT_RECORD_BYTES, RdtOutlet
 from skincal.simulate.operator import AutoOperator, Habits
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.serve import Server
@@ -45,7 +45,7 @@ def serve(seconds: float) -> None:
     rng = np.random.default_rng(1)
     rig = Rig(scene, load_surface(scene.surface)[0], RigErrors.noise(), rng)
     speakers = assign_devices(("netft", "yarp"), tuple(Stream))
-    settings = DeviceSettings(speakers=speakers, wrench_hz=WRENCH_HZ, skin_hz=SKIN_HZ)
+    settings = DeviceSettings(emulated=speakers, wrench_hz=WRENCH_HZ, skin_hz=SKIN_HZ)
     line = DeviceTimeline(rig, AutoOperator(rig, Habits.careful(), rng), rng, settings)
     server, sent, stop = Server(line, tcp=True), Counter(), threading.Event()
     for name, outlet in server._outlets.items():
@@ -83,7 +83,7 @@ def count_sent(name: str, outlet: object, sent: Counter[str]) -> None:
         class Counting:
             def sendto(self, data, host):
                 plain.sendto(data, host)
-                sent[name] += len(data) // RDT_RECORD
+                sent[name] += len(data) // RDT_RECORD_BYTES
 
             def __getattr__(self, attribute):
                 return getattr(plain, attribute)

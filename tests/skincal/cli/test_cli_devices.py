@@ -5,7 +5,6 @@ import os
 import time
 from contextlib import closing, contextmanager
 
-import numpy as np
 import pytest
 
 from skincal.cli import devices, main
@@ -36,9 +35,9 @@ def sending(maker, stream):
             if stream is Stream.WRENCH:
                 # A sensor that repeats one reading is taken for frozen.
                 force = 1.0 + 1e-3 * (count % 2)
-                outlet.write(encoder.wrenches(np.array([count * 10_000]), np.array([[force, 2, 3, 0.1, 0.2, 0.3]])))
+                outlet.write(encoder.record(stream, count * 10_000, [force, 2, 3, 0.1, 0.2, 0.3]))
             else:
-                outlet.write(encoder.skin(count * 10_000, np.arange(4.0)))
+                outlet.write(encoder.record(stream, count * 10_000, [0.0, 1.0, 2.0, 3.0]))
 
     with closing(outlet), meanwhile(send):
         yield outlet.address

@@ -1,5 +1,6 @@
 """A guide, a simulated rig, and a hand that pokes what the guide or the test says."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,11 +9,11 @@ from skincal.contacts.outcome import Rejection
 from skincal.guide.guide import Guide
 from skincal.session.session import Session
 from skincal.simulate.example_parts import ExamplePart
-from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
+from skincal.simulate.poking_strategies import CAREFUL, Conditions, MeantPokes, displaced_rig, poke_by_hand
 from skincal.taxels.result import Method
 
 PART = ExamplePart()
-STEADY = Conditions(aim=0.0, hand=0.0)
+STEADY = Conditions(replace(CAREFUL, aim=0.0, hand=0.0))
 
 
 def make_guide(method=Method.FREE, **options):
@@ -40,7 +41,7 @@ class GuidedBench:
     def press(self, place, push):
         """The contacts of the next poke."""
         self.count += 1
-        return poke_by_hand(PART, self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
+        return poke_by_hand(self.rig, MeantPokes(place[None], push[None]), self.conditions, self.rng, self.count)[0]
 
     def poke(self, place=None, push=None, *, shown=True):
         target = self.guidance.target

@@ -14,7 +14,7 @@ from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
 from skincal.session.session import Session
 from skincal.simulate.contacts import PressedPlaces, simulate_contacts
-from skincal.simulate.poking_strategies import WAYS, Conditions, errors_of, evaluation_counts, run_course
+from skincal.simulate.poking_strategies import STRATEGIES, Conditions, errors_of, evaluation_counts, run_course
 from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method, State
 from tests.skincal.sim_support import make_rig
@@ -164,7 +164,7 @@ def test_enough_is_said_if_nothing_is_needed():
     assert (guidance.phase, guidance.target, guidance.finished) == (GuidePhase.ENOUGH, None, 84)
 
 
-@pytest.mark.parametrize("way", [*WAYS, "guided"])
+@pytest.mark.parametrize("way", [*STRATEGIES, "guided"])
 def test_a_course_is_the_same_each_time_and_gets_better(way):
     one, two = (run_course(PART, way, Method.SURFACE, Conditions(), 2, 60) for _ in range(2))
     np.testing.assert_array_equal(one.mean, two.mean)

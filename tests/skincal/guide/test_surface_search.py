@@ -63,7 +63,7 @@ def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
         guidance = guide.update(contacts, estimates, session.evidence, targets.get, rejections)
         phases.append(guidance.phase)
         target = targets[poke] = guidance.target
-        made, pokes = poke_by_hand(PART, rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
+        made, pokes = poke_by_hand(rig, MeantPokes(target.place[None], target.push[None]), Conditions(), rng, poke)
         for contact in made:
             session.add(contact)
             contacts[poke] = contact

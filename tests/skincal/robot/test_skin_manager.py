@@ -172,8 +172,8 @@ def test_any_other_answer_to_a_change_is_a_refusal(capsys, sample, answer):
 
 def test_a_robot_that_falls_silent_or_hangs_up_half_way(capsys, sample):
     class Dumb(Stubborn):
-        def hear(self, data):
-            out = super().hear(data)
+        def on_request(self, data):
+            out = super().on_request(data)
             return b"" if self._count > self.after else out
 
     begun = time.monotonic()
@@ -225,7 +225,7 @@ class Raw(PlainTalk):
         super().__init__()
         self._lie = lie
 
-    def hear(self, data):
+    def on_request(self, data):
         if b"skincal\0" in data:
             return b"YA\x06\x29\0\0RP"
         return self._lie

@@ -73,7 +73,7 @@ def play(rig, robot, server, method):
         pipeline.feed(LinkEvent(link.name, 0, LinkState.OPEN))
     while not (guide.enough and robot.enough):
         assert line.now < VIRTUAL_S, robot.verdicts[-5:]
-        for at_ns, link, data in line.step():
+        for at_ns, link, data in line.advance():
             pipeline.feed(Chunk(link, at_ns, data))
         assert guide.guide_robot(round(line.now * 1e9)) in ([], [f"A robot came, from {server.host}."])
         robot.step()
@@ -102,7 +102,7 @@ class Resting:
         """The rig's devices send for so long; what was said last."""
         end = self.line.now + seconds
         while self.line.now < end:
-            for at_ns, link, data in self.line.step():
+            for at_ns, link, data in self.line.advance():
                 self.pipeline.feed(Chunk(link, at_ns, data))
             self.guide.guide_robot(self.now_ns)
         return self.said[-1]

@@ -48,7 +48,7 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
-        for contact in poke_by_hand(part(), rig, meant, conditions, rng, pokes)[0]:
+        for contact in poke_by_hand(rig, meant, conditions, rng, pokes)[0]:
             session.add(contact)
             contacts[contact.poke] = contact
         guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)

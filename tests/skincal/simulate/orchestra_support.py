@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from skincal.model.readings import Chunk, LinkState, Stream
-from skincal.simulate.device import Clock, LossyLink, SimulatedDevice, make_encoder
+from skincal.simulate.board_formats import make_encoder
+from skincal.simulate.device import Clock, LossyLink, SimulatedDevice
 from skincal.simulate.emulated_devices import MAKERS
 from skincal.simulate.emulated_transports import MakerOutlets, RdtOutlet, TalkOutlet
 from skincal.simulate.outlets import TcpOutlet
@@ -76,7 +77,7 @@ class Orchestra:
     def step(self, brought):
         """Play a block, and wait until its bytes are there."""
         self._talk(brought)
-        for at_ns, link, data in self.line.step():
+        for at_ns, link, data in self.line.advance():
             brought.now_ns, wanted = at_ns, brought.sizes[link] + len(data)
             self.outlets[link].write(data)
             end = time.monotonic() + PATIENCE_S

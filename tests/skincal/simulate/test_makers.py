@@ -24,11 +24,11 @@ SERIAL = ("bota", "robotiq", "papillarray")
 POKES = 2
 
 
-def make_line(name="flat-patch", speakers=None, pokes=None):
+def make_line(name="flat-patch", emulated=None, pokes=None):
     rig = make_rig(RigErrors.none(), 1, name)
     rng = np.random.default_rng(1)
     habits = Habits.careful().at_pace(4.0)
-    return DeviceTimeline(rig, AutoOperator(rig, habits, rng, pokes), rng, DeviceSettings(speakers=speakers or {}))
+    return DeviceTimeline(rig, AutoOperator(rig, habits, rng, pokes), rng, DeviceSettings(emulated=emulated or {}))
 
 
 @contextmanager

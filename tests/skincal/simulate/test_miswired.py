@@ -37,10 +37,10 @@ def recorded(folder, maker, wiring):
     operator = GuidedOperator(rig, replace(Habits.careful().at_pace(4.0), ignores=0.0), np.random.default_rng(1), poses=(POSE,))
     operator.show(NoTarget.WAIT)
     speakers = {Stream.WRENCH: maker}
-    line = DeviceTimeline(rig, operator, np.random.default_rng(2), DeviceSettings(speakers=speakers, wrench_hz=500.0))
+    line = DeviceTimeline(rig, operator, np.random.default_rng(2), DeviceSettings(emulated=speakers, wrench_hz=500.0))
     board = next(board for board in line._boards if board.stream is Stream.WRENCH)
-    send, both = board.encoder.wrenches, np.kron(np.eye(2), wiring)
-    board.encoder.wrenches = lambda t_us, wrenches: send(t_us, wrenches @ both.T)
+    send, both = board.encoder.encode, np.kron(np.eye(2), wiring)
+    board.encoder.encode = lambda stream, t_us, wrenches: send(stream, t_us, wrenches @ both.T)
     links = [
         LinkSpec(name, ADDRESSES[maker] if stream is Stream.WRENCH else f"simulated:{name}", (stream,))
         for name, stream in line.links.items()
@@ -63,7 +63,7 @@ def recorded(folder, maker, wiring):
 
     def play(pokes):
         while len(pipeline.snapshot().pokes) < pokes and line.now < 60:
-            for at_ns, link, data in line.step():
+            for at_ns, link, data in line.advance():
                 pipeline.feed(Chunk(link, START_NS + at_ns, wrap(data) if link == "wrench" else data))
             pipeline.tick(START_NS + round(line.now * 1e9))
 

@@ -257,7 +257,7 @@ def guided_session(rig, pokes, seed=1):
         pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
     asked, hits, counted, known, number = None, 0, 0, -1, 0
     while not line.finished:
-        for at_ns, link, data in line.step():
+        for at_ns, link, data in line.advance():
             pipeline.feed(Chunk(link, at_ns, data))
         pipeline.tick(round(line.now * 1e9))
         snapshot = pipeline.snapshot()
@@ -300,7 +300,7 @@ def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_throu
         for link in line.links:
             pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
         while not line.finished:
-            for at_ns, link, data in line.step():
+            for at_ns, link, data in line.advance():
                 pipeline.feed(Chunk(link, at_ns, data))
             pipeline.tick(round(line.now * 1e9))
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]

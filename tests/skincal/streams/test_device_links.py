@@ -9,7 +9,6 @@ import time
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from skincal.devices.link import FailureKind, LinkError
@@ -85,7 +84,7 @@ class Answering(PlainTalk):
         super().__init__()
         self._answer = answer
 
-    def hear(self, _data):
+    def on_request(self, _data):
         answer, self._answer = self._answer, b""
         return answer
 
@@ -104,7 +103,7 @@ def test_yarp_port_that_returns_under_another_number_is_found_again():
     with served(*shared), reading(first.address) as items:
         with served(first):
             next_event(items, LinkState.OPEN)
-            readings_from(items, lambda: say(first, encoder._wrench(1, [1.0] * 6)))
+            readings_from(items, lambda: say(first, encoder.record(Stream.WRENCH, 1, [1.0] * 6)))
             first._shared = ()  # the name server outlives the port
         next_event(items, LinkState.LOST)
         second = makers.open("yarp", Stream.WRENCH, tcp=True)
@@ -112,7 +111,7 @@ def test_yarp_port_that_returns_under_another_number_is_found_again():
         second._shared = ()
         with served(second):
             next_event(items, LinkState.OPEN)
-            readings_from(items, lambda: say(second, encoder._wrench(2, [1.0] * 6)))
+            readings_from(items, lambda: say(second, encoder.record(Stream.WRENCH, 2, [1.0] * 6)))
 
 
 def test_yarp_address_that_cannot_be_reached_is_said_as_the_name_server_gave_it():
@@ -182,7 +181,7 @@ def test_a_yarp_port_that_lies_costs_one_sentence():
     outlet = makers.open("yarp", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
         next_event(items, LinkState.OPEN)
-        readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)))
+        readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)))
         say(outlet, YARP_LIES["2 GB"][len(YARP_HELLO) :])
         assert approved("devices.read_no_further") in next_event(items, LinkState.FAILED).text
         say(outlet, bytes(100_000))
@@ -198,14 +197,14 @@ def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
     outlet = MakerOutlets(64).open("netft", Stream.WRENCH, tcp=True)
     with served(outlet), reading(outlet.address) as items:
         intake = Intake(4, [spec(outlet.address)])
-        readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
+        readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 3, intake)
         outlet._host = None  # switched off and on, or another program stole the stream
         encoder._count = 0
-        health = readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 6, intake)
+        health = readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 6, intake)
         assert health.state is LinkState.OPEN
         before = sum(health.losses.values())
         encoder._next(), encoder._next()
-        health = readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 12, intake)
+        health = readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 12, intake)
         assert sum(health.losses.values()) - before == 2
 
 
@@ -234,10 +233,10 @@ def test_a_robotiq_stream_is_started_started_again_and_stopped_at_the_end():
     intake = Intake(4, [spec(outlet.address)])
     with served(outlet):
         with reading(outlet.address) as items:
-            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 3, intake)
+            readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 3, intake)
             with TURN:
                 outlet._streams = False  # its power was off
-            readings_from(items, lambda: say(outlet, encoder._wrench(1, [1.0] * 6)), 9, intake)
+            readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 9, intake)
             assert outlet._streams
             assert Loss.BAD_CHECKSUM not in intake.health(0)[0].losses, "its answer to the start is no loss"
         end = time.monotonic() + PATIENCE_S
@@ -256,7 +255,7 @@ def test_what_comes_while_the_program_stands_still_waits_in_the_system_and_none_
     intake, reader = Intake(384, [address]), Reader(address, inbox)
 
     def write():
-        say(outlet, encoder.skin(1, np.zeros(384)))
+        say(outlet, encoder.record(Stream.SKIN, 1, [0.0] * 384))
         time.sleep(0.002)
 
     with served(outlet):
@@ -284,7 +283,7 @@ def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
     def write():
         nonlocal count
         count += 1
-        one = encoder.skin(count, np.zeros(4)) if stream is Stream.SKIN else encoder._wrench(count * 2000, [1.0] * 6)
+        one = encoder.record(stream, count * 2000, [0.0] * 4 if stream is Stream.SKIN else [1.0] * 6)
         say(outlet, one)
         time.sleep(0.002)
 
@@ -348,7 +347,7 @@ def test_a_server_of_another_protocol_is_said(answer, form, words):
     ],
 )
 def test_websocket_that_lies_costs_one_sentence(frame, monkeypatch):
-    monkeypatch.setattr(XelaTalk, "wrap", lambda _self, data: data)
+    monkeypatch.setattr(XelaTalk, "frame", lambda _self, data: data)
     with served(TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")) as (server,), reading(server.address, (Stream.SKIN,)) as items:
         next_event(items, LinkState.OPEN)
         say(server, frame)

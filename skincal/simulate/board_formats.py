@@ -1,0 +1,150 @@
+"""Encoders of boards in the three board formats: SKB/1, SKT/1 and delimited text (docs/wire.md).
+
+They share no code with the decoders in `skincal.devices`, so that each checks the other.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from collections import Counter
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray
+from skincal.model.readings import Stream
+
+CRC_START = 0xFFFF
+COBS_MAX_RUN = 254
+"""Maximum number of nonzero bytes in one COBS block."""
+SKB_MAX_BODY_BYTES = 1024
+SKB_HEAD = struct.Struct("<BBHI")
+SKB_HEADER_TYPE = 16
+SKB_TYPES = {Stream.WRENCH: (2, "<f4"), Stream.JOINTS: (5, "<f4")}
+SKB_SKIN_TYPES = {"u16": (1, "<u2"), "u8": (3, "u1"), "f32": (4, "<f4")}
+SKT_LETTERS = {Stream.WRENCH: "F", Stream.SKIN: "T", Stream.JOINTS: "J"}
+SKT_MAX_LINE_BYTES = 4096
+
+
+class Encoder:
+    """Base of the encoders: encodes the readings of one device and numbers the records of each stream."""
+
+    def __init__(self) -> None:
+        self._next_number = Counter[Stream | None]()
+        """`None`: headers."""
+
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        """Encode the header: `key=value,...` and the number of values in a reading. A maker's device has none."""
+        del t_us, fields, width
+        return b""
+
+    def encode(self, stream: Stream, t_us: IntArray, values: FloatArray) -> bytes:
+        """Encode n readings: wrenches (n, 6), N and N m; raw skin frames (n, width); or joint angles (n, width), degrees.
+
+        `t_us` (n,) are their device times, microseconds.
+        """
+        return b"".join(self.record(stream, t, row) for t, row in zip(t_us.tolist(), values.tolist(), strict=True))
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        """Encode one reading."""
+        raise NotImplementedError
+
+    def _number(self, stream: Stream | None) -> int:
+        self._next_number[stream] += 1
+        return self._next_number[stream] - 1
+
+
+def cobs(data: bytes) -> bytes:
+    """Return `data` without zero bytes (consistent overhead byte stuffing), without the closing 0."""
+    out = bytearray()
+    pieces = data.split(b"\x00")
+    for index, piece in enumerate(pieces):
+        rest = piece
+        while len(rest) >= COBS_MAX_RUN:
+            out.append(0xFF)
+            out += rest[:COBS_MAX_RUN]
+            rest = rest[COBS_MAX_RUN:]
+            # A full run at the end of the data has no block for a zero after it.
+            if not rest and index == len(pieces) - 1:
+                return bytes(out)
+        out.append(len(rest) + 1)
+        out += rest
+    return bytes(out)
+
+
+class SkbEncoder(Encoder):
+    """SKB/1: binary records with a checksum. Skin values are "u8", "u16" or "f32"."""
+
+    def __init__(self, values: str = "u8") -> None:
+        super().__init__()
+        self._types = {**SKB_TYPES, Stream.SKIN: SKB_SKIN_TYPES[values]}
+
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        del width
+        return self._frame(None, SKB_HEADER_TYPE, t_us, fields.encode())
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        kind, dtype = self._types[stream]
+        # A wrench is followed by a status of four bytes, 0.
+        status = bytes(4) if stream is Stream.WRENCH else b""
+        return self._frame(stream, kind, t_us, np.array(values).astype(dtype).tobytes() + status)
+
+    def _frame(self, stream: Stream | None, kind: int, t_us: int, payload: bytes) -> bytes:
+        body = SKB_HEAD.pack(kind, 0, self._number(stream) & 0xFFFF, t_us & 0xFFFFFFFF) + payload
+        return cobs(body + binascii.crc_hqx(body, CRC_START).to_bytes(2, "little")) + b"\x00"
+
+
+class TextEncoder(Encoder):
+    """Delimited text: lines of number, time and values, without a checksum. The header names the columns."""
+
+    WRENCH_FORMAT = "%.6f,%.6f,%.6f,%.6f,%.6f,%.6f"
+
+    def __init__(self, values: str = "u8") -> None:
+        super().__init__()
+        self._skin_format = "%.6g" if values == "f32" else "%d"
+
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        del t_us, fields
+        return ("seq,t_us," + ",".join(f"c{i}" for i in range(width)) + "\n").encode()
+
+    def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
+        form = {Stream.WRENCH: self.WRENCH_FORMAT, Stream.SKIN: self._skin_format, Stream.JOINTS: "%.4f"}[stream]
+        text = form % tuple(values) if stream is Stream.WRENCH else ",".join(form % value for value in values)
+        return self._line(SKT_LETTERS[stream], self._number(stream), f"{t_us & 0xFFFFFFFF},{text}")
+
+    def _line(self, letter: str, number: int, rest: str) -> bytes:
+        del letter
+        return f"{number},{rest}\n".encode()
+
+
+class SktEncoder(TextEncoder):
+    """SKT/1: lines with a letter, a checksum, and a status after each wrench. The header has no time."""
+
+    WRENCH_FORMAT = "%.4f,%.4f,%.4f,%.6f,%.6f,%.6f,0"
+
+    def header(self, t_us: int, fields: str, width: int) -> bytes:
+        del t_us, width
+        return _add_checksum(f"H,skt1,{fields}")
+
+    def _line(self, letter: str, number: int, rest: str) -> bytes:
+        return _add_checksum(f"{letter},{number & 0xFFFF},{rest}")
+
+
+def _add_checksum(text: str) -> bytes:
+    raw = text.encode("ascii")
+    return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_START)
+
+
+BOARD_ENCODERS: dict[str, type[SkbEncoder | TextEncoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}
+
+
+def make_encoder(name: str, top: float, width: int) -> Encoder:
+    """Return a new board's encoder; a skin too wide for the format gets delimited text instead.
+
+    Raw values reach up to `top`; `width` is 0 for a board without skin.
+    """
+    values = "u8" if top <= 255 else "u16" if top <= 65535 else "f32"
+    skb_bytes = SKB_HEAD.size + width * np.dtype(SKB_SKIN_TYPES[values][1]).itemsize
+    skt_bytes = 24 + width * {"u8": 4, "u16": 6, "f32": 13}[values] + 5
+    fits = {"skb": skb_bytes <= SKB_MAX_BODY_BYTES, "skt": skt_bytes <= SKT_MAX_LINE_BYTES}.get(name, True)
+    return BOARD_ENCODERS[name if fits else "text"](values)
