@@ -73,7 +73,7 @@ def poke_by_hand(
     return simulate_contacts(rig, pokes, rng, SHORT_LEVER_POSE, first, conditions.habits), pokes
 
 
-PokingWay: TypeAlias = Callable[[ExamplePart, int, np.random.Generator], MeantPokes]
+PokingWay: TypeAlias = Callable[[ExamplePart, Conditions, int, np.random.Generator], MeantPokes]
 """Plans a number of pokes."""
 
 
@@ -91,27 +91,30 @@ def _rounds(part: ExamplePart, count: int, rng: np.random.Generator) -> IntArray
     return np.concatenate([rng.permutation(taxels) for _ in range(-(-count // taxels))])[:count]
 
 
-def clumped(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+def clumped(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke favourite places again and again, along the normal, as unguided people do."""
+    del conditions
     liked = np.exp(1.5 * rng.standard_normal(len(part.plan.channels)))
     return _straight(part, rng.choice(len(liked), count, p=liked / liked.sum()))
 
 
-def random(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+def random(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke anywhere, along the normal."""
+    del conditions
     return _straight(part, rng.integers(len(part.plan.channels), size=count))
 
 
-def round_robin(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+def round_robin(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, along the normal."""
+    del conditions
     return _straight(part, _rounds(part, count, rng))
 
 
-def tilt_recipe(part: ExamplePart, count: int, rng: np.random.Generator) -> MeantPokes:
+def tilt_recipe(part: ExamplePart, conditions: Conditions, count: int, rng: np.random.Generator) -> MeantPokes:
     """Poke each taxel once a round, tilted. The direction turns each round, as a printed card can say."""
     rows = _rounds(part, count, rng)
     turns = np.asarray(RECIPE_TURN * (np.arange(count) // len(part.plan.channels)), dtype=np.float64)
-    return _at(part, rows, np.full(count, RECIPE_TILT), turns)
+    return _at(part, rows, np.full(count, min(RECIPE_TILT, conditions.habits.cone)), turns)
 
 
 STRATEGIES: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
@@ -233,7 +236,7 @@ def _unguided(
     way: str, part: ExamplePart, rig: Rig, method: Method, conditions: Conditions, rng: np.random.Generator, limit: int
 ) -> Iterator[Step]:
     """Poke a plan that is fixed before the first poke."""
-    meant = STRATEGIES[way](part, limit, rng)
+    meant = STRATEGIES[way](part, conditions, limit, rng)
     contacts, pokes = poke_by_hand(rig, meant, conditions, rng, 1)
     session, added = _session(part, method), 0
     times = np.cumsum(_seconds(np.linalg.norm(np.diff(pokes.points, axis=0, prepend=pokes.points[:1]), axis=1)))

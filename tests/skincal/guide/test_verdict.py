@@ -42,7 +42,7 @@ def part():
 def poked_session(pokes=240, seed=1, conditions=None):
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
     rig = displaced_rig(part(), conditions, seed)
-    contacts, _ = poke_by_hand(rig, tilt_recipe(part(), pokes, rng), conditions, rng, 1)
+    contacts, _ = poke_by_hand(rig, tilt_recipe(part(), conditions, pokes, rng), conditions, rng, 1)
     session = Session(part().scene, part().surface)
     for contact in contacts:
         session.add(contact)

@@ -44,14 +44,14 @@ def followed(operator, seed, limit=200, method=Method.MODULES):
     rig, rng = displaced_rig(part(), conditions, seed), np.random.default_rng([seed, 11])
     session = Session(part().scene, part().surface, set(Method))
     guide, contacts, pokes = Guide(part().plan, part().scene.noise, method, part().spacing), {}, 0
-    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+    guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
     while guidance.phase is not GuidePhase.ENOUGH and pokes < limit:
         pokes += 1
         meant = MeantPokes(guidance.target.place[None], guidance.target.push[None])
         for contact in poke_by_hand(rig, meant, conditions, rng, pokes)[0]:
             session.add(contact)
             contacts[contact.poke] = contact
-        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence)
+        guidance = guide.update(contacts, session.snapshot().estimates, session.evidence, lambda _: None)
     estimates = session.snapshot().estimates[method]
     done, errors = np.array([not needs for needs in guidance.needs]), errors_of(estimates, rig)
     far, falsely = (int((done & (errors > bar)).sum()) for bar in (FAR, WRONG))

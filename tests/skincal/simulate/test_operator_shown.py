@@ -266,7 +266,7 @@ def guided_session(rig, pokes, seed=1):
         contacts = {p.outcome.poke: p.outcome for p in snapshot.pokes if hasattr(p.outcome, "responses")}
         hits += sum(c.channels[c.responses.argmax()] == asked for n, c in contacts.items() if n > counted)
         known, counted = snapshot.generation, max(contacts, default=0)
-        guidance = guide.update(contacts, snapshot.estimates, pipeline.session.evidence)
+        guidance = guide.update(contacts, snapshot.estimates, pipeline.session.evidence, lambda _: None)
         asked = guidance.target.channel
         number += 1
         operator.show(PokeTarget(number, asked, guidance.target.place, guidance.target.push))
