@@ -179,8 +179,13 @@ CASES: Mapping[str, RigModel] = {
     "lean": replace(NOISY_RIG, lean=15 * DEGREE, thickness=2.5 * MM),
     "wide_foam": replace(NOISY_RIG, spread=2.0),
     "gains": replace(NOISY_RIG, gains=0.4),
+    **{
+        f"{taxels}_taxels_aim_{aim}mm": replace(PAPER_RIG, spread=spread, beside=aim * MM)
+        for taxels, spread in ((2, 0.5), (4, 2.0), (5, 4.0)) for aim in (1, 3)
+    },
 }  # fmt: skip
-"""`nothing` is the paper's rig without further errors. From `gaussian` on, a rig without an error of its own."""
+"""`nothing` is the paper's rig without further errors. From `gaussian` to `gains`, a rig without an error of its own.
+The last cases are skins that spread a press over 2 to 5 taxels on average, and aims (sd in each direction)."""
 
 
 class KnownPoke(NamedTuple):
