@@ -25,7 +25,7 @@ from app.theme import GAP
 from skincal.geometry import FloatArray
 from skincal.model.actions import Action, AddLandmark
 from skincal.model.tables import LENGTH_MAX
-from skincal.words.units import UNITS, in_metres, in_millimetres
+from skincal.words.units import UNITS
 
 MM_DECIMALS = 2
 PICKED_NOTE = "The point that you clicked, in the frame {link}. A drawing may be more accurate."
@@ -54,7 +54,7 @@ class LandmarkDialog(QDialog):
         self._taken = taken
         self.name = QLineEdit(free_name(taken))
         self.coordinates = [_millimetre_field(axis) for axis in "xyz"]
-        for box, value in zip(self.coordinates, np.zeros(3) if position is None else in_millimetres(position), strict=True):
+        for box, value in zip(self.coordinates, np.zeros(3) if position is None else 1e3 * position, strict=True):
             box.setValue(float(value))
         self.objection = QLabel()
         self.objection.setWordWrap(True)
@@ -85,7 +85,7 @@ class LandmarkDialog(QDialog):
 
     def position(self) -> FloatArray:
         """Give the position, (3,) float, metres, link frame."""
-        return in_metres(np.array([box.value() for box in self.coordinates]))
+        return 1e-3 * np.array([box.value() for box in self.coordinates])
 
     def _try(self) -> None:
         name = self.name.text().strip()
@@ -114,7 +114,7 @@ def _millimetre_field(axis: str) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
     # A decimal point, as in all numbers of the window.
     box.setLocale(QLocale.c())
-    limit = float(in_millimetres(LENGTH_MAX))
+    limit = 1e3 * LENGTH_MAX
     box.setRange(-limit, limit)
     box.setDecimals(MM_DECIMALS)
     box.setPrefix(f"{axis}  ")

@@ -22,7 +22,6 @@ from app.theme import GAP, method_hue
 from skincal.geometry import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method
-from skincal.words.units import in_millimetres, in_minutes
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
@@ -91,11 +90,11 @@ class ErrorPlot(StillPlot):
         drawn: list[FloatArray] = []
         for method in self.symbols:
             course = series.spreads.get(method)
-            values = np.empty((0, 1 + len(self._modules), 4)) if course is None else in_millimetres(course)
+            values = np.empty((0, 1 + len(self._modules), 4)) if course is None else 1e3 * course
             if axis is Axis.MODULES:
                 drawn.append(self._draw_modules(method, values))
             else:
-                at = series.counts.astype(float) if axis is Axis.POKES else in_minutes(series.times)
+                at = series.counts.astype(float) if axis is Axis.POKES else series.times / 60.0
                 drawn.append(self._draw_course(method, at, values[:, row], _is_joined(series)))
         self._fit(series, axis, drawn)
         self._set_label("left", quantity)
@@ -141,7 +140,7 @@ class ErrorPlot(StillPlot):
         else:
             # `None` restores the axis' own ticks.
             self.item.getAxis("bottom").setTicks(None)
-            along, least = (series.counts, 10.0) if axis is Axis.POKES else (in_minutes(series.times), 1.0)
+            along, least = (series.counts, 10.0) if axis is Axis.POKES else (series.times / 60.0, 1.0)
             longest = max(float(along[-1]) if len(along) else 0.0, least)
             self.item.setXRange(-0.01 * longest, 1.01 * longest, padding=0.0)
 

@@ -16,7 +16,7 @@ from skincal.geometry import axis_point, move_wrench
 from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorSeries
 from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
-from skincal.words.units import ChannelNames, count, in_millimetres, millimetres, number
+from skincal.words.units import ChannelNames, cell, count, millimetres, number
 
 SYMBOLS: Mapping[Method, str] = {
     Method.FREE: "\N{BLACK CIRCLE}",
@@ -69,7 +69,7 @@ def newest_words(series: ErrorSeries, method: Method, row: int) -> str:
     """Newest figures of a method: of all taxels if `row` is 0, else of the module with index `row` - 1."""
     course = series.spreads.get(method)
     values = np.full(4, np.nan) if course is None or not len(course) else course[-1, row]
-    figures = "   ".join(f"{name} {number(in_millimetres(float(values[at])), 1)}" for at, name in STATISTICS.items())
+    figures = "   ".join(f"{name} {cell(float(values[at]), 'm')}" for at, name in STATISTICS.items())
     taxels = 0 if math.isnan(values[TAXELS]) else int(values[TAXELS])
     return f"{figures} mm, {count(taxels, 'taxel')}"
 

@@ -23,7 +23,7 @@ from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings, Need
 from skincal.rig.expected_gain import Gain
 from skincal.taxels.result import Method
-from skincal.words.units import ChannelNames, count, degrees, in_millimetres, millimetres, minutes, newtons, number
+from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, minutes, newtons
 from skincal.words.verdict_words import needs_clause
 
 MAX_NAMED_FINISHED = 3
@@ -62,7 +62,7 @@ def gain_words(gain: Gain | None) -> str:
     """Predict the error of sensor and arm after more landmark pokes; empty if unknown."""
     if gain is None:
         return ""
-    now, after = number(in_millimetres(gain.now), 1), millimetres(gain.after)
+    now, after = cell(gain.now, "m"), millimetres(gain.after)
     return f"after {count(gain.pokes, 'poke')} the sensor and arm error should fall from {now} to {after}"
 
 
@@ -92,7 +92,7 @@ def _reason(guidance: Guidance, target: Target) -> str:
     what = REDUCED_ERROR_WORDS[guidance.method]
     if not np.isfinite(guidance.rms[row]):
         return f"{what.capitalize()} not known yet"
-    before = number(in_millimetres(target.rms_now), 1)
+    before = cell(target.rms_now, "m")
     return f"This poke should reduce the {what} error from {before} to {millimetres(target.rms_after)}"
 
 

@@ -17,7 +17,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method
 from skincal.words.layout_words import distance_sentences
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
-from skincal.words.units import DASH, cell, in_millimetres, millimetres, number
+from skincal.words.units import DASH, cell, millimetres
 
 
 def offer_text(offer: Offer) -> str:
@@ -30,7 +30,7 @@ def offer_text(offer: Offer) -> str:
 def offer_words(offer: Offer) -> str:
     """Describe an available correction, with the error before and after."""
     if offer.frame is None:
-        now, then = number(in_millimetres(offer.action.before), 1), millimetres(offer.action.after)
+        now, then = cell(offer.action.before, "m"), millimetres(offer.action.after)
         lowers = f"it lowers the error at landmarks it was not fitted to from {now} to {then}"
         return f"A correction of sensor and arm is ready: {lowers}."
     perhaps = "" if offer.frame.sure else " Another mistake is almost as likely: press another landmark."

@@ -53,7 +53,7 @@ class SessionGuide:
         self._part, self._scene, self._surface = part, part.scene, part.surface
         self.plan = plan_of(part)
         self.landmarks = LandmarkGuide(part, self.plan)
-        self.closing = ClosingGuide(part.scene.noise)
+        self.closing = ClosingGuide(part.scene.noise, self.landmarks)
         layout = part.scene.skin.layout
         self._module_model = None if layout is None else ModuleModel(layout, part.scene.skin.anchor, part.surface)
         self._nothing: dict[tuple[Method, int], Estimate] = {}
@@ -97,7 +97,7 @@ class SessionGuide:
             self._followed = now
         assert self._skin_guidance is not None
         before = self.landmarks.before_skin(self._skin_guidance, snapshot, pose, now_s)
-        self._guidance = self.closing.after_skin(before, snapshot, pose[0], self.landmarks)
+        self._guidance = self.closing.after_skin(before, snapshot, pose[0])
         return self._guidance
 
     def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
@@ -184,7 +184,7 @@ class SessionGuide:
     def check_again(self, snapshot: Snapshot, pose: str) -> BeginClosing | None:
         """Make the action that begins another closing check; `None` if it would have no place."""
         now = self._guidance
-        possible = now is not None and self.closing.begun(now, snapshot, pose, self.landmarks) is not None
+        possible = now is not None and self.closing.begun(now, snapshot, pose) is not None
         return BeginClosing(wanted=True) if possible else None
 
     def _guide_of(self, method: Method) -> Guide:
@@ -302,48 +302,42 @@ class ClosingGuide:
     Its request follows from the session alone.
     """
 
-    def __init__(self, noise: NoiseSettings) -> None:
-        self._noise = noise
+    def __init__(self, noise: NoiseSettings, landmarks: LandmarkGuide) -> None:
+        self._noise, self._landmarks = noise, landmarks
         self._known: tuple[object, ...] = ()
         self._shown: Guidance | None = None
 
-    def after_skin(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance:
+    def after_skin(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance:
         """Add a place to repeat, once nothing else is needed in the arm pose of that name."""
         known = guidance, snapshot, pose
         if known != self._known:
-            self._known, self._shown = known, self._closing(guidance, snapshot, pose, landmarks)
+            self._known, self._shown = known, self._closing(guidance, snapshot, pose)
         return self._shown or guidance
 
-    def _closing(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance | None:
+    def _closing(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         if guidance.phase is not GuidePhase.ENOUGH:
             return None
         rounds, asked = closing_rounds(snapshot, self._noise), None
         if rounds and not snapshot.decisions.closings[-1].ended and not rounds[-1].is_finished:
-            asked = self._next(rounds, snapshot.decisions.closings[-1], guidance, snapshot, pose, landmarks)
-        return self.begun(guidance, snapshot, pose, landmarks) if asked is None and is_due(snapshot, rounds) else asked
+            asked = self._next(rounds, snapshot.decisions.closings[-1], guidance, snapshot, pose)
+        return self.begun(guidance, snapshot, pose) if asked is None and is_due(snapshot, rounds) else asked
 
-    def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str, landmarks: LandmarkGuide) -> Guidance | None:
+    def begun(self, guidance: Guidance, snapshot: Snapshot, pose: str) -> Guidance | None:
         """Add the first place of a check that begins now; `None` before it is enough, or if the check would have no place."""
         if not guidance.enough:
             return None
         last = max((record.outcome.poke for record in snapshot.pokes), default=0)
         rounds = [*closing_rounds(snapshot, self._noise), ClosingProgress()]
-        return self._next(rounds, ClosingRound(last), guidance, snapshot, pose, landmarks)
+        return self._next(rounds, ClosingRound(last), guidance, snapshot, pose)
 
     def _next(
-        self,
-        rounds: Sequence[ClosingProgress],
-        begun: ClosingRound,
-        guidance: Guidance,
-        snapshot: Snapshot,
-        pose: str,
-        landmarks: LandmarkGuide,
+        self, rounds: Sequence[ClosingProgress], begun: ClosingRound, guidance: Guidance, snapshot: Snapshot, pose: str
     ) -> Guidance | None:
         """Add the next place of the last check; `None` if it has no more."""
         *done, now = rounds
         earlier = frozenset[int]().union(*(each.pokes for each in done))
         marks = {landmark.name: landmark for landmark in snapshot.decisions.landmarks}
-        at_landmarks = {name: _straight(None, mark.place, landmarks.normal(mark), name) for name, mark in marks.items()}
+        at_landmarks = {name: _straight(None, mark.place, self._landmarks.normal(mark), name) for name, mark in marks.items()}
         for at, pokes, targets in (
             (ClosingPlaces.LANDMARKS, counting_landmark_pokes(snapshot), at_landmarks),
             (ClosingPlaces.TAXELS, taxel_pokes(snapshot), _taxel_targets(guidance, snapshot)),

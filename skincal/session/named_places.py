@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from pathlib import Path
 
-from skincal.files.reference import TRUTH_NAME, TaxelPositions, plan_reference, read_place_sets, read_places, require_same_part
+from skincal.files.reference import TRUTH_NAME, TaxelPositions, read_place_sets, read_places, require_same_part
 from skincal.methods import leading_method
 from skincal.model.errors import InputError
 from skincal.model.skin import Layout
@@ -96,8 +96,7 @@ def _sets_of(pipeline: Pipeline, folder: Path) -> tuple[TaxelPositions, ...]:
 
 def _plan_of(pipeline: Pipeline, name: str) -> TaxelPositions:
     scene = pipeline.scene
-    part = lay_part(scene, pipeline.session.surface, ())
-    plan = None if part.laid is None else plan_reference(scene.name, part.laid.places)
+    plan = lay_part(scene, pipeline.session.surface, ()).plan
     if plan is None:
         raise InputError(f"{name}: its scene does not say where the layout lies on the part, so there is no plan.")
     return TaxelPositions(f"{name}, plan", scene.link, plan.places, _modules_of(scene.skin.layout))

@@ -39,10 +39,10 @@ def change_words(change: ModuleChange) -> str:
 
 def left_sentences(mend: LayoutRepair) -> list[str]:
     """Name the modules that a changed layout does not explain, one sentence each."""
-    return [_unmended_sentence(left) for left in mend.left]
+    return [_left_sentence(left) for left in mend.left]
 
 
-def _unmended_sentence(left: Unrepaired) -> str:
+def _left_sentence(left: Unrepaired) -> str:
     numbers = left.modules
     if left.kind is UnrepairedKind.STILL_OFF:
         return f"Module {numbers[0]} is still {left.off * 1e3:.0f} mm from its planned position. Press the modules around it."

@@ -54,8 +54,6 @@ _SHORT_REASONS: Mapping[Reason, str] = {
     Reason.SATURATED: "out of range",
 }
 """Short reasons for a narrow column; the other reasons fit there with their number."""
-_WITHOUT_NUMBER = (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED)
-_WITHOUT_COLON = (Reason.SLID,)
 
 
 def rejection_words(rejection: Rejection) -> str:
@@ -64,12 +62,12 @@ def rejection_words(rejection: Rejection) -> str:
     words = REASON_WORDS[reason]
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
-    if reason in _WITHOUT_NUMBER or not (math.isfinite(value) and math.isfinite(limit)):
+    if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
         return words
     bound = "needs" if value < limit else "limit"
     if reason is Reason.NOT_STILL and rejection.unit == "s":
         return f"held still for only {quantity(value, 's')} ({bound} {quantity(limit, 's')})"
-    colon = "" if reason in _WITHOUT_COLON else ":"
+    colon = "" if reason is Reason.SLID else ":"
     if rejection.unit == "1":
         return f"{words}{colon} {number(100.0 * value, 1)} % ({bound} {number(100.0 * limit, 1)} %)"
     return f"{words}{colon} {quantity(value, rejection.unit)} ({bound} {quantity(limit, rejection.unit)})"

@@ -56,11 +56,12 @@ def state_sentence(reason: StateReason | None) -> str:
     if reason is None:
         return ""
     size = reason.size
+    coarse = "" if size is None else f"{size * 1e3:.0f} mm" if size < 1.0 else "over 1 m"
     return STATE_SENTENCES[reason.cause].format(
         count=reason.count,
         mm=0.0 if size is None else size * 1e3,
         degrees=max(float(np.degrees(reason.angle)), 0.1),
-        depth="is unknown" if size is None else f"is only known to {_coarse(size)}",
+        depth="is unknown" if size is None else f"is only known to {coarse}",
         tell="do not fix its pose" if size is None else f"fix its pose only to worse than {SD_MAX * 1e3:.0f} mm",
         left_out=f"; {reason.blind} left out as undetermined" if reason.blind else "",
         inner=state_sentence(reason.inner),
@@ -68,10 +69,6 @@ def state_sentence(reason: StateReason | None) -> str:
         miss_max=f"{MISS_MAX * 1e3:.0f} mm",
         sd_max=f"{SD_MAX * 1e3:.0f} mm",
     )
-
-
-def _coarse(metres: float) -> str:
-    return f"{metres * 1e3:.0f} mm" if metres < 1.0 else "over 1 m"
 
 
 def predicted_words(found: PredictedError, *, apart: bool = True) -> str:

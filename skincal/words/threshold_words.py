@@ -108,13 +108,9 @@ def _objection(name: str, value: float) -> str:
     unit = THRESHOLD_WORDS[name].unit
     if not 0 < value <= setting_limit(name):
         most = f" and at most {with_unit(name, setting_limit(name))}" if name.endswith("_s") else ""
-        return f"Expected a number above 0{most}, {_in(unit)}."
+        return f"Expected a number above 0{most}, {f'in {unit.text}' if unit.text else 'without a unit'}."
     whole = isinstance(getattr(ContactSettings(), name), int)
     return "Expected a whole number." if whole and value != round(value) else ""
-
-
-def _in(unit: DisplayUnit) -> str:
-    return f"in {unit.text}" if unit.text else "without a unit"
 
 
 def use_words(name: str, use: ThresholdUse) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from skincal.model.skin import Layout
 DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
-
-
-Lengths = TypeVar("Lengths", float, FloatArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,21 +71,6 @@ def cell(value: float | None, unit: str, decimals: int = 1) -> str:
 def millimetres(value: float | None, decimals: int = 1) -> str:
     """Format a length in metres as millimetres."""
     return quantity(value, "m", decimals)
-
-
-def in_millimetres(value: Lengths) -> Lengths:
-    """Convert metres to millimetres."""
-    return value * 1e3
-
-
-def in_metres(value: Lengths) -> Lengths:
-    """Convert millimetres to metres."""
-    return value * 1e-3
-
-
-def in_minutes(times: FloatArray) -> FloatArray:
-    """Convert seconds to minutes."""
-    return times / 60.0
 
 
 def newtons(value: float | None, decimals: int = 1) -> str:

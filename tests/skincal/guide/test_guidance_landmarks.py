@@ -79,7 +79,7 @@ PLANS = {
 def test_how_many_landmarks_are_asked_for(case):
     *asked, (left, wanted) = PLANS[case]
     plan = landmark_targets(*asked)
-    assert [(target.done, target.wanted, target.left) for target in plan] == [
+    assert [(target.done, target.wanted, target.pokes_left) for target in plan] == [
         (done, wanted, wanted - done) for done in range(wanted - left, wanted)
     ]
 
