@@ -1,7 +1,6 @@
-"""Pokes straight to contacts and landmark pokes, without bytes: what an accepted poke's mean wrench and answers would be.
+"""Simulated contacts and landmark pokes without bytes: the mean wrench and responses of accepted pokes.
 
-Gates are not run: unless the operator has the habit of touching a second place too, every poke here is one still touch of
-one place, so none would be rejected but for too little force or too many taxels. For slides, clocks and losses use `device`.
+Gates are not applied. For slides, clocks and losses use `device`.
 """
 
 from __future__ import annotations
@@ -13,22 +12,22 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
-from skincal.simulate.operator import Habits, LandmarkHabits, touches_beside, unguided_presses
+from skincal.simulate.operator import Habits, LandmarkHabits, second_touches, unguided_presses
 from skincal.simulate.rig_errors import drift_step, slow_mean_sd
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, SimulatedArmPose, cone_tilts, push_directions, tangents
 
 CYCLE_S = 2.5
-"""s, one poke and the way to the next (`Habits`)."""
+"""s, one poke and the movement to the next (`Habits`)."""
 WRENCH_HZ = 1000.0
-"""Hz, readings that enter a mean."""
+"""Hz, rate of the wrenches in a mean."""
 SKIN_HZ = 50.0
-"""Hz, frames that enter a mean."""
+"""Hz, rate of the skin frames in a mean."""
 TARE_TO_STILL_S = 0.8
 """s, from the middle of a quiet window to the middle of the still one."""
 RECIPE_TILT = float(np.radians(28.0))
-"""rad. A push of a recipe leans this far from the inward normal: a little less than friction holds."""
+"""rad, tilt of a printed recipe's pushes from the inward normal: slightly below the friction limit."""
 RECIPE_TURN = float(np.radians(120.0))
-"""rad from each round of a recipe to the next: after three the lean has been to all sides."""
+"""rad, turn of the tilt from round to round of a recipe: three rounds cover all sides."""
 
 
 def simulate_contacts(
@@ -39,15 +38,13 @@ def simulate_contacts(
     first_poke: int = 1,
     habits: Habits | None = None,
 ) -> list[Contact]:
-    """Return the contacts that pokes end as, in their order; those that no taxel answers are left out.
+    """Simulate the contacts of pokes, in order, without pokes that no taxel answers.
 
-    Habits say how often a second place is touched too (`touches_beside`), never for None. All else is drawn as without, so
-    that two sessions differ in these pokes alone.
+    `habits` has the rate of double touches (`second_touches`), 0 for `None`; it changes no other random number.
     """
     arm_pose = rig.arm_pose(pose)
-    # A spawned generator leaves what `rng` draws as it is.
     (accidents,) = rng.spawn(1)
-    doubled, seconds = touches_beside(rig, pokes, habits or Habits.careful(), accidents)
+    doubled, seconds = second_touches(rig, pokes, habits or Habits.careful(), accidents)
     wrenches = _mean_wrenches(rig, pokes, arm_pose, rng)
     noise, change = _tared_noise(rig, len(pokes), rng)
     wrenches = wrenches + noise
@@ -84,13 +81,13 @@ def simulate_contacts(
 
 
 def unguided(rig: Rig, per_taxel: int, rng: np.random.Generator, habits: Habits | None = None) -> PressedPlaces:
-    """Return unguided pokes, `per_taxel` at each taxel, each round in a new random order."""
+    """Return unguided presses: `per_taxel` rounds over the taxels, each in a new random order."""
     targets = np.concatenate([rng.permutation(rig.channels) for _ in range(per_taxel)])
     return unguided_presses(rig, targets, habits or Habits.careful(), rng)
 
 
 def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[tuple[IntArray, FloatArray]]:
-    """Return for each poke some taxels, rows of the rig's, and their answers with noise."""
+    """Return for each poke the rows of nearby taxels and their responses with noise."""
     rows, answers = rig.answers(pokes, pokes.forces)
     settings = rig.scene.contacts
     frames = settings.still_s * SKIN_HZ, settings.quiet_s * SKIN_HZ
@@ -100,7 +97,7 @@ def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[t
 
 
 def _both(rig: Rig, first: tuple[IntArray, FloatArray], other: tuple[IntArray, FloatArray]) -> tuple[IntArray, FloatArray]:
-    """Return the answers to two touches at once."""
+    """Add the responses to two touches."""
     answers = np.zeros(len(rig.channels))
     answers[first[0]] += first[1]
     answers[other[0]] += other[1]
@@ -109,7 +106,7 @@ def _both(rig: Rig, first: tuple[IntArray, FloatArray], other: tuple[IntArray, F
 
 
 def _mean_wrenches(rig: Rig, pokes: PressedPlaces, arm_pose: SimulatedArmPose, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 6) what the sensor makes of the forces, before noise."""
+    """Return the wrench readings (n, 6) without noise."""
     e1, e2 = tangents(pokes.normals)
     beside = rig.errors.scatter * rng.standard_normal((len(pokes), 2))
     points = pokes.points + beside[:, :1] * e1 + beside[:, 1:] * e2
@@ -117,17 +114,17 @@ def _mean_wrenches(rig: Rig, pokes: PressedPlaces, arm_pose: SimulatedArmPose, r
 
 
 def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator) -> FloatArray:
-    """Return (n, 6) noise of the mean over a window."""
+    """Draw the noise (n, 6) of the mean over a window of `seconds`."""
     errors = rig.errors
     white = np.repeat([errors.force_noise, errors.moment_noise], 3) / np.sqrt(seconds * WRENCH_HZ)
     return np.hypot(white, slow_mean_sd(errors, seconds)) * rng.standard_normal((count, 6))
 
 
 def _tared_noise(rig: Rig, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 6) noise and drift that a tare around every poke leaves, and (n,) by how many newtons the tares differ."""
+    """Draw the noise and drift (n, 6) after taring around every poke, and the differences of the tares (n,), N."""
     settings = rig.scene.contacts
     still = _window_noise(rig, count, settings.still_s, rng)
-    # Drift is counted from the press: the tares before and after it are off by a walk of their own each.
+    # Drift relative to the press; the tares before and after have independent random walks.
     walk = drift_step(rig.errors) * np.sqrt(TARE_TO_STILL_S)
     before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
     after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))
@@ -142,9 +139,9 @@ def poke_landmarks(
     first_poke: int = 1,
     beside: FloatArray | None = None,
 ) -> list[LandmarkPoke]:
-    """Return pokes at the landmarks in turn, so many in each arm pose of the rig.
+    """Simulate `per_pose` pokes at the landmarks in turn in each arm pose of the rig.
 
-    `beside` (n,), metres, is how far each poke lies off its landmark by mistake; none for None.
+    `beside` (n,), metres, is an additional offset of each poke from its landmark; `None`: 0.
     """
     found: list[LandmarkPoke] = []
     for pose in rig.arm_poses:
@@ -162,7 +159,7 @@ def poke_landmarks(
 
 
 def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Generator) -> PressedPlaces:
-    """Return one poke at each of `wanted`, `off` metres (n,) beside it and by the hand's aim."""
+    """Return a press at each landmark with the aim error and the offsets `off` (n,), metres."""
     habits, count = LandmarkHabits(), len(wanted)
     places = np.array([landmark.place for landmark in wanted])
     up = np.array([0.0, 0.0, 1.0])

@@ -1,12 +1,10 @@
-"""Scenes that ship as they are poked: their mesh, plan and modules, a good rig, and meshes of their parts of any size.
+"""Shipped scenes with mesh, plan, modules and a rig for studies and tests, and meshes of their shapes in any resolution.
 
-The rig has the noise of its sensors and no other error (`RigErrors.noise`), and is poked by somebody careful, unguided: what is
-left of the error is the solver's and the noise's. Taxels lie on the mesh of the scene; the same contacts are solved on finer
-and coarser meshes of the same shape as well, whose error includes what a coarse mesh costs.
+The rig has sensor noise and no other error (`RigErrors.noise`). Taxels lie on the scene's mesh; on another mesh of the shape,
+errors include its discretization.
 
-The shapes are this project's own; of the reference robot only facts enter: the forearm's box in its wrist frame, and in the
-scene file the modules' ids, places and angles (icub-main `right_forearm.ini`), the v1 chain (iKinFwd.cpp, iDynInv.cpp) and
-Table I of the paper.
+The shapes are this project's own. From the reference robot come the forearm's bounding box and, in the scene file, the modules'
+ids, positions and angles (icub-main `right_forearm.ini`), the v1 chain (iKinFwd.cpp, iDynInv.cpp) and Table I of the paper.
 """
 
 from __future__ import annotations
@@ -31,19 +29,18 @@ from skincal.model.skin import Layout
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import NEIGHBOURS, Rig
+from skincal.simulate.simulated_rig import NEARBY_TAXELS, Rig
 
-LAID_ON = 4_000
-"""Triangles."""
-_MM = 1e-3
+LAYING_TRIANGLES = 4_000
+"""Size of the mesh for laying the layout: on 100,000 triangles it takes 3 s."""
 
 
 def forearm_point(y: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return points of the forearm's shell, mm, wrist frame: an elliptic tube that widens towards the elbow (y up).
+    """Return points of the forearm's shell, mm, wrist frame: an elliptic tube, wider at the elbow (large y).
 
     y is -2 to 115 mm; the angle goes from x to z, pi/2 is the ridge.
     """
-    # `0.0 * angle` gives the height the shape of both.
+    # `0.0 * angle` broadcasts the height.
     s = (y + 2.0) / 117.0
     wide = s * (2.0 - s)
     half, top, bottom = 23.0 + 9.0 * wide, 24.0 + 8.5 * wide, -30.0 - 13.5 * wide
@@ -62,21 +59,21 @@ def torso_point(z: FloatArray, angle: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class TubeShape:
-    """A part as a smooth tube that is open at both ends, and how the mesh that ships is cut."""
+    """A smooth tube with open ends, and the grid of its shipped mesh."""
 
     point: Callable[[FloatArray, FloatArray], FloatArray]
-    """(height, angle) to (..., 3) points, mm: one turn around the tube at each height."""
+    """Point (..., 3), mm, at a height, mm, and an angle, radians."""
     low: float
-    """mm, as the end below."""
+    """mm, height of the lower end; `high` of the upper one."""
     high: float
     steps: int
-    """Quads along, in the mesh that ships; `turns` around."""
+    """Quads along the tube in the shipped mesh; `turns` around it."""
     turns: int
     right_handed: bool
-    """The angle grows counterclockwise seen from the high end."""
+    """The angle is counterclockwise seen from the high end."""
 
     def mesh(self, triangles: int) -> Surface:
-        """Return a mesh of about so many outward triangles, as many times finer along as around."""
+        """Make a mesh of about `triangles` outward triangles, with the shipped mesh's proportions."""
         finer = float(np.sqrt(triangles / (2 * self.steps * self.turns)))
         turns = max(3, round(self.turns * finer))
         steps = max(1, round(triangles / (2 * turns)))
@@ -87,7 +84,7 @@ class TubeShape:
         a = (row * turns + column).ravel()
         b = (row * turns + (column + 1) % turns).ravel()
         quads = np.stack([a, b, b + turns, a, b + turns, a + turns], axis=1).reshape(-1, 3)
-        return make_surface(vertices * _MM, quads if self.right_handed else quads[:, ::-1].copy())
+        return make_surface(vertices * 1e-3, quads if self.right_handed else quads[:, ::-1].copy())
 
 
 SHAPES = {
@@ -97,15 +94,15 @@ SHAPES = {
 
 
 class _Rig(Rig):
-    """A rig that finds the taxels near a tip by a search tree, in their order of distance."""
+    """A rig that finds nearby taxels with a search tree, sorted by distance."""
 
     def _near(self, points: FloatArray) -> IntArray:
-        # Asked for a list of ranks, scipy answers with a column each, also where there is one taxel.
-        near: IntArray = self._tree.query(points, np.arange(1, min(NEIGHBOURS, len(self.places)) + 1))[1]
+        # A list of ranks makes scipy return two dimensions also for one taxel.
+        near: IntArray = self._tree.query(points, np.arange(1, min(NEARBY_TAXELS, len(self.places)) + 1))[1]
         return near
 
-    def put_on(self, surface: Surface) -> None:
-        """Put the taxels where `surface` is nearest to them."""
+    def move_taxels_to(self, surface: Surface) -> None:
+        """Move the taxels to the nearest points of `surface`."""
         self.surface = surface
         self.places, triangles = nearest_points(surface, self.places)
         self.normals = surface.normals[triangles]
@@ -118,70 +115,61 @@ class _Rig(Rig):
 
 @dataclass(frozen=True, eq=False)
 class ExamplePart:
-    """A scene that ships and is poked."""
+    """A shipped scene with its mesh, plan and rig."""
 
     name: str = "icub-forearm"
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene that ships under this name."""
         return load_scene(resource(f"scenes/{self.name}/scene.toml"))
 
     @cached_property
     def surface(self) -> Surface:
-        """The mesh that ships with it."""
-        assert self.scene.surface is not None, "a bench is a part with a mesh"
+        assert self.scene.surface is not None, "an example part has a mesh"
         return load_surface(self.scene.surface)[0]
 
     @property
     def layout(self) -> Layout:
-        """The layout of its skin."""
-        assert self.scene.skin.layout is not None, "a bench is a part with a layout"
+        assert self.scene.skin.layout is not None, "an example part has a layout"
         return self.scene.skin.layout
 
     @cached_property
     def rig(self) -> Rig:
-        """A good rig; always the same one.
-
-        The layout is laid on a coarser mesh and then put on the scene's: on 100,000 triangles laying alone takes 3 s.
-        """
-        rig = _Rig(self.scene, self.mesh(LAID_ON), RigErrors.noise(), np.random.default_rng(1))
-        rig.put_on(self.surface)
+        """A rig with sensor noise only, always the same."""
+        rig = _Rig(self.scene, self.mesh(LAYING_TRIANGLES), RigErrors.noise(), np.random.default_rng(1))
+        rig.move_taxels_to(self.surface)
         return rig
 
     @cached_property
     def plan(self) -> PlannedPlaces:
-        """Where the layout, laid on the surface, puts the taxels."""
+        """Planned positions: the layout laid on the surface."""
         laid = place_layout(self.layout, self.scene.skin.anchor, self.surface)
         plan = None if laid is None else plan_from_layout(self.layout, laid)
-        assert plan is not None, "what ships can be laid"
+        assert plan is not None, "shipped layouts can be laid"
         return plan
 
     @property
     def spacing(self) -> float:
-        """m, usual distance of neighbours."""
+        """m, typical distance of neighbouring taxels."""
         return self.layout.spacing
 
     @cached_property
     def model(self) -> ModuleModel:
-        """Its modules on its mesh."""
         return self.modules_on(self.surface)
 
     def modules_on(self, surface: Surface) -> ModuleModel:
-        """Return its modules on another mesh."""
         return ModuleModel(self.layout, self.scene.skin.anchor, surface)
 
     @property
     def channels(self) -> list[int]:
-        """The taxels, ascending."""
         return self.rig.channels.tolist()
 
     def mesh(self, triangles: int | None) -> Surface:
-        """Return the mesh that ships, for None, or one of the same shape with about so many triangles."""
+        """Return the shipped mesh, or one of the same shape with about `triangles` triangles."""
         return self.surface if triangles is None else SHAPES[self.name].mesh(triangles)
 
     def contacts(self, per_taxel: int, seed: int) -> list[Contact]:
-        """Poke each taxel `per_taxel` times, shared out among the arm poses."""
+        """Poke each taxel `per_taxel` times, in the arm poses in turn."""
         rng = np.random.default_rng((seed, per_taxel))
         poses = list(self.rig.arm_poses)
         contacts: list[Contact] = []
@@ -194,7 +182,7 @@ class ExamplePart:
         return contacts
 
     def errors(self, positions: dict[int, FloatArray]) -> FloatArray:
-        """Return (n,) how far positions of taxels lie from the truth, metres."""
+        """Return the errors (n,) of taxel positions, metres."""
         if not positions:
             return np.empty(0)
         rows = [self.rig.row_of(channel) for channel in positions]

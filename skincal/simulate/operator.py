@@ -32,7 +32,7 @@ from skincal.simulate.simulated_rig import (
 
 @dataclass(frozen=True, slots=True)
 class PokeOrder:
-    """Poke this taxel; what is None is as the habits have it."""
+    """Order to poke a taxel; `None`: as the habits say."""
 
     channel: int
     tilt: float | None = None
@@ -45,40 +45,27 @@ class PokeOrder:
 
 @dataclass(frozen=True, slots=True)
 class PoseOrder:
-    """Bring the arm to this pose."""
+    """Order to move the arm to a pose."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class PaceOrder:
-    """Be so many times as quick between pokes as by habit."""
+    """Order to change the speed between pokes by a factor."""
 
     pace: float
-
-    @classmethod
-    def of(cls, pace: float) -> PaceOrder:
-        """Return the order; ValueError where no hand is as quick or as slow."""
-        if not PACES[0] <= pace <= PACES[1]:
-            raise ValueError(pace)
-        return cls(pace)
 
 
 Order: TypeAlias = PokeOrder | PoseOrder | PaceOrder
 
 ORDER_HELP = "poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], pose NAME or pace TIMES"
-PACES = (0.1, 4.0)
-"""How many times as quick as by habit a hand may be between pokes."""
+PACE_RANGE = (0.1, 4.0)
+"""Allowed factors of the speed between pokes."""
 
 
 def read_order(line: str) -> Order | None:
-    """Read one line; None for an empty one.
-
-    Raises
-    ------
-    InputError
-        The line is no order.
-    """
+    """Read one line; `None` for an empty one. Raises InputError for any other line without an order."""
     words = line.split()
     if not words:
         return None
@@ -99,8 +86,10 @@ def _order_of(words: list[str]) -> Order | None:
             tilt, azimuth, force = map(float, numbers)
             if 0 <= tilt < 90 and 0 < force < 1000 and np.isfinite(azimuth):
                 return PokeOrder(int(channel), float(np.radians(tilt)), float(np.radians(azimuth)), force)
-        case ["pose" | "pace" as what, value]:
-            return PoseOrder(value) if what == "pose" else PaceOrder.of(float(value))
+        case ["pose", name]:
+            return PoseOrder(name)
+        case ["pace", pace] if PACE_RANGE[0] <= float(pace) <= PACE_RANGE[1]:
+            return PaceOrder(float(pace))
         case _:
             pass
     return None
@@ -108,65 +97,65 @@ def _order_of(words: list[str]) -> Order | None:
 
 @dataclass(frozen=True, slots=True)
 class Habits:
-    """How somebody pokes; SI units."""
+    """How a person pokes; SI units."""
 
     force: tuple[float, float] = (6.0, 12.0)
     """N, uniform: well inside the force window of 4 to 15 N."""
     cone: float = float(np.radians(30.0))
-    """rad. Pushes lie within it about the inward normal, uniform in solid angle: the friction of a tip on foam."""
+    """rad, maximum tilt of a push from the inward normal: the friction of a tip on foam. Uniform in solid angle."""
     aim: float = 0.002
-    """m, sd of the place in each tangent direction. Half the side of the 4 mm tip. Assumed."""
+    """m, sd of the position in each tangent direction. Half the side of the 4 mm tip. Assumed."""
     approach_s: tuple[float, float] = (0.4, 0.9)
-    """s, hand on its way, nothing touched. With the rest, about 2.2 s a poke: brisk. Assumed."""
+    """s, movement of the hand before the touch. A poke takes about 2.2 s in all. Assumed."""
     ramp_s: tuple[float, float] = (0.15, 0.30)
     """s, from touch to full force."""
     hold_s: tuple[float, float] = (0.4, 0.8)
-    """s, held: longer than the still window of 0.3 s. Assumed."""
+    """s at full force, longer than the still window of 0.3 s. Assumed."""
     release_s: tuple[float, float] = (0.10, 0.20)
-    """s, from full force to none."""
+    """s, from full force to zero."""
     rest_s: tuple[float, float] = (0.3, 0.6)
     """s, quiet after the release, before the hand moves on."""
     tremor: float = 0.015
-    """Amplitude of the tremor as a share of the force: well inside the 5 % that a still window allows."""
+    """Amplitude of the tremor relative to the force. A still window allows 5 %."""
     tremor_hz: tuple[float, float] = (8.0, 12.0)
     """Hz. Physiological tremor of the hand."""
     slide_rate: float = 0.03
-    """Share of the pokes that slide while held. Assumed."""
+    """Share of the pokes that slide at full force. Assumed."""
     slide: tuple[float, float] = (0.003, 0.006)
-    """m, how far they slide."""
+    """m, length of the slide."""
     double_rate: float = 0.03
     """Share of the pokes that touch a second place. Assumed."""
     double_share: tuple[float, float] = (0.2, 0.5)
     """Force at the second place, as a share of the first."""
     double_away: tuple[float, float] = (0.015, 0.060)
-    """m, uniform: how far beside the first place another finger or a sleeve touches (`touches_beside`). Assumed."""
+    """m, uniform distance of the second place from the first: another finger or a sleeve (`second_touches`). Assumed."""
     move_s: float = 2.0
     """s, for the arm to go to another pose."""
     hand: float = float(np.radians(6.0))
-    """rad, sd of the push about the one that is asked for, in each direction. Assumed."""
+    """rad, sd of the push about the requested one, in each direction. Assumed."""
     side: float = 0.0
-    """rad, from e1 to e2 of `tangents`: the side of the hand, for the two below."""
+    """rad, from e1 to e2 of `tangents`: direction of the hand, for `bias` and `arc`."""
     bias: float = 0.0
-    """rad: every push leans so much more towards that side."""
+    """rad, additional tilt of every push towards `side`."""
     arc: float = 2.0 * float(np.pi)
-    """rad: pushes lean towards an arc of this breadth about that side alone; 0 for always the same."""
+    """rad, range of tilt directions about `side`; 0 for always the same one."""
     ignores: float = 1.0 / 12.0
-    """Share of the pokes in which somebody who is shown a target pokes a taxel of their own choice. Assumed."""
+    """Share of the pokes at a taxel of the person's own choice instead of the target. Assumed."""
     reaction_s: float = 0.25
-    """s before the touch: another target that is shown later comes too late. A simple visual reaction."""
+    """s before the touch. A later target is used for the next poke. A simple visual reaction."""
 
     @property
     def leans(self) -> bool:
-        """Whether pushes are not just as they are meant, but for the hand's error."""
+        """Whether `bias` or `arc` change pushes."""
         return self.bias != 0.0 or self.arc < 2.0 * np.pi
 
     @classmethod
     def careful(cls) -> Habits:
-        """Return the habits of somebody who never slides and never touches twice."""
+        """Return habits without slides and double touches."""
         return cls(slide_rate=0.0, double_rate=0.0)
 
     def at_pace(self, pace: float) -> Habits:
-        """Return the habits of somebody whose hand is `pace` times as quick between pokes; presses take as long as they do."""
+        """Return habits with `pace` times the speed between pokes; presses take the same time."""
         approach, rest = (tuple(s / pace for s in times) for times in (self.approach_s, self.rest_s))
         return replace(self, approach_s=approach, rest_s=rest, reaction_s=self.reaction_s / pace)
 
@@ -179,18 +168,17 @@ OPERATORS: Mapping[str, Habits] = {
     "arc": replace(Habits.careful(), arc=float(np.radians(120.0)), side=float(np.radians(-90.0))),
     "one_side": replace(Habits.careful(), arc=0.0, bias=float(np.radians(20.0)), side=float(np.radians(-90.0))),
 }
-"""Hands unlike the one that the guide's thresholds were found with: a finger that covers two taxels in every poke, hands that
-lean to one side, that reach the part from a third of its sides, or from one only."""
+"""Operator profiles for robustness tests. The guide's thresholds were tuned with `careful` only."""
 
 
 def apply_bias(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
-    """Return the pushes (n, 3) that somebody makes of those meant, on skin with the outward `normals`: see `Habits.side`."""
+    """Apply `Habits.bias` and `arc` to pushes (n, 3) on skin with outward normals (n, 3)."""
     if not habits.leans:
         return pushes
-    # A push that grazes leans as far as one can.
+    # Limits the slope of grazing pushes.
     inward = np.maximum(-np.sum(pushes * normals, axis=1, keepdims=True), 1e-3)
     e1, e2 = tangents(normals)
-    # Slopes beside the normal, as seen from the hand's side.
+    # Slopes along e1 and e2.
     x, y = (np.sum(pushes * e, axis=1) / inward[:, 0] for e in (e1, e2))
     half = habits.arc / 2.0
     turned = np.arctan2(y, x) - habits.side
@@ -204,19 +192,19 @@ def apply_bias(pushes: FloatArray, normals: FloatArray, habits: Habits) -> Float
 
 @dataclass(frozen=True, slots=True)
 class LandmarkHabits:
-    """How somebody pokes landmarks; SI units."""
+    """How a person pokes landmarks; SI units."""
 
     force: tuple[float, float] = (8.0, 13.0)
-    """N, uniform: metal, so one presses harder than on foam."""
+    """N, uniform, higher than on foam."""
     cone: float = float(np.radians(28.0))
-    """rad. Pushes lie within it about the inward normal, uniform in solid angle."""
+    """rad, maximum tilt of a push from the inward normal. Uniform in solid angle."""
     aim: float = 0.0007
-    """m, sd of the place in each tangent direction: a tip in the slot of a screw. Assumed."""
+    """m, sd of the position in each tangent direction: a tip in the slot of a screw. Assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandPress:
-    """One press over time: nothing, ramp, hold, release, nothing."""
+    """One press over time: ramp, hold, release."""
 
     begin: float
     """s, first touch."""
@@ -224,22 +212,22 @@ class HandPress:
     hold: float
     release: float
     free: float
-    """s, when the operator is ready for the next."""
+    """s, time at which the operator is ready for the next action."""
     pokes: PressedPlaces
-    """One place; two where something else touches too."""
+    """One place, or two for a double touch."""
     slide: FloatArray
-    """(3,) float, metres, link frame: travel during the hold."""
+    """(3,) float, metres, link frame: slide during the hold."""
     tremor: float
     tremor_hz: float
     tremor_phase: float
 
     @property
     def end(self) -> float:
-        """When the tip has left, seconds."""
+        """s, end of contact."""
         return self.begin + self.ramp + self.hold + self.release
 
     def load(self, times: FloatArray) -> FloatArray:
-        """Return (n,) the force as a share of the force while held."""
+        """Return the force (n,) relative to the full force."""
         since = times - self.begin
         rise = _smooth_step(since / self.ramp)
         fall = _smooth_step((since - self.ramp - self.hold) / self.release)
@@ -247,13 +235,13 @@ class HandPress:
         return rise * (1.0 - fall) * shake
 
     def travel(self, times: FloatArray) -> FloatArray:
-        """Return (n, 3) how far the tip has slid, metres."""
+        """Return the slide (n, 3) so far, metres."""
         return np.clip((times - self.begin - self.ramp) / self.hold, 0.0, 1.0)[:, None] * self.slide
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """The arm goes to another pose."""
+    """Movement of the arm to another pose."""
 
     begin: float
     free: float
@@ -268,7 +256,7 @@ def _smooth_step(share: FloatArray) -> FloatArray:
 
 
 def unguided_presses(rig: Rig, targets: IntArray, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
-    """Return unguided pokes at taxels (n,): beside them by the aim error, from a random side within the cone."""
+    """Return unguided presses at taxels (n,), with the aim error and a random tilt within the cone."""
     count = len(targets)
     tilts = cone_tilts(count, habits.cone, rng)
     azimuths = rng.uniform(-np.pi, np.pi, count)
@@ -290,7 +278,7 @@ def presses_at(
     forces: FloatArray,
     rng: np.random.Generator,
 ) -> PressedPlaces:
-    """Return n pokes, each `beside` (n, 2), metres, a target in its plane; `tilts` and `azimuths` as for `push_directions`."""
+    """Return presses at targets with offsets (n, 2), metres, in their planes; `tilts`, `azimuths` as for `push_directions`."""
     rows = np.array([rig.row_of(int(channel)) for channel in targets], dtype=np.int64)
     e1, e2 = tangents(rig.normals[rows])
     points, normals = _on_skin(rig, rig.places[rows] + beside[:, :1] * e1 + beside[:, 1:] * e2, rig.normals[rows])
@@ -324,7 +312,7 @@ def _on_part(rig: Rig, rows: IntArray, places: FloatArray) -> tuple[FloatArray, 
 
 
 def _on_skin(rig: Rig, points: FloatArray, normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points brought back onto the surface, and its normals there; where there is none, what is given."""
+    """Project points onto the surface; return them and its normals. Without a surface the input is returned."""
     if rig.surface is None:
         return points, normals
     on_surface, triangles = nearest_points(rig.surface, points)
@@ -332,13 +320,13 @@ def _on_skin(rig: Rig, points: FloatArray, normals: FloatArray) -> tuple[FloatAr
 
 
 def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.random.Generator) -> HandPress:
-    """Return one press of the first place in `pokes`, by a hand that sets out at `now`, s, with the habits' accidents."""
+    """Return one press of the first place in `pokes`, with random slides and double touches. The hand starts at `now`, s."""
     begin = now + rng.uniform(*habits.approach_s)
     ramp, hold, release = rng.uniform(*habits.ramp_s), rng.uniform(*habits.hold_s), rng.uniform(*habits.release_s)
     free = begin + ramp + hold + release + rng.uniform(*habits.rest_s)
-    # Drawn together for every press: whether it slides does not change what the other accident draws.
+    # Drawn together, so that a slide does not change the random numbers of a double touch.
     slides, doubles = rng.uniform(size=2) < (habits.slide_rate, habits.double_rate)
-    first = pokes.take(slice(0, 1))
+    first = pokes.subset(slice(0, 1))
     both = join([first, _second(rig, first, habits, rng)]) if doubles else first
     slide = np.zeros(3)
     if slides:
@@ -350,17 +338,17 @@ def press(rig: Rig, pokes: PressedPlaces, now: float, habits: Habits, rng: np.ra
 
 
 def _second(rig: Rig, first: PressedPlaces, habits: Habits, rng: np.random.Generator) -> PressedPlaces:
-    """Return the second place of a double touch: another taxel's, pushed at another angle."""
+    """Return the second place of a double touch: at another taxel, with another push."""
     target = rng.choice(rig.channels, 1)
     second = unguided_presses(rig, target, habits, rng)
     forces = first.forces * rng.uniform(*habits.double_share)
     return PressedPlaces(target, second.points, second.normals, second.directions, forces, second.turns)
 
 
-def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, PressedPlaces]:
-    """Return which of the pokes touch a second place, rows (m,), and these m places: on the skin, or on the part beside it."""
+def second_touches(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.random.Generator) -> tuple[IntArray, PressedPlaces]:
+    """Choose pokes with a second touch; return their rows (m,) and the second places, on the skin or the part around it."""
     rows = np.flatnonzero(rng.uniform(size=len(pokes)) < habits.double_rate)
-    count, first = len(rows), pokes.take(rows)
+    count, first = len(rows), pokes.subset(rows)
     e1, e2 = tangents(first.normals)
     azimuths, away = rng.uniform(-np.pi, np.pi, count)[:, None], rng.uniform(*habits.double_away, count)[:, None]
     beside = first.points + away * (np.cos(azimuths) * e1 + np.sin(azimuths) * e2)
@@ -371,17 +359,17 @@ def touches_beside(rig: Rig, pokes: PressedPlaces, habits: Habits, rng: np.rando
 
 
 class AutoOperator:
-    """Pokes by itself: every taxel once in a random order, then again; arm poses one after another.
+    """Pokes every taxel once a round, in a random order, in one arm pose after another.
 
     Parameters
     ----------
-    pokes : how many to do; None never ends
-    poses : names of arm poses, an equal share of the pokes each; with `pokes` None each gets `ROUND` pokes
-    channels : taxels to poke; all where None
+    pokes : their number; `None`: no end
+    poses : names of arm poses with equal shares of the pokes; without an end each gets `POKES_PER_POSE` in turn
+    channels : taxels to poke; `None`: all
     """
 
-    ROUND = 84
-    """Pokes before the arm moves on, where the number of pokes is open: one for each taxel of the paper's forearm."""
+    POKES_PER_POSE = 84
+    """One for each taxel of the paper's forearm."""
 
     def __init__(
         self,
@@ -395,19 +383,18 @@ class AutoOperator:
         self._rig, self._habits, self._rng, self._pokes = rig, habits, rng, pokes
         self._arm_poses = [rig.arm_pose(name) for name in poses] or [rig.arm_pose()]
         self._channels = rig.channels if channels is None else np.array(channels, dtype=np.int64)
-        self._each = self.ROUND if pokes is None else max(1, -(-pokes // len(self._arm_poses)))
+        self._each = self.POKES_PER_POSE if pokes is None else max(1, -(-pokes // len(self._arm_poses)))
         self._round: list[PressedPlaces] = []
         self.begun = 0
-        """Pokes begun so far."""
+        """Number of pokes so far."""
         self._arm_pose = rig.arm_pose()
 
     @property
     def done(self) -> bool:
-        """All pokes are done."""
         return self._pokes is not None and self.begun >= self._pokes
 
     def next(self, now: float) -> OperatorAction | None:
-        """Return the next poke, or the way to the next arm pose."""
+        """Return the next action at time `now`, s; `None` if there is none yet."""
         if self.done:
             return None
         wanted = self._arm_poses[self.begun // self._each % len(self._arm_poses)]
@@ -417,18 +404,17 @@ class AutoOperator:
         return self._poke(now)
 
     def _poke(self, now: float) -> HandPress | None:
-        """Return the next poke; None where there is none yet."""
         if not self._round:
             order = self._rng.permutation(self._channels)
             pokes = unguided_presses(self._rig, order, self._habits, self._rng)
-            # Backwards, since `pop` takes from the end.
-            self._round = [pokes.take(slice(i, i + 1)) for i in range(len(order) - 1, -1, -1)]
+            # Reversed for `pop`.
+            self._round = [pokes.subset(slice(i, i + 1)) for i in range(len(order) - 1, -1, -1)]
         self.begun += 1
         return press(self._rig, self._round.pop(), now, self._habits, self._rng)
 
 
 class ScriptedOperator:
-    """Does what a queue says, one after another. Orders are checked when they are put in: see `accept`."""
+    """Obeys a queue of orders."""
 
     done = False
 
@@ -436,16 +422,10 @@ class ScriptedOperator:
         self._rig, self._habits, self._rng = rig, habits, rng
         self._orders: queue.SimpleQueue[PokeOrder | PoseOrder] = queue.SimpleQueue()
         self.begun = 0
-        """Pokes begun so far."""
+        """Number of pokes so far."""
 
     def accept(self, order: Order) -> None:
-        """Queue an order, from any thread.
-
-        Raises
-        ------
-        InputError
-            There is no such taxel or pose, or the order is a guide's.
-        """
+        """Queue an order, from any thread. Raises InputError for an unknown taxel or pose, and for `PaceOrder`."""
         if isinstance(order, PokeOrder):
             self._rig.row_of(order.channel)
         elif isinstance(order, PoseOrder):
@@ -455,7 +435,6 @@ class ScriptedOperator:
         self._orders.put(order)
 
     def next(self, now: float) -> OperatorAction | None:
-        """Return the next order as an action; None while there is none."""
         try:
             order = self._orders.get_nowait()
         except queue.Empty:
@@ -476,53 +455,47 @@ class ScriptedOperator:
 
 
 class GuidedOperator(AutoOperator):
-    """Pokes the target that is shown; by itself, as `AutoOperator`, as long as nobody guides.
+    """Pokes the shown target; without a guide it pokes like `AutoOperator`.
 
-    The guide's ring is drawn where it believes the taxel to be, on the part; that is where the hand goes, beside the true
-    taxel if need be. The person looks at the screen until the hand goes down: a target that comes earlier than a reaction
-    before the touch still counts, a later one is for the next poke. A known point of the part, such as a screw head, is
-    seen and felt: the hand goes to it more exactly, and neither slides off nor pokes something else instead.
-
-    Each number that is asked for is poked once, and said to be reached when the hand is back.
-
-    The same seed and the same targets at the same times give the same pokes. `channels` are for pokes of its own choice.
+    The hand aims at the shown ring, not at the true taxel. A new target is used until `Habits.reaction_s` before the touch. A
+    known point, such as a screw head, is poked more accurately, without slides and never ignored. Each target number is poked
+    once, and answered with REACHED when the hand is back. Equal seeds and targets at equal times give equal pokes.
     """
 
     _newest: PokeTarget | NoTarget = NoTarget.ANY
-    """From any thread."""
+    """Target for the next poke, set by any thread."""
     _seen: PokeTarget | NoTarget = NoTarget.ANY
-    """What is on the screen now."""
+    """Target of the present poke."""
     _natural: Habits | None = None
-    """Those that it began with, once its pace was changed."""
+    """Habits before the first change of pace."""
     _touch: float | None = None
-    """s, when the hand that is on its way will touch."""
+    """s, time of the next touch; `None` while the hand rests."""
     _poked: int = 0
-    """Number of the target that was poked last."""
-    _to_say: int = 0
-    """The same until it is said to be reached, else 0."""
+    """Number of the last poked target."""
+    _unanswered: int = 0
+    """Target number without an answer, or 0."""
     answered: Callable[[Answer], object] | None = None
-    """Is told what a robot would answer."""
+    """Receives the answers."""
 
     def accept(self, order: Order) -> None:
-        """Be so quick from now on, from any thread; InputError where the order is another one."""
+        """Change the pace, from any thread. Raises InputError for other orders."""
         if not isinstance(order, PaceOrder):
             raise InputError("poke and pose are for --operator told; expected pace, and targets over --targets.")
         self._natural = self._natural or self._habits
         self._habits = self._natural.at_pace(order.pace)
 
     def show(self, line: AskedLine) -> None:
-        """Take what the guide asks for now, from any thread; InputError where there is no such taxel."""
+        """Set the target, from any thread. Raises InputError for an unknown taxel."""
         if isinstance(line, PokeTarget) and line.channel is not None:
             self._rig.row_of(line.channel)
-        # Without a lock: in Python one assignment is seen whole by every thread.
+        # No lock: an assignment is atomic in Python.
         if isinstance(line, PokeTarget | NoTarget):
             self._newest = line
 
     def next(self, now: float) -> OperatorAction | None:
-        """Return the next poke, or the way to the next arm pose; None while the hand is on its way, or has to wait."""
-        self._seen, said, self._to_say = self._newest, self._to_say, 0
-        if said and self.answered is not None:
-            self.answered(Answer(AnswerKind.REACHED, said))
+        self._seen, number, self._unanswered = self._newest, self._unanswered, 0
+        if number and self.answered is not None:
+            self.answered(Answer(AnswerKind.REACHED, number))
         if self._seen in (NoTarget.WAIT, NoTarget.ENOUGH):
             self._touch = None
             return None
@@ -536,11 +509,11 @@ class GuidedOperator(AutoOperator):
             self._touch = now + self._rng.uniform(*self._habits.approach_s)
         if now < self._touch - self._habits.reaction_s or self._seen.number == self._poked:
             return None
-        self._poked = self._to_say = self._seen.number
-        # A hand that had to wait touches now, not in the past.
+        self._poked = self._unanswered = self._seen.number
+        # After a wait the touch is now.
         touch, self._touch = max(self._touch, now), None
         self.begun += 1
-        # Its approach is over: the hand has been on its way since it saw a target.
+        # The hand has approached while it waited for the target.
         at_once = replace(self._habits, approach_s=(0.0, 0.0))
         if self._seen.known:
             return press(self._rig, self._at_point(self._seen), touch, replace(at_once, slide_rate=0.0), self._rng)
@@ -558,17 +531,17 @@ class GuidedOperator(AutoOperator):
         return aimed_presses(self._rig, np.array([row]), target.place[None], target.push[None], habits, rng)
 
     def _at_point(self, target: PokeTarget) -> PressedPlaces:
-        """Return how the hand pokes a known point: there, whether or not the surface and the skin pass through it."""
+        """Press at a known point, which need not lie on the surface."""
         firm, rng = LandmarkHabits(), self._rng
-        # Without a surface the push itself says which way is outward.
+        # Without a surface the normal is against the push.
         normal = _on_skin(self._rig, target.place[None], -target.push[None])[1]
         e1, e2 = tangents(normal)
         beside = firm.aim * rng.standard_normal(2)
         place = target.place + beside[0] * e1 + beside[1] * e2
         meant = apply_bias(target.push[None], normal, self._habits)
         push = limit_tilt(add_hand_noise(meant, self._habits.hand, rng), normal, firm.cone)
-        nobody = np.array([-1], dtype=np.int64)
-        return PressedPlaces(nobody, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
+        no_taxel = np.array([-1], dtype=np.int64)
+        return PressedPlaces(no_taxel, place, normal, push, rng.uniform(*firm.force, 1), np.zeros(1))
 
 
 Operator: TypeAlias = AutoOperator | ScriptedOperator

@@ -1,7 +1,7 @@
-"""How wrong a rig is: every error of sensors, arm and links, with the source of its size (`docs/noise.md`); the sensor's noise.
+"""Errors of sensors, arm and links with the sources of their sizes (`docs/noise.md`), and the noise of the sensor.
 
-What a force/torque sensor adds to the truth over time is white noise, slow noise (an Ornstein-Uhlenbeck process) and drift (a
-random walk); the latter two are drawn at the ends of blocks of readings and run straight between them.
+The noise of a force/torque sensor is white noise, slow noise (an Ornstein-Uhlenbeck process) and drift (a random walk). The
+latter two are drawn at the ends of blocks of readings and interpolated between them.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from skincal.geometry import FloatArray
 class RigErrors:
     """Errors of a rig, SI units. The defaults are `paper()`.
 
-    The skin is mounted beside its plan in every preset (`mount_shift`, `mount_turn`): that is what a calibration finds,
-    not an error of the rig.
+    Every preset displaces the skin from its plan (`mount_shift`, `mount_turn`): a calibration finds this; it is no rig error.
     """
 
     force_noise: float = 0.25
@@ -47,7 +46,7 @@ class RigErrors:
     drift_moment: float = 0.012
     """N m rms over `drift_session_s`. `drift_force` times the ratio of the FT45's ranges."""
     drift_session_s: float = 1800.0
-    """s. Length of the session to which the drift refers."""
+    """s, length of the session for the drift."""
     matrix: float = 0.02
     """sd of each entry of E in measured = (I + E) true, cross-talk between force and moment included. 2 % is the
     case measured on this project's synthetic rig."""
@@ -63,9 +62,9 @@ class RigErrors:
     """m, sd of the point at which the force acts about the middle of the tip, each tangent direction: the pressure
     gathers at one side of a tilted flat tip. Assumed: a third of half the 4 mm tip."""
     mount_shift: float = 0.003
-    """m, sd of how far the skin lies beside its plan, each direction in its plane. Assumed: a few millimetres by hand."""
+    """m, sd of the skin's shift from its plan in each direction. Assumed: a few millimetres by hand."""
     mount_turn: float = float(np.radians(2.0))
-    """rad, sd of how far the skin is turned in its plane. Assumed."""
+    """rad, sd of the skin's turn in its plane. Assumed."""
     skin_noise: float = 1.0
     """Counts of 255, sd of a taxel's reading, white. Assumed: one step of the device."""
     baseline_spread: float = 3.0
@@ -93,21 +92,21 @@ class RigErrors:
 
     @classmethod
     def none(cls) -> RigErrors:
-        """Return a perfect rig: exact readings that arrive at once. The skin still lies beside its plan."""
-        # What errors are measured in stays, since they are divided by it; and the mounting, which is no error of the rig.
+        """Return a perfect rig: exact readings without delay. The skin is still displaced."""
+        # Reference quantities stay because they are divisors; the mounting is no error of the rig.
         kept = {"matrix_arm", "slow_s", "drift_session_s", "burst_s", "mount_shift", "mount_turn"}
         perfect: dict[str, Any] = {item.name: 0.0 for item in fields(cls) if item.name not in kept}
         return cls(**perfect)
 
     @classmethod
     def noise(cls) -> RigErrors:
-        """Return a good rig: noisy sensors, real clocks and delays; but right frames, matrix and arm, and no loss."""
+        """Return a good rig: sensor noise, clocks and delays, but exact frames, matrix and arm, and no loss."""
         good = replace(cls(), drift_force=0.0, drift_moment=0.0, matrix=0.0, pose_turn=0.0, pose_shift=0.0)
         return replace(good, scatter=0.0, dropped=0.0, corrupted=0.0)
 
     @classmethod
     def paper(cls) -> RigErrors:
-        """Return the rig that reproduces the paper's errors: all of it."""
+        """Return the rig that reproduces the paper's errors."""
         return cls()
 
 
@@ -116,7 +115,7 @@ def _six(force: float, moment: float) -> FloatArray:
 
 
 def drift_step(errors: RigErrors) -> FloatArray:
-    """Return (6,) the random walk's sd over one second, N and N m.
+    """Return the sd (6,) of the random walk over one second, N and N m.
 
     The mean square of a random walk of step s over a session of T is s^2 T/2; the errors state its root.
     """
@@ -124,7 +123,7 @@ def drift_step(errors: RigErrors) -> FloatArray:
 
 
 def slow_mean_sd(errors: RigErrors, seconds: float) -> FloatArray:
-    """Return (6,) the sd of the slow noise's mean over a window, N and N m.
+    """Return the sd (6,) of the slow noise's mean over a window, N and N m.
 
     For the process with correlation time tau over T the variance is 2 sd^2 (tau/T)^2 (T/tau - 1 + exp(-T/tau)).
     """
@@ -134,7 +133,7 @@ def slow_mean_sd(errors: RigErrors, seconds: float) -> FloatArray:
 
 
 class WrenchNoise:
-    """Draws what a sensor adds to its readings, block after block."""
+    """Noise of a sensor, drawn block by block."""
 
     def __init__(self, errors: RigErrors, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -146,8 +145,8 @@ class WrenchNoise:
         self._drift = np.zeros(6)
 
     def block(self, times: FloatArray, begin: float, end: float) -> FloatArray:
-        """Return (n, 6) noise, N and N m, at `times` (n,), s, of one block; it begins where the last one ended."""
-        # Exact at the ends of a block, however long it is: so the length of blocks does not change the noise's size.
+        """Draw noise (n, 6), N and N m, at `times` (n,), s, of the next block."""
+        # Exact at the ends of a block, so that its length does not change the noise.
         before = self._slow + self._drift
         seconds = end - begin
         decay = np.exp(-seconds / self._slow_s)

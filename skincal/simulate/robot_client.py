@@ -124,9 +124,9 @@ class TargetClient:
             if not data:
                 return
             for line in lines.feed(data):
-                self._hear(line)
+                self._handle_line(line)
 
-    def _hear(self, line: str) -> None:
+    def _handle_line(self, line: str) -> None:
         asked = read_line(line)
         try:
             if asked is not None:

@@ -1,4 +1,4 @@
-"""A whole session at once: the simulated devices' bytes in virtual time, through the pipeline into a journal."""
+"""A simulated session in virtual time: device bytes through the pipeline into a journal."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from skincal.simulate.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
 START_NS = 1_000_000_000
-"""Host's clock at the start of a virtual session, nanoseconds; any will do."""
-SHORTEST_S = 1.0
-"""s. A session that is ended early is this long, so that each link was heard; it costs some hundredths."""
+"""ns, host's clock at the start of a virtual session; any value works."""
+MIN_SESSION_S = 1.0
+"""s, minimum length of a session that is ended early, so that each link has data."""
 
 
 def simulate_session(
@@ -43,26 +43,22 @@ def simulate_session(
     progress: Callable[[int], None] | None = None,
     go_on: Callable[[], bool] = lambda: True,
 ) -> Pipeline:
-    """Poke a simulated rig and record it, as if devices had sent it.
+    """Record a session of pokes on a simulated rig. Return its pipeline; the journal is closed.
 
     Parameters
     ----------
     folder : of the new session; `truth.json` is written there too
     pokes, poses, channels : as for `AutoOperator`
-    seed : the same one gives the same bytes
-    progress : called with the number of pokes begun, whenever it grows
-    go_on : whether more is wanted; else the session ends with what it has
-
-    Returns
-    -------
-    The pipeline at its end, its journal closed.
+    seed : equal seeds give equal bytes
+    progress : called with the new number of begun pokes
+    go_on : the session ends early when it returns False
 
     Raises
     ------
     InputError
-        The scene does not say where its taxels are, a pose is not known, or the folder cannot be used.
+        The scene has no taxel positions, a pose is unknown, or the folder cannot be used.
     """
-    # Streams of their own, as when the rig is served: another operator meets the same rig and the same devices.
+    # Separate random streams: another operator gets the same rig and devices.
     rng = np.random.default_rng(seed)
     rig_rng, operator_rng, device_rng = rng.spawn(3)
     rig = Rig(scene, surface, errors, rig_rng)
@@ -85,7 +81,7 @@ def simulate_session(
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)
-        if line.now >= SHORTEST_S and not go_on():
+        if line.now >= MIN_SESSION_S and not go_on():
             break
     for link in links:
         pipeline.feed(LinkEvent(link.name, START_NS + round(line.now * 1e9), LinkState.ENDED))

@@ -49,7 +49,7 @@ class Log:
             mine = [poke for poke in at if poke.pose == name]
             # The arm moves, then rests: without a tare in the new pose no poke counts.
             script.quiet(1.0)
-            some = unguided(rig, 1, rng).take(slice(0, EACH))
+            some = unguided(rig, 1, rng).subset(slice(0, EACH))
             for poke in [*mine, *simulate_contacts(rig, some, rng, name)]:
                 count += 1
                 answers = {}
