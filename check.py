@@ -1,7 +1,7 @@
-"""Prove a checkout of skincal right, on a machine that has nothing but Python: `python3 check.py`.
+"""Run all checks of a checkout, on a machine that has nothing but Python: `python3 check.py`.
 
-Installs what the tests need, then runs the style, type and layer checks and the tests. Words after it go to pytest, and then
-only pytest runs: `python3 check.py tests/skincal -k clock`.
+Installs the packages of the tests, then runs the style, type and layer checks and the tests. With arguments, only pytest
+runs: `python3 check.py tests/skincal -k clock`.
 """
 
 import os

@@ -1,10 +1,10 @@
 """Open skincal from a checkout, on a machine that has nothing but Python: `python3 start.py [OPTIONS | COMMAND ...]`.
 
-Opens the skincal window on a simulated forearm that is being poked. What is missing is installed first: some hundred
-megabytes, into .venv of this folder, and on Debian and Ubuntu missing system libraries. Where there is no display, it
-runs the same session without a window, to a calibration file and a picture of it.
+Opens the skincal window on a simulated forearm that is being poked. Missing packages are installed first: some hundred
+megabytes into .venv of this folder, and on Debian and Ubuntu missing system libraries. Without a display, it runs
+the same session without a window, and writes a calibration file and a picture.
 
-It takes the same words as `skincal`:
+It has the options and commands of `skincal`:
 
   start.py --scene NAME | FILE.toml       open the window on another part
   start.py --session DIR                  go on with a recorded session
@@ -14,7 +14,7 @@ It takes the same words as `skincal`:
   start.py --help                         this text; once it is installed, every option and command
   start.py COMMAND --help                 installs what is missing, and lists the options of a command
 
-README.md says how a part is calibrated, docs/manual.md the rest.
+README.md describes a calibration, docs/manual.md everything else.
 """
 
 import os

@@ -7,9 +7,9 @@ import os
 import sys
 from pathlib import Path
 
-OLDEST = (3, 11)
-NEWEST = (3, 14)
-"""The newest that requirements.lock has packages for."""
+MIN_PYTHON = (3, 11)
+MAX_PYTHON = (3, 14)
+"""The newest version with packages in requirements.lock."""
 
 CHECKOUT = Path(__file__).resolve().parent.parent
 VENV = CHECKOUT / ".venv"
@@ -20,18 +20,18 @@ TEST_LOCK = CHECKOUT / "requirements-dev.lock"
 """Contains everything of RUN_LOCK."""
 
 USER_CAN_HELP = 2
-"""Exit code: something about this machine has to change first, and the sentence says what."""
+"""Exit code of StopError: the user must change something first."""
 
 
 class StopError(Exception):
-    """The command cannot go on; its text names the reason and the remedy."""
+    """The command cannot continue; the text has the reason and the remedy."""
 
 
 def require_python() -> None:
-    """End the program with a sentence and exit code 2 where this Python is too old or too new."""
-    if OLDEST <= sys.version_info[:2] <= NEWEST:
+    """End the program with exit code 2 if this Python is too old or too new."""
+    if MIN_PYTHON <= sys.version_info[:2] <= MAX_PYTHON:
         return
-    needed = f"{OLDEST[0]}.{OLDEST[1]} to {NEWEST[0]}.{NEWEST[1]}"
+    needed = f"{MIN_PYTHON[0]}.{MIN_PYTHON[1]} to {MAX_PYTHON[0]}.{MAX_PYTHON[1]}"
     this = f"{sys.version_info[0]}.{sys.version_info[1]} at {sys.executable}"
     say(f"skincal needs Python {needed}; this is Python {this}.")
     say(f"Run it with another one, for example: python3.12 {sys.argv[0]}")
@@ -44,5 +44,5 @@ def interpreter() -> Path:
 
 
 def say(sentence: str) -> None:
-    """Tell the person at the terminal what happens now."""
+    """Print a sentence on stderr."""
     print(sentence, file=sys.stderr, flush=True)

@@ -1,9 +1,8 @@
 """Build a folder that runs skincal without Python, for the system it is built on: `python -m tools.freeze [--prove-only]`.
 
-PyInstaller collects the program into `dist/skincal`. Then the folder is proved, with nothing of the checkout in reach: `solve`
-on the shipped session, its report, and the window on a display of its own, whose simulated rig and its operator run in the
-program's child process: it has to draw taxels, and the session that it leaves behind has to hold pokes. Last, the folder is
-packed, and sizes and times are printed.
+PyInstaller collects the program into `dist/skincal`. The folder is then tested without access to the checkout: `solve` and
+`report` on the shipped session must equal the checkout's, and the window with its simulated rig must draw taxels and record
+pokes. At the end the folder is packed, and sizes and times are printed.
 """
 
 from __future__ import annotations
@@ -50,27 +49,27 @@ UNUSED_MODULES = (
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
 )  # fmt: skip
-"""What packages offer to import and the program never does."""
+"""Optional modules of packages that the program never imports."""
 CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
-"""What pyvista imports for the canvas of a graphics card, by name and beside the rooms below."""
+"""Modules that pyvista imports by name for the canvas of a graphics card."""
 BY_NAME_VTK = (*CARD_VTK, "FiltersPython", "RenderingMatplotlib", "InteractionWidgets")
 """Modules of VTK that pyvista imports at run time; PyInstaller cannot see them."""
 VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
-"""Of VTK what computes and draws, as names of its modules begin; its readers, accelerators and web parts are left out."""
+"""Name prefixes of the VTK modules that compute and draw. Readers, accelerators and web parts are left out."""
 UNUSED_VTK = (
     "FiltersParallel", "FiltersVerdict", "RenderingVR", "RenderingVtkJS", "RenderingWebXR", "RenderingParallel",
     "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid", "CommonPython",
 )  # fmt: skip
-"""Of these rooms what the program never asks for."""
+"""Modules with these prefixes that the program never uses."""
 
 STALL_S = 300.0
-"""s. Longest time in which neither the picture changes nor the session grows. A busy machine is slow, a hung program stands."""
+"""s. A window hangs if neither its picture nor its session changes for longer."""
 MAX_POKES_WITHOUT_TAXEL = 60
-"""Accepted pokes that a session may hold before the first taxel is seen; the simulated operator begins with the landmarks."""
+"""Maximum accepted pokes before the first taxel is drawn. The simulated operator begins with the landmarks."""
 BALL_PX = 7
-"""px. A square of this side has room in a taxel's ball, and not in a line."""
+"""px. A square of this side fits into a taxel's ball, but not into a line."""
 TIMED_STARTS = 5
-"""Starts that the reported median time is taken over."""
+"""Starts for the reported median time."""
 
 
 def main() -> int:
@@ -98,7 +97,7 @@ def _build() -> None:
         raise StopError("PyInstaller is not installed; expected what the tests need: run `python3 check.py` once.") from error
 
     packages = Path(wasmtime.__file__).parent.parent
-    # It loads its library by the path: no other file of it leads there.
+    # wasmtime loads its library by path, which PyInstaller cannot see.
     libraries = [path for path in (packages / "wasmtime").rglob("*wasmtime.*") if path.suffix in (".so", ".dll", ".dylib")]
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
@@ -122,13 +121,7 @@ def left_out() -> list[str]:
 
 
 def _prove() -> None:
-    """Run the folder as a machine without Python would.
-
-    Raises
-    ------
-    StopError
-        It does not do what the checkout does.
-    """
+    """Run the folder like a machine without Python. Raises StopError if a result differs from the checkout's."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         sample = next(FROZEN_FOLDER.glob("*/skincal/resources/sessions/sample"))
@@ -145,7 +138,7 @@ def _prove() -> None:
 
 
 def _run(command: Sequence[str], folder: Path) -> str:
-    """Run a command in a folder, with nothing of the checkout on any path; return its output. It must succeed."""
+    """Run a command in a folder, without the checkout on any path, and return its output. Raises StopError on failure."""
     done = subprocess.run(command, cwd=folder, env=_environment(folder, command), capture_output=True, text=True, check=False)
     if done.returncode:
         raise StopError(f"{' '.join(command)} ended with {done.returncode}:\n{done.stderr[-2000:]}")
@@ -153,7 +146,7 @@ def _run(command: Sequence[str], folder: Path) -> str:
 
 
 def _environment(folder: Path, command: Sequence[str]) -> dict[str, str]:
-    """Return the environment of a user who has only the frozen folder; the checkout's own needs its path."""
+    """Return the environment for a command. The frozen program gets no path of the checkout."""
     environment = {key: value for key, value in install.environment().items() if not key.startswith("PYTHON")}
     environment["HOME"] = environment["XDG_CONFIG_HOME"] = str(folder)
     if command[0] != str(FROZEN_PROGRAM):
@@ -172,7 +165,7 @@ def _median_s(program: Sequence[str], folder: Path) -> float:
 
 
 def _same_estimates(programs: Sequence[Sequence[str]], folder: Path) -> None:
-    """Hold the estimates of the frozen program against those of the checkout."""
+    """Compare the estimates of both programs."""
     found: list[str] = []
     for number, program in enumerate(programs):
         out = folder / f"{number}.csv"
@@ -183,7 +176,7 @@ def _same_estimates(programs: Sequence[Sequence[str]], folder: Path) -> None:
 
 
 def _same_reports(programs: Sequence[Sequence[str]], folder: Path) -> None:
-    """Hold the report of the frozen program against the checkout's: the same sections, tables and pictures, in one file."""
+    """Compare sections, tables and pictures of both programs' reports."""
     found: list[list[str]] = []
     for number, program in enumerate(programs):
         out = folder / f"{number}.html"
@@ -219,10 +212,10 @@ class WindowProgress:
         self._last: tuple[int, QImage | None] = 0, None
         self._changed_s = time.monotonic()
         self.pokes = 0
-        """Outcomes of contacts that the session's lines hold."""
+        """Number of contacts in the session."""
 
     def update(self) -> bool:
-        """Look again; return whether a taxel is seen."""
+        """Read the session and the screen; return whether a taxel is visible."""
         lines = b"".join(path.read_bytes() for path in sorted(self._session.glob("segment-*.jsonl")))
         self.pokes = lines.count(b'"contact ')
         picture = self._grab()
@@ -231,12 +224,12 @@ class WindowProgress:
         return shows_taxels(picture)
 
     def is_stuck(self) -> bool:
-        """Tell whether nothing happens any more, or pokes show no taxel."""
+        """Whether the window hangs, or pokes show no taxel."""
         return time.monotonic() - self._changed_s > STALL_S or self.pokes > MAX_POKES_WITHOUT_TAXEL
 
 
 def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage]) -> float:
-    """Open the window on the simulated rig; return the seconds until taxels are seen. Its session has to hold pokes."""
+    """Open the window on the simulated rig; return the seconds until taxels are visible. Its session must have pokes."""
     folder.mkdir()
     command = [*program, "--new", str(folder / "session")]
     begin = time.monotonic()
@@ -263,7 +256,7 @@ def _time_window(program: Sequence[str], folder: Path, grab: Callable[[], QImage
 
 
 def shows_taxels(picture: QImage) -> bool:
-    """Return whether balls in a module's hue are seen in the 3D view: what else has a hue there is a line or a dot."""
+    """Whether the 3D view shows balls in a module's hue; other coloured things there are thin."""
     picture = picture.convertToFormat(picture.Format.Format_RGB32)
     shape = (picture.height(), picture.bytesPerLine() // 4, 4)
     pixels = np.frombuffer(picture.constBits(), dtype=np.uint8).reshape(shape)[: shape[0] * 3 // 4, : shape[1] * 6 // 10, :3]
@@ -273,7 +266,7 @@ def shows_taxels(picture: QImage) -> bool:
 
 
 def _pack() -> None:
-    """Pack the folder, and say how large it is."""
+    """Pack the folder and print its size."""
     size = sum(path.stat().st_size for path in FROZEN_FOLDER.rglob("*") if path.is_file() and not path.is_symlink())
     packed = Path(shutil.make_archive(str(FROZEN_FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FROZEN_FOLDER.name))
     say(f"{FROZEN_FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")

@@ -1,11 +1,10 @@
-"""What a checkout needs: `.venv`, made from a lock file with hashes, and the window's system libraries.
+"""Installation of a checkout: `.venv` from a lock file with hashes, and the window's system libraries.
 
-A stamp in `.venv` names the lock it was made from. An installation removes the stamp first and writes it last, so one that was
-interrupted is done again; one that was interrupted while packages were being unpacked starts from an empty `.venv`.
+A stamp in `.venv` names its lock. It is removed before an installation and written at the end, so that an interrupted one is
+repeated; after an interrupted unpacking `.venv` is emptied first.
 
-System libraries come from apt, as root or unpacked into `.venv`. Only Linux: the packages for Windows and macOS carry all they
-need. What is not here could end the program without a word later (Qt aborts without libxcb-cursor, VTK crashes without any
-OpenGL), so it is looked for first.
+On Linux, system libraries come from apt, as root or unpacked into `.venv`; the packages for Windows and macOS need none. They
+are checked before the start, because Qt aborts without libxcb-cursor and VTK crashes without OpenGL.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
 XVFB_NEEDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
-"""An Xvfb that was unpacked runs only where these are, as on every X desktop: their places are compiled into it."""
+"""An unpacked Xvfb needs these at their compiled-in paths. Every X desktop has them."""
 NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
-"""Packages of the C library: a second one next to the system's crashes every program that loads it."""
+"""Packages of the C library: a second C library crashes every program."""
 DATA_VARIABLES = (
     ("__EGL_VENDOR_LIBRARY_DIRS", "usr/share/glvnd/egl_vendor.d", "/usr/share/glvnd/egl_vendor.d"),
     ("XKB_CONFIG_ROOT", "usr/share/X11/xkb", "/usr/share/X11/xkb"),
@@ -47,17 +46,11 @@ FONT_LIST = """<?xml version="1.0"?>
 
 
 def ensure(lock: Path) -> bool:
-    """Make `.venv` hold what `lock` lists; return whether anything had to be done.
-
-    Raises
-    ------
-    StopError
-        It could not be made; the sentence says why and what to do.
-    """
+    """Install the packages of `lock` into `.venv`; return whether any was missing. Raises StopError with the remedy."""
     if is_ready(lock):
         return False
     try:
-        with _alone():
+        with _hold_lock():
             if not is_ready(lock):
                 _install_packages(lock)
     except OSError as error:
@@ -66,16 +59,16 @@ def ensure(lock: Path) -> bool:
 
 
 def is_ready(lock: Path) -> bool:
-    """Whether everything that a lock names is installed."""
+    """Whether every package of `lock` is installed."""
     return _venv_is_right() and STAMP_FILE.exists() and _stamp_line(lock) in STAMP_FILE.read_text(encoding="utf-8").splitlines()
 
 
 def _venv_is_right() -> bool:
-    """Whether `.venv` is whole and of the Python that runs this."""
+    """Whether `.venv` is complete and of this Python version."""
     configuration = checkout.VENV / "pyvenv.cfg"
     if UNFINISHED_FILE.exists() or not checkout.interpreter().exists() or not configuration.exists():
         return False
-    # Python's own venv writes `version`, other makers of environments `version_info`.
+    # Python's venv writes `version`, virtualenv and uv `version_info`.
     version = re.search(r"^version(?:_info)? *= *(\d+\.\d+)", configuration.read_text(encoding="utf-8"), re.MULTILINE)
     return version is not None and version[1] == VERSION
 
@@ -90,7 +83,7 @@ def _install_packages(lock: Path) -> None:
 
         say(f"Making a Python {VERSION} environment in {checkout.VENV} ...")
         venv.EnvBuilder(clear=True, symlinks=os.name != "nt").create(checkout.VENV)
-        # Only now: making the environment empties the folder.
+        # After `create`, which empties the folder.
         UNFINISHED_FILE.touch()
     STAMP_FILE.unlink(missing_ok=True)
     _provide_pip()
@@ -102,7 +95,7 @@ def _install_packages(lock: Path) -> None:
 
 
 def _provide_pip() -> None:
-    """Put pip into `.venv`, also where Debian's Python came without it."""
+    """Install pip into `.venv`, also for Debian's Python without ensurepip."""
     if _python("-c", "import pip").returncode == 0 or _python("-m", "ensurepip").returncode == 0:
         return
     if not has_apt():
@@ -127,44 +120,41 @@ def _python(*arguments: str, **variables: str) -> subprocess.CompletedProcess[st
 
 
 def _pip_environment() -> dict[str, str]:
-    # The person's own index, certificates and proxies stay; their own `--user` would miss .venv. -P holds for one process: what
-    # ensurepip starts in its turn needs the variable, or a `pickle.py` of the working folder is run.
+    # Keeps the user's index, certificates and proxies, but not `--user`, which would miss .venv. Child processes of ensurepip
+    # need the variable of -P, otherwise they run a `pickle.py` of the working folder.
     safe = {"PYTHONPATH": "", "PYTHONSAFEPATH": "1"}
     return os.environ | {"PIP_USER": "0", "PIP_DISABLE_PIP_VERSION_CHECK": "1", **safe}
 
 
 def _pip_install(lock: Path) -> None:
-    """Run pip with its progress on the terminal and its whole output in the log."""
+    """Run pip with its progress on the terminal and its output in the log."""
     LOG.unlink(missing_ok=True)
     UNFINISHED_FILE.touch()
     command = [checkout.interpreter(), "-P", "-m", "pip", "install", "--require-hashes", "--only-binary", ":all:", "--no-input"]
     command += ["--retries", "2", "--log", LOG, "-r", lock]
     failed = 1
     try:
-        # pip holds the lock of the checkout, too, should it outlive this process.
+        # pip inherits the lock of the checkout and keeps it if it outlives this process.
         failed = subprocess.call(command, env=_pip_environment(), stdin=subprocess.DEVNULL, stdout=sys.stderr, close_fds=False)
     finally:
         log = LOG.read_text(encoding="utf-8", errors="replace") if LOG.exists() else ""
         if not failed or "Installing collected packages" not in log:
-            UNFINISHED_FILE.unlink()  # up to there it changes nothing
+            UNFINISHED_FILE.unlink()  # nothing was changed yet
     if failed:
         raise StopError(INSTALL_FAILED.format(venv=checkout.VENV, log=LOG))
 
 
 INSTALL_FAILED = """\
-The Python packages could not be installed; pip's own words stand above, and all of them in {log}.
-- Where it could not reach the package index: connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a
+The Python packages could not be installed; see pip's messages above, and all of them in {log}.
+- If it could not reach the package index: connect this machine to the network (or set PIP_INDEX_URL, PIP_FIND_LINKS or a
   proxy) and run this again.
-- Where the disk is full: {venv} needs about 1.3 GB.
-- Where it found no matching distribution: the packages need glibc 2.34 or later (Debian 12, Ubuntu 22.04, Fedora 35), or
+- If the disk is full: {venv} needs about 1.3 GB.
+- If it found no matching distribution: the packages need glibc 2.34 or later (Debian 12, Ubuntu 22.04, Fedora 35), or
   Windows or macOS, on a 64-bit processor; or the network is filtered."""
 
 
 def _add_checkout() -> None:
-    """Let this environment find `app` and `skincal`, also from other folders and in child processes; compile them.
-
-    Its command `skincal` is `start.py`, so that it finds unpacked system libraries and follows a new lock.
-    """
+    """Add `app` and `skincal` to the environment, compile them, and make a command `skincal` that runs `start.py`."""
     site = checkout.VENV / ("Lib" if os.name == "nt" else f"lib/python{VERSION}") / "site-packages"
     relative = os.path.relpath(checkout.CHECKOUT, site)  # survives a move of the whole checkout
     (site / "skincal-checkout.pth").write_text(relative + "\n", encoding="utf-8")
@@ -182,12 +172,12 @@ WINDOWS_COMMAND = '@"%~dp0python.exe" "%~dp0..\\..\\start.py" %*\n'
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
-    """Wait while another start of the same checkout installs."""
+def _hold_lock() -> Iterator[None]:
+    """Hold the lock of the checkout; wait while another process installs."""
     with (checkout.CHECKOUT / ".venv.lock").open("w", encoding="utf-8") as handle:
         os.set_inheritable(handle.fileno(), True)
         waiting = False
-        while not _held(handle.fileno()):
+        while not _try_lock(handle.fileno()):
             if not waiting:
                 say("Another start of this checkout is installing; waiting for it ...")
             waiting = True
@@ -195,8 +185,8 @@ def _alone() -> Iterator[None]:
         yield
 
 
-def _held(descriptor: int) -> bool:
-    """Take the lock unless somebody has it; it ends with the process, however that ends."""
+def _try_lock(descriptor: int) -> bool:
+    """Try to take the lock, which the system releases at the end of the process."""
     try:
         if os.name == "nt":
             import msvcrt
@@ -212,17 +202,14 @@ def _held(descriptor: int) -> bool:
 
 
 def has_display() -> bool:
-    """Whether a window can be shown to somebody here."""
+    """Whether there is a display for a window."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def provide(libraries: Mapping[str, str]) -> bool:
-    """Install or unpack the libraries (file name to Debian package) that are missing; return whether any was.
+    """Install or unpack missing libraries (file name to Debian package); return whether any was missing.
 
-    Raises
-    ------
-    StopError
-        Something is missing and could not be had; the sentence names it and the line that installs it.
+    Raises StopError with the command that installs the rest.
     """
     missing = _missing(libraries) if sys.platform.startswith("linux") else []
     if missing and has_apt():
@@ -248,20 +235,14 @@ def _library_folders() -> list[Path]:
 
 
 def _list_fonts() -> None:
-    """Point fontconfig to unpacked fonts: the list in its own package knows the system's folders only."""
+    """Point fontconfig to unpacked fonts; its own list has the system's folders only."""
     fonts = SYSTEM / "usr" / "share" / "fonts"
     if fonts.is_dir():
         (SYSTEM / "fonts.conf").write_text(FONT_LIST.format(fonts=escape(str(fonts))), encoding="utf-8")
 
 
 def require_test_display() -> None:
-    """See that the tests will have a display, before anything is installed for them.
-
-    Raises
-    ------
-    StopError
-        There is none, and none can be had without root.
-    """
+    """Raise StopError if the tests have no display and none can be provided without root."""
     if not (has_display() or shutil.which("Xvfb") or _can_provide_xvfb()):
         raise StopError(
             "The tests draw on a display of their own; this system lacks Xvfb, which makes one.\n" + _remedy(["xvfb"])
@@ -269,7 +250,7 @@ def require_test_display() -> None:
 
 
 def provide_test_display() -> None:
-    """Install or unpack Xvfb where that is possible; the tests fall back on the person's own display."""
+    """Install or unpack Xvfb if possible; otherwise the tests use the user's display."""
     if not sys.platform.startswith("linux") or shutil.which("Xvfb", path=environment().get("PATH")):
         return
     if _can_provide_xvfb():
@@ -283,7 +264,7 @@ def _can_provide_xvfb() -> bool:
 
 
 def environment() -> dict[str, str]:
-    """Environment variables that lead to the unpacked system packages; unchanged if there are none."""
+    """Return the environment variables, with paths of unpacked system packages."""
     present = dict(os.environ)
     if not SYSTEM.is_dir():
         return present
@@ -314,13 +295,7 @@ def _apt_line(packages: Sequence[str]) -> str:
 
 
 def apt_provide(packages: Sequence[str]) -> None:
-    """Make packages available: install them as root, otherwise unpack them and what they depend on under `SYSTEM`.
-
-    Raises
-    ------
-    StopError
-        The packages could not be had; the sentence has the line that installs them.
-    """
+    """Install packages as root, or unpack them and their dependencies under `SYSTEM`. Raises StopError with the remedy."""
     try:
         if os.geteuid() == 0:
             _install(packages)
@@ -337,7 +312,7 @@ def apt_provide(packages: Sequence[str]) -> None:
 
 def _install(packages: Sequence[str]) -> None:
     say(f"Installing system packages (apt-get install): {' '.join(packages)}")
-    # Its failure is not final: one unreachable source among many is common. The install shows it.
+    # A failed update is common (one unreachable source among many); the install shows real failures.
     _run("apt-get", "update", "-qq", check=False)
     _run("apt-get", "install", "-y", "-qq", "--no-install-recommends", "-o", "DPkg::Lock::Timeout=300", *packages)
 
@@ -347,7 +322,7 @@ def _unpack(packages: Sequence[str]) -> None:
     apt, archives = SYSTEM / "apt", SYSTEM / "apt" / "archives"
     for part in (apt / "lists" / "partial", archives / "partial"):
         part.mkdir(parents=True, exist_ok=True)
-    # Keeps apt's lists and downloads out of the system's folders, which only root may write.
+    # apt's lists and downloads in a folder that needs no root.
     own = ("-o", f"Dir::State::lists={apt}/lists", "-o", f"Dir::Cache={apt}", "-o", "Debug::NoLocking=true")
     _run("apt-get", *own, "update", "-qq", check=False)
     plan = _run("apt-get", *own, "install", "--simulate", "--no-install-recommends", *packages)
@@ -361,7 +336,7 @@ def _unpack(packages: Sequence[str]) -> None:
 
 def _run(*command: str, folder: Path | None = None, check: bool = True) -> str:
     """Run a command and return its standard output."""
-    # In English: what apt says is read.
+    # apt's output is parsed, so it must be English.
     english = os.environ | {"LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     return subprocess.run(
         command, env=english, cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=check

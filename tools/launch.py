@@ -17,15 +17,15 @@ INTERRUPTED_EXIT_CODE = 130
 
 PYTEST_ARGUMENTS = ("-m", "pytest", "-p", "no:cacheprovider")
 TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
-"""As on which the tests of what the 3D view must show run again."""
+"""Older processors, for which the tests of the 3D view's pixels run again."""
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
-"""Mesa's switch for what its software OpenGL may use of a processor."""
+"""Mesa's variable that limits the processor features of its software OpenGL."""
 SLOW_CORE_TESTS = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
-"""Tests of the core that take about as long as its others."""
+"""Tests of the core that take as long as all its others."""
 WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
 )
-"""Tests of the window that take about as long as those of whole windows."""
+"""Tests of the window that take as long as those of whole windows."""
 CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
@@ -52,12 +52,11 @@ CHECK_ARGUMENTS = {
     },
     "lint-imports": ("-c", "from importlinter.cli import lint_imports_command as main; main()", "--no-cache"),
 }
-"""Name of each check, and the arguments for Python: long ones first, so that two cores are done at about the same time."""
+"""Arguments for Python of each check; long ones first, for an even load."""
 PARALLEL_CHECKS = 3
-"""Checks that run beside each other on two cores: tests of devices and windows wait a quarter of their time. What measures
-time is among `TIMING_TESTS`."""
+"""For two cores: tests of devices and windows wait a quarter of their time."""
 TIMING_TESTS = {"pytest of what is measured": (*PYTEST_ARGUMENTS, "-m", "quiet", "tests/app")}
-"""Tests that nothing may run beside."""
+"""Tests that must run alone, because they measure time."""
 
 IMPORT_CHECK = """
 import PySide6.QtWidgets, PySide6.QtOpenGLWidgets, PySide6.QtSvg, vtkmodules.vtkRenderingOpenGL2
@@ -65,12 +64,12 @@ import ctypes, matplotlib.font_manager, pyvista.plotting, scipy.optimize, sys
 for plugin in sys.argv[1:]:
     ctypes.CDLL(plugin)
 """
-"""Whether what the window is made of loads at all, found out in a process of its own. It leaves behind what a first start would
-otherwise wait for: compiled modules, and matplotlib's list of fonts, which pyvista asks for."""
+"""Program that loads the window's libraries in a separate process. It also prepares a quick first start: compiled modules, and
+matplotlib's list of fonts for pyvista."""
 
 
 def run(command: Callable[[Sequence[str]], int]) -> int:
-    """Run one of the two commands, and say in a sentence what stops it."""
+    """Run one of the two commands and return its exit code; print the text of a StopError."""
     try:
         return command(sys.argv[1:])
     except StopError as stop:
@@ -82,7 +81,7 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
 
 
 def start(arguments: Sequence[str]) -> int:
-    """Install missing packages and replace this process by skincal; returns only on failure."""
+    """Install missing packages and replace this process by skincal."""
     asked = arguments[0] if arguments else ""
     if asked in ("-h", "--help") and not install.is_ready(checkout.RUN_LOCK):
         import start as command
@@ -90,11 +89,11 @@ def start(arguments: Sequence[str]) -> int:
         print(command.__doc__)
         return 0
     fresh = install.ensure(checkout.RUN_LOCK)
-    # A command such as `solve`, and words on usage, do without Qt and VTK.
+    # Commands such as `solve`, and help, need neither Qt nor VTK.
     if not asked or (asked.startswith("-") and asked not in ("-h", "--help", "--version")):
         _provide_drawing(fresh, shown=install.has_display() and "--headless" not in arguments)
     program = [str(checkout.interpreter()), "-P", "-m", "app", *arguments]
-    # What is still buffered goes with the program that is replaced.
+    # exec discards buffered output.
     sys.stderr.flush()
     if os.name != "nt":
         os.execve(program[0], program, install.environment())
@@ -103,7 +102,7 @@ def start(arguments: Sequence[str]) -> int:
 
 
 def check(arguments: Sequence[str]) -> int:
-    """Install what the tests need, run the checks and the tests, and return 0 if all passed."""
+    """Install the packages of the tests, run all checks, and return 0 if all passed."""
     install.require_test_display()
     fresh = install.ensure(checkout.TEST_LOCK)
     _provide_drawing(fresh, shown=True)
@@ -113,7 +112,7 @@ def check(arguments: Sequence[str]) -> int:
     environment.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the program: plugins of pytest import numpy before it
     if arguments:
         return 1 if _python(("-m", "pytest", *arguments), environment).returncode else 0
-    failed = _run_beside_each_other(environment)
+    failed = _run_in_parallel(environment)
     for name, words in TIMING_TESTS.items():
         say(f"\n$ {name}")
         failed += [name] if _python(words, environment).returncode else []
@@ -131,8 +130,8 @@ def _provide_drawing(fresh: bool, *, shown: bool) -> None:
         raise StopError(f"Everything is installed, but Qt or VTK does not load here: {why}")
 
 
-def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
-    """Run the checks, show what each said once it is done, and return the names of those that failed."""
+def _run_in_parallel(environment: Mapping[str, str]) -> list[str]:
+    """Run the checks in parallel, print the output of each, and return the names of failed ones."""
     failed: list[str] = []
     with ThreadPoolExecutor(PARALLEL_CHECKS) as pool:
         running = {}
@@ -140,28 +139,28 @@ def _run_beside_each_other(environment: Mapping[str, str]) -> list[str]:
             caps = name.removeprefix("pytest as on ")
             own = {**environment, PROCESSOR_VARIABLE: caps} if caps in TESTED_PROCESSORS else environment
             running[pool.submit(_python, words, own, subprocess.PIPE)] = name
-        say(f"\n{len(running)} checks, {PARALLEL_CHECKS} at a time; what each says is shown at its end.")
+        say(f"\n{len(running)} checks, {PARALLEL_CHECKS} at a time; the output of each follows at its end.")
         try:
             for done in as_completed(running):
                 say(f"\n$ {running[done]}\n{done.result().stdout.decode(errors='replace').rstrip()}")
                 failed += [running[done]] if done.result().returncode else []
         except KeyboardInterrupt:
-            # Or every check that still waits would be run first.
+            # Otherwise the waiting checks would still run.
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return failed
 
 
 def _python(
-    words: Sequence[str], environment: Mapping[str, str], said: int | None = None
+    words: Sequence[str], environment: Mapping[str, str], output: int | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run the Python of `.venv` in the checkout; `said` receives its output."""
+    """Run the Python of `.venv` in the checkout; `output` is its stdout."""
     return subprocess.run(
         [checkout.interpreter(), *words],
         env=environment,
         cwd=checkout.CHECKOUT,
         stdin=subprocess.DEVNULL,
-        stdout=said,
-        stderr=None if said is None else subprocess.STDOUT,
+        stdout=output,
+        stderr=None if output is None else subprocess.STDOUT,
         check=False,
     )

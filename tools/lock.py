@@ -24,7 +24,7 @@ UV_OPTIONS = (
 
 
 def main() -> int:
-    """Resolve what running needs, then what the tests need beside it."""
+    """Resolve the packages of the program, then those of the tests."""
     # The second is bound to the first, so that one .venv serves both commands.
     for own in (("requirements.lock",), ("requirements-dev.lock", "--group=dev", "--constraints=requirements.lock")):
         output, *options = own

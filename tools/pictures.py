@@ -1,10 +1,9 @@
 """Make the pictures of README and `docs/` again: `python -m tools.pictures`; words after it choose some (`window studies`).
 
-- `window`, `rig`: open the window on seeded simulated sessions, on no display, and grab it where there is what a picture is to
-  show, some ten minutes. Devices send in real time, so that these differ a little from run to run: look at each.
-- `headless`: the 3D picture that is drawn without a display.
-- `studies`: the figures, from what the studies measured: `NAME.json` in the folder `--measured`. A study that lies not there is
-  run now, which takes up to half an hour, and leaves its numbers there.
+- `window`, `rig`: the window on seeded simulated sessions, without a display, about ten minutes. Devices send in real time, so
+  that pictures differ slightly from run to run: check each.
+- `headless`: the 3D picture without a display.
+- `studies`: the figures of `NAME.json` in the folder `--measured`. A missing study is run, which takes up to half an hour.
 """
 
 from __future__ import annotations
@@ -43,15 +42,15 @@ from skincal.taxels.result import Method
 PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 
 
-class Photographed:
-    """The window on one session, while its pictures are made."""
+class WindowPhotographer:
+    """A window on one session, and its pictures."""
 
     def __init__(self, request: OpenRequest, choice: Choice, tab: str, size: tuple[int, int] = (1280, 800)) -> None:
         settings = QSettings(f"{tab}.ini", QSettings.Format.IniFormat)
         settings.setValue("window/sounds", False)
         self.theme = Theme(choice)
         self.window = Window(Controller(Path("documents")), self.theme, settings, Path("documents"), Player())
-        # Maximized, it would be as large as the screen that there is none of.
+        # There is no screen to maximize on.
         self.window.setWindowState(Qt.WindowState.WindowNoState)
         self.window.resize(*size)
         self.window.show()
@@ -63,7 +62,7 @@ class Photographed:
         self.view.workspace.show_tab(tab)
 
     def until(self, there: Callable[[], bool]) -> None:
-        """Let the window work until something is there."""
+        """Let the window work until a condition is true."""
         end = time.monotonic() + 900.0
         while not there():
             if time.monotonic() > end:
@@ -71,19 +70,19 @@ class Photographed:
             QApplication.processEvents()
             time.sleep(0.001)
 
-    def until_said(self, words: str, detail: str, pokes: int) -> None:
-        """Wait until the line below says that, of the last poke or of what to do, and below it, after so many pokes."""
+    def until_text(self, words: str, detail: str, pokes: int) -> None:
+        """Wait until the line below the views has `words`, the one below it `detail`, and the session `pokes`."""
         now = self.view.workspace.now
 
-        def said() -> bool:
+        def has_text() -> bool:
             state = self.view.state
             shown = state is not None and len(state.snapshot.pokes) >= pokes and state.behind_s < 0.2
             return shown and words in f"{now.result.text()} {now.headline.text()}" and detail in now.detail.text()
 
-        self.until(said)
+        self.until(has_text)
 
     def grab(self, name: str, seconds: float = 0.06) -> None:
-        """Write the picture of the window with the dialog in front of it; soon, before the hand goes on."""
+        """Write a picture of the window and its open dialog after `seconds`."""
         self.window.show()
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() > end)
@@ -97,21 +96,21 @@ def draw_window() -> None:
     """Write every picture of the window."""
     forearm = load_scene(find_scene(None))
     simulate_session(forearm, load_scene_surface(forearm)[0], Path("trial"), 252, 1, RigErrors.noise())
-    course = Photographed(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
+    course = WindowPhotographer(OpenRequest(session=Path("trial")), Choice.DARK, "Errors")
     course.grab("errors", 10.0)
     course.window.leave()
-    good = Photographed(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
-    # By the modules method it would be enough before the last of these.
+    good = WindowPhotographer(OpenRequest(server=(*server_command(None), "--pace", "2")), Choice.LIGHT, "Taxel", (1440, 860))
+    # The modules method would end before the last pictures.
     good.view.show_method(Method.SURFACE)
-    good.until_said("hold still", "aim", 25)
+    good.until_text("hold still", "aim", 25)
     good.grab("guide-contact")
     good.view.workspace.view.set_turning(False)
     good.view.workspace.view.reset_camera()
-    good.until_said("rejected", "", 30)
+    good.until_text("rejected", "", 30)
     good.grab("guide-rejected")
     good.view.workspace.show_tab("Readings")
     good.window.resize(1280, 800)
-    good.until_said("counted", "", 60)
+    good.until_text("counted", "", 60)
     good.window.messages.dismiss()
     good.grab("window")
     good.window.leave()
@@ -119,8 +118,8 @@ def draw_window() -> None:
 
 def draw_rig() -> None:
     """Write the pictures of a rig with the paper's errors."""
-    wrong = Photographed(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
-    # A window that draws falls behind on a busy machine, and the operator pokes what was asked for before.
+    wrong = WindowPhotographer(OpenRequest(server=(*server_command(None), "--errors", "paper")), Choice.LIGHT, "Rig")
+    # Hidden, it does not fall behind the operator on a busy machine.
     wrong.window.hide()
     wrong.until(lambda: any(offer.frame is None for offer in (wrong.view.state.offers if wrong.view.state else ())))
     wrong.grab("rig", 1.0)
@@ -134,12 +133,12 @@ def draw_rig() -> None:
 
 
 def draw_headless() -> None:
-    """Write what the first session without a display draws."""
+    """Write the picture of a session without a display."""
     part = load_part(find_scene(None))
     pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKE_COUNT, RIG_SEED, RigErrors.noise())
     snapshot = pipeline.snapshot()
     method = leading_method(snapshot.estimates) or Method.FREE
-    # An older picture that is in the way would be kept beside it.
+    # Otherwise the old picture would be kept as a backup.
     (PICTURES_FOLDER / "headless.png").unlink(missing_ok=True)
     picture(part.scene, part.surface, part.laid, snapshot, method, PICTURES_FOLDER / "headless.png")
 

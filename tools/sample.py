@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 CHECKOUT_FOLDER = Path(__file__).resolve().parent.parent
-# Run as a file, it finds only what lies beside it.
+# Run as a file, Python finds only modules of its folder.
 sys.path.insert(0, str(CHECKOUT_FOLDER))
 
 SAMPLE_FOLDER = CHECKOUT_FOLDER / "resources" / "sessions" / "sample"

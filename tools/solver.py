@@ -18,17 +18,11 @@ COMPILER_FLAGS = [
 ]  # fmt: skip
 
 TRAP_FLAGS = ("-fsanitize=undefined,local-bounds,implicit-conversion", "-fsanitize-trap=all")
-"""With these, whatever C leaves undefined ends the program. The tests run one so built: no warning sees all of it."""
+"""Undefined behaviour of C ends a program with these flags. The tests run such a build."""
 
 
 def build(*flags: str) -> bytes:
-    """Compile the solver, with more flags where given, and return the program.
-
-    Raises
-    ------
-    subprocess.CalledProcessError
-        The source does not compile; the compiler has said why.
-    """
+    """Compile the solver with additional flags and return the program. Raises CalledProcessError on compiler errors."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / PROGRAM.name
         # From its own folder: no path of the machine gets into the program.
