@@ -74,11 +74,7 @@ class ReviewRequest:
         return ReviewRequest(session.rig_request(), decisions.landmarks, session.channels, decisions.corrections)
 
 
-def _go_on() -> None:
-    pass
-
-
-def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = _go_on) -> tuple[FrameDiagnosis | None, RigAnswer]:
+def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None) -> tuple[FrameDiagnosis | None, RigAnswer]:
     """Check the sensor's frame (`None` with too few pokes) and fit the rig's correction.
 
     `between` is called every tenth of a second or so, and may raise to give up.
@@ -89,7 +85,7 @@ def diagnose_rig(request: ReviewRequest, between: Callable[[], None] = _go_on) -
     return frame, correct_rig(request.rig, between)
 
 
-def review_rig(request: ReviewRequest, between: Callable[[], None] = _go_on, model: ModuleModel | None = None) -> Review:
+def review_rig(request: ReviewRequest, between: Callable[[], None] = lambda: None, model: ModuleModel | None = None) -> Review:
     """Review a session.
 
     Parameters
