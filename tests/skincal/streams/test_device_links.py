@@ -199,11 +199,11 @@ def test_netft_is_asked_again_when_it_falls_silent_and_gaps_are_counted():
         intake = Intake(4, [spec(outlet.address)])
         readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 3, intake)
         outlet._host = None  # switched off and on, or another program stole the stream
-        encoder._count = 0
+        encoder._next_number.clear()
         health = readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 6, intake)
         assert health.state is LinkState.OPEN
         before = sum(health.losses.values())
-        encoder._next(), encoder._next()
+        encoder._number(Stream.WRENCH), encoder._number(Stream.WRENCH)
         health = readings_from(items, lambda: say(outlet, encoder.record(Stream.WRENCH, 1, [1.0] * 6)), 12, intake)
         assert sum(health.losses.values()) - before == 2
 
