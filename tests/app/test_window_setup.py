@@ -194,7 +194,7 @@ def test_a_link_that_does_not_answer_never_holds_the_page(qtbot, page, monkeypat
         raise AssertionError
 
     monkeypatch.setattr("skincal.streams.transports.tcp.TcpLink.__init__", lambda *_: slow(_))
-    monkeypatch.setattr("skincal.streams.links.Reader._say", lambda *_: None)
+    monkeypatch.setattr("skincal.streams.links.Reader._report", lambda *_: None)
     begun = time.monotonic()
     name(page, "wrench", "socket://127.0.0.1:9")
     qtbot.waitUntil(opening.is_set, timeout=5000)
@@ -255,7 +255,7 @@ def test_ports_that_are_found_leave_the_cursor_where_it_is(page):
     row = page.rows[Stream.WRENCH]
     row.set_address("/dev/ttyUSB0", agreed=False)
     row.field.setCursorPosition(4)
-    row.offer([("/dev/ttyUSB7", "FT232R")])
+    row.set_ports([("/dev/ttyUSB7", "FT232R")])
     QTest.keyClicks(row.field, "x")
     assert row.address == "/devx/ttyUSB0"
 
@@ -351,7 +351,7 @@ def open_patch(bench, wrench, skin, **changes):
 
 def line_says(bench, headline, detail=""):
     now = bench.window.session_view.workspace.now
-    bench.until(lambda: headline in now.headline.text() and detail in now.detail.text(), VERDICT_MS)
+    bench.until(lambda: headline in now.headline.text() and detail.lower() in now.detail.text().lower(), VERDICT_MS)
 
 
 def looks(bench):
@@ -367,7 +367,7 @@ def shown_page(bench):
 def test_a_wrong_device_is_said_in_the_line_and_its_light_is_not_blue(bench, device):
     open_patch(bench, device(noisy(6)), device(noisy(20)))
     words = approved("links.other_width", width=20, of="the scene has", expected=CHANNELS)
-    line_says(bench, "skin: ", words)
+    line_says(bench, "Skin: ", words)
     bench.until(lambda: looks(bench) == {"wrench": LinkStatus.STREAMING, "skin": LinkStatus.WRONG}, VERDICT_MS)
     workspace = bench.window.session_view.workspace
     workspace.show_tab("Devices")
@@ -382,7 +382,7 @@ def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
     bench.until(lambda: set(looks(bench).values()) == {LinkStatus.STREAMING}, VERDICT_MS)
     bench.qtbot.wait(500)
     living, wrench.made = wrench.made, still(6)
-    line_says(bench, "wrench is frozen", approved("links.frozen"))
+    line_says(bench, "Force/torque sensor stuck", approved("links.frozen"))
     assert looks(bench)["wrench"] is LinkStatus.FROZEN
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     wrench.made = living
@@ -392,7 +392,7 @@ def test_a_sensor_that_freezes_is_a_fault_until_it_lives_again(bench, device):
 def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(bench, device):
     wrench = device(still(6))
     open_patch(bench, wrench, device(noisy(CHANNELS)))
-    line_says(bench, "wrench is frozen", approved("links.frozen"))
+    line_says(bench, "Force/torque sensor stuck", approved("links.frozen"))
     bench.until(lambda: looks(bench) == {"wrench": LinkStatus.FROZEN, "skin": LinkStatus.STREAMING}, VERDICT_MS)
     bench.until(lambda: ("LOST", "") in bench.player.played, 5000)
     pipeline = bench.recording.pipeline
@@ -405,7 +405,7 @@ def test_a_sensor_that_never_changes_is_a_fault_and_no_robot_is_asked_meanwhile(
 def test_an_address_is_changed_by_keys_while_the_session_is_open_and_is_offered_again(bench, device, qtbot):
     wrench, skin, other = device(noisy(6)), device(noisy(20)), device(noisy(CHANNELS))
     open_patch(bench, wrench, skin)
-    line_says(bench, "skin: ")
+    line_says(bench, "Skin: ")
     bench.key(Key.Key_A)
     page = shown_page(bench)
     assert bench.controller.running is Running.PAUSED, "a serial port has one reader"
