@@ -420,6 +420,8 @@ ALTERNATIVE_LOOKS = {
     "lstsq, three rows a contact": ("s", SKY), "least_squares, differenced": ("v", BLACK),
 }  # fmt: skip
 """Mark and colour of each alternative."""
+SHARE_MAX = 1e15
+"""Largest share that the figure tells apart: beyond it no digit is right."""
 SHARE_MIN = 1e-4
 """Smaller shares of the tolerance are drawn at this one."""
 
@@ -441,7 +443,8 @@ def draw(result: dict[str, Any], figure: Figure) -> None:
 
 def _draw_solver(panel: Axes, solver: str, cases: Sequence[Record], others: Sequence[Record]) -> None:
     row = {family: -at for at, family in enumerate(dict.fromkeys(case["family"] for case in cases))}
-    right = max(10.0, *(each["error_over_bound"] for each in (*cases, *others) if each["error"] < FAILED_ERROR_M)) * 3.0
+    shares = [each["error_over_bound"] for each in (*cases, *others) if each["error"] < FAILED_ERROR_M]
+    right = min(max(10.0, *shares) * 3.0, SHARE_MAX)
 
     def scatter(records: Sequence[Record], **look: Any) -> None:
         worst: dict[str, float] = {}

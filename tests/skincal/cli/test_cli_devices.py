@@ -79,7 +79,9 @@ def test_watch_shows_a_skin(capsys):
 
 def test_watch_says_that_a_skin_is_no_wrench(capsys):
     lines = watched(capsys, "yarp", Stream.SKIN, "--carries", "wrench", "--seconds", "2.5", "--json").splitlines()
-    assert json.loads(lines[-1])["verdict"] == approved("links.other_width", width=4, of="a wrench has", expected=6)
+    assert json.loads(lines[-1])["verdict"] == approved(
+        "links.other_width", width=4, of="a force/torque sensor has", expected=6
+    )
 
 
 @needs_pty
@@ -95,7 +97,8 @@ def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
     with closing(outlet), meanwhile(send):
         monkeypatch.setattr(devices, "_ports", lambda: [(outlet.address, "USB serial")])
         assert main(["devices"]) == 0
-    assert approved("links.no_reading_tried", tried="115200, 460800, 19200")[:-1] in capsys.readouterr().out
+    said = approved("links.no_reading_tried", tried="115200, 460800")
+    assert said[: said.index(")")] in capsys.readouterr().out  # a busy machine tries more of them
 
 
 @pytest.mark.parametrize("address", ["socket://127.0.0.1:1", "/dev/ttyNone1"])

@@ -102,6 +102,7 @@ def flooding():
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only there a process's memory is told so")
+@pytest.mark.quiet
 def test_garbage_at_the_speed_of_a_network_is_dropped_by_link_and_costs_the_others_nothing(tmp_path):
     options = write_devices(tmp_path, 10)
     with flooding() as (port, sent):
