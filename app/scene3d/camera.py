@@ -32,7 +32,7 @@ MIN_FACING = float(np.cos(np.radians(50.0)))
 """Cosine. Skin that is turned away by more is seen at too flat an angle to aim."""
 RESIDUAL_TILT = float(np.radians(20.0))
 """rad between the view and the normal after a turn: a push that is seen from exactly above would be a dot."""
-TARGET_SHARE = 0.75
+TARGET_MAX_VIEW_SHARE = 0.75
 """Of the way from the middle of the picture to its edge: a target further out is brought to the middle."""
 MIN_BALL_PX, TARGET_BALL_PX = 5.0, 14.0
 """A target with a ball smaller than the first is brought closer, until the ball has the second size."""
@@ -208,7 +208,9 @@ def is_visible(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: flo
 def is_inside(pose: CameraPose, at: FloatArray, aspect: float) -> bool:
     """Return whether a point is well inside a picture of this width over height."""
     away = max(float((pose.position - at) @ pose.axes[2]), MIN_DISTANCE)
-    return bool(np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max() <= TARGET_SHARE)
+    return bool(
+        np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max() <= TARGET_MAX_VIEW_SHARE
+    )
 
 
 def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float, level: FloatArray | None) -> CameraPose:

@@ -602,7 +602,7 @@ class Controller(QObject):
         self.compute(write, done, failed, ended=ended)
 
     def apply(self, address: str, method: Method, done: Callable[..., None], ended: Callable[[], None] | None = None) -> None:
-        """Send positions to a running robot in the background.
+        """Send the calibrated taxel positions to a running robot, in the background.
 
         Parameters
         ----------

@@ -15,7 +15,7 @@ from skincal.words.units import TIMES, ChannelNames, cell, count, degrees, milli
 
 MODULE_HEADINGS = ("Module", "Mean, mm", "Shift, mm", "Shape, mm", "Spacing")
 MODULE_HINTS = (
-    "Number of the module; known / all taxels if some are not known in both sets",
+    "Number of the module; known / all taxels if some are not known in both sets of positions",
     "Mean length of its taxels' differences",
     "Shift of the whole module: length of the mean difference",
     "Rest after the best rotation and shift (rms); zero for a module that only moved",

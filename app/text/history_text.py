@@ -16,7 +16,7 @@ EARLIER_TIME = "earlier"
 
 @dataclass(frozen=True, slots=True)
 class HistoryLine:
-    """One entry of the history."""
+    """One entry of the list of the operator's actions and pokes."""
 
     when: str
     what: str

@@ -23,7 +23,7 @@ from skincal.model.readings import TEMPERATURE, Loss, Stream
 
 DATA_STRUCT = struct.Struct("<H6fIf")
 FRAME_BYTES = 37
-PLAUSIBLE_MAX = 1e6
+MAX_PLAUSIBLE_READING = 1e6
 """N and N m. No sensor has such a range; half of the noise whose checksum fits by chance exceeds it."""
 TEMPERATURE_MIN_DEGC, TEMPERATURE_MAX_DEGC = -60.0, 160.0
 SKIPPED, OVERRANGE, INVALID, RAW = 1, 2, 4, 8
@@ -49,7 +49,7 @@ def _frame_end(buffer: bytes, at: int) -> int:
         return 0
     _, *wrench, _, temperature = DATA_STRUCT.unpack_from(frame, 1)
     # Sixteen bits fit by chance once in 65,536 bytes AA of a line at the wrong baud rate.
-    is_plausible = all(not math.isfinite(value) or abs(value) < PLAUSIBLE_MAX for value in wrench)
+    is_plausible = all(not math.isfinite(value) or abs(value) < MAX_PLAUSIBLE_READING for value in wrench)
     return at + FRAME_BYTES if TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and is_plausible else 0
 
 

@@ -187,7 +187,7 @@ class GainCache:
         self._others = np.nan
 
     def mark_stale(self, rows: BoolArray | slice | int = slice(None)) -> None:
-        """Note that the gains of some taxels, or of all, must be computed again."""
+        """Note that the information gains of some taxels, or of all, must be computed again."""
         self._stale[rows] = True
 
     def gains(self, state: ChoiceState, rows: IntArray, others: float, skipped: dict[int, BoolArray]) -> FloatArray:

@@ -83,12 +83,12 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether this many outside are likely by chance."""
+        """Whether chance alone easily puts so many held-out pokes outside their 95 % regions."""
         return self.chance >= MIN_CHANCE_TO_AGREE
 
     @property
     def believed(self) -> bool:
-        """Whether this many outside are possible by chance."""
+        """Whether chance alone may put so many held-out pokes outside their 95 % regions."""
         return self.chance >= MIN_CHANCE
 
 

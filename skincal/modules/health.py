@@ -120,7 +120,7 @@ def find_misplaced_modules(model: ModuleModel, estimates: Mapping[int, Estimate]
 
 
 def miss_of(model: ModuleModel, estimates: Mapping[int, Estimate]) -> float:
-    """Compute the rms distance of taxels from the plan without the common motion, m; 0 if nothing is known."""
+    """Compute the rms distance of taxels from the planned layout after the best rigid fit, m; 0 if no taxel is known."""
     seen, _ = _all_seen(model, estimates)
     return _rms(np.concatenate([module.places - module.planned for module in seen.values()])) if seen else 0.0
 

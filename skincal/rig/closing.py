@@ -41,13 +41,13 @@ CHECKED_PLACES = 3
 """Places that are repeated: one may be missed, and two still tell."""
 MIN_PLACES = 2
 """With fewer places there is no result: a single poke may have been anywhere."""
-MAX_CHANCE = 0.01
+MOVED_MAX_CHANCE = 0.01
 """A movement is reported if its chance without one is smaller."""
 MAX_CHANCE_WITHOUT_ONE = 0.05
 """The same with any one poke left out. It is less strict, since the chance with all pokes is small already. With 0.01 movements
 of 8 mm are reported on 53 to 67 of 100 rigs, with 0.05 on 68 to 81."""
 CHI2_QUANTILES = (0.0, 6.635, 9.210, 11.345)
-"""Chi-square with none to three degrees of freedom, exceeded with `MAX_CHANCE`."""
+"""Chi-square with none to three degrees of freedom, exceeded with `MOVED_MAX_CHANCE`."""
 OBSERVABLE_SD_M = 0.010
 """m. A direction is tested if the sd of a movement along it is smaller: a movement that matters shows at half a finger's
 width."""
@@ -100,12 +100,12 @@ class Closing:
     @property
     def has_moved(self) -> bool:
         """Whether something moved, by more than one poke."""
-        return self.chance < MAX_CHANCE and self.chance_without_worst < MAX_CHANCE_WITHOUT_ONE
+        return self.chance < MOVED_MAX_CHANCE and self.chance_without_worst < MAX_CHANCE_WITHOUT_ONE
 
     @property
     def single_poke_decides(self) -> bool:
         """Whether only one poke shows a movement."""
-        return self.chance < MAX_CHANCE and self.chance_without_worst >= MAX_CHANCE_WITHOUT_ONE
+        return self.chance < MOVED_MAX_CHANCE and self.chance_without_worst >= MAX_CHANCE_WITHOUT_ONE
 
 
 def closing_check(

@@ -36,7 +36,7 @@ POINTS_MAX = 256
 """Maximum number of points: about half the pixels of a plot in a side panel."""
 PAUSE_MAX_S = 60.0
 """s. Longer pauses are cut to this on the time axis: a night between two halves of a session would hide both."""
-STEP_S = 0.03
+MAX_WORK_PER_STEP_S = 0.03
 """s of one background step: about one picture, so that the window keeps half of the machine."""
 TAXELS, MEAN, P95, MAX = range(4)
 """Columns of a spread: number of taxels, then metres."""
@@ -178,7 +178,7 @@ class ErrorCourse:
         return [at for at in range(self._stride, len(self._input.contacts), self._stride) if at not in self._points]
 
     def work(self, seconds: float = math.inf) -> tuple[CourseInput, dict[int, Spreads]]:
-        """Solve missing points for about `seconds`, one at least, for `add_points`."""
+        """Compute missing points of the error curve for about `seconds`, one at least, for `add_points`."""
         end, of, points = time.monotonic() + seconds, self._input, dict[int, Spreads]()
         self._replica.set_detected_dead(of.dead)
         self._replica.assume_corrected(of.correction)
@@ -271,7 +271,7 @@ class ErrorFollower:
 
         def work() -> tuple[CourseInput, dict[int, Spreads]]:
             try:
-                return course.work(STEP_S)
+                return course.work(MAX_WORK_PER_STEP_S)
             except BaseException:
                 # `run` reports it and does not call `add`.
                 self._failed_at, self._busy = at, False

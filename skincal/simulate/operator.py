@@ -235,7 +235,7 @@ class HandPress:
         return rise * (1.0 - fall) * shake
 
     def travel(self, times: FloatArray) -> FloatArray:
-        """Return the slide (n, 3) so far, metres."""
+        """Compute how far the tip has slid (n, 3) on the skin, metres."""
         return np.clip((times - self.begin - self.ramp) / self.hold, 0.0, 1.0)[:, None] * self.slide
 
 

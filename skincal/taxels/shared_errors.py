@@ -36,7 +36,7 @@ DRIFT_BLOCK_POKES = 60
 """Pokes that share slow changes, about two minutes of work: drift of the sensor, an arm that creeps."""
 MAX_DRIFT_PAIR_GAP = DRIFT_BLOCK_POKES // 4
 """The drift is measured from pairs of pokes with numbers at most this far apart."""
-CORRECTED_DRIFT_FACTOR = 2.0
+DRIFT_VARIANCE_FACTOR_IF_CORRECTED = 2.0
 """True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
 60 to 80 pokes of a pose has about half of the variance."""
 RANK_TOLERANCE = 1e-9
@@ -146,7 +146,7 @@ class NormalEquations:
                 sums[row] += np.bincount(of[i], values, minlength=len(self.starts))
         product, squares, shared = sums
         seen = np.maximum(product - np.sqrt(squares), 0.0) / np.where(shared > 0, shared, np.inf)
-        return CORRECTED_DRIFT_FACTOR * seen if self.corrected else seen
+        return DRIFT_VARIANCE_FACTOR_IF_CORRECTED * seen if self.corrected else seen
 
 
 def add_shared_errors(

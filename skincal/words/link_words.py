@@ -8,7 +8,7 @@ from skincal.model.errors import MAX_SENTENCE_CHARS, plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 
 REST_OF_SENTENCE_LENGTH = 30
-"""Characters kept free for the sentence after it: `"No session was made."`."""
+"""Characters kept free for the sentence that follows: `"No session was made."`."""
 
 
 def silent_links(links: Sequence[LinkHealth]) -> str:

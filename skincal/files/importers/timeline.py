@@ -3,11 +3,11 @@
 A recording must play as a live rig would, but stamps jump: a clock is set back, messages overtake each other, a program hangs.
 `Timeline` finds the jumps of one file, `OpenRecording.chunks` merges all files on a common clock that never runs backwards.
 
-- A stamp a little before the one before it (`OUT_OF_ORDER_S`) is a late message. It gets the time of the line before.
+- A stamp a little before the one before it (`MAX_TIME_STEP_BACK_S`) is a late message. It gets the time of the line before.
 - A stamp far before it is a clock set back. The rest of the file is shifted, so that it goes on one interval later. Two files
   whose clocks were set back by the same amount share one shift, so that they stay paired.
 - If a clock jumps and jumps back by the same amount within `BRIEF_JUMP_MAX_S`, only the lines in between are shifted.
-- If a stamp is wrong for at most `OUTLIER_MAX_LINES` lines (a flipped bit), those lines get the time of the line before.
+- If a stamp is wrong for at most `MAX_LINES_OF_WRONG_TIME` lines (a flipped bit), those lines get the time of the line before.
 - A gap stays a gap.
 
 Neighbouring lines of a file share a chunk, since a chunk costs more than a line. A chunk has the time of its last line.
@@ -28,7 +28,7 @@ from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
 from skincal.streams.links import LinkSpec
 
-OUT_OF_ORDER_S = 0.5
+MAX_TIME_STEP_BACK_S = 0.5
 """A message on a network is not later than this; a clock that is set back usually goes farther."""
 GAP_INTERVALS = 5.0
 """A pause of more than this many intervals is a gap..."""
@@ -36,7 +36,7 @@ GAP_MIN_S = 0.1
 """...if it is also longer than this: a poke is held still for 0.3 s."""
 SHARED_JUMP_S = 0.2
 """Jumps of two clocks are the same if they differ by less: each is known to an interval of its file."""
-OUTLIER_MAX_LINES = 3
+MAX_LINES_OF_WRONG_TIME = 3
 """A clock that was set stays set; a wrong stamp is right again after at most this many lines."""
 BRIEF_JUMP_MAX_S = 60.0
 """A clock that is right again after no more than this was wrong meanwhile: time servers correct it every minute or so."""
@@ -118,11 +118,11 @@ class Timeline:
         self._highest = float(self.stamps[0])
         at, size = 1, 1
         while at < self.lines:
-            limit = self.lines if self._undecided is None else self._undecided.line + OUTLIER_MAX_LINES + 1
+            limit = self.lines if self._undecided is None else self._undecided.line + MAX_LINES_OF_WRONG_TIME + 1
             block = self.stamps[at : min(at + size, limit)]
             highest = np.maximum.accumulate(np.concatenate([[self._highest], block]))
             steps = block - highest[:-1]
-            far = np.flatnonzero(np.abs(steps) > OUT_OF_ORDER_S)
+            far = np.flatnonzero(np.abs(steps) > MAX_TIME_STEP_BACK_S)
             steady = int(far[0]) if len(far) else len(block)
             self.out_of_order += int(np.count_nonzero(steps[:steady] < 0))
             self._pauses += steps[:steady][steps[:steady] > GAP_MIN_S].tolist()
@@ -133,7 +133,7 @@ class Timeline:
             if len(far):
                 self._begin_jump(at, float(self.stamps[at]))
                 at, size = at + 1, 16
-            if self._undecided is not None and at > self._undecided.line + OUTLIER_MAX_LINES:
+            if self._undecided is not None and at > self._undecided.line + MAX_LINES_OF_WRONG_TIME:
                 self._decide()
         jump = self._undecided
         if jump is not None and jump.step > SPAN_MAX_S:
@@ -144,7 +144,7 @@ class Timeline:
 
     def _begin_jump(self, line: int, stamp: float) -> None:
         jump = self._undecided
-        if jump is not None and abs(stamp - jump.highest) <= OUT_OF_ORDER_S:
+        if jump is not None and abs(stamp - jump.highest) <= MAX_TIME_STEP_BACK_S:
             self._drop_outliers(jump, line, stamp)
             return
         self._decide()
@@ -320,7 +320,7 @@ def _chunk_starts(timeline: Timeline, host_ns: IntArray) -> NDArray[np.bool_]:
     The decoder dates every line of a chunk by the chunk's arrival and keeps the smallest delay. A chunk has the time of its
     last line, so only earlier lines look late. The first line after a clock change gets a chunk of its own.
     """
-    jumped = np.abs(np.diff(timeline.stamps, prepend=-np.inf)) > OUT_OF_ORDER_S
+    jumped = np.abs(np.diff(timeline.stamps, prepend=-np.inf)) > MAX_TIME_STEP_BACK_S
     starts = jumped.copy()
     starts[1:] |= jumped[:-1]
     starts |= np.diff((host_ns - START_NS) // CHUNK_NS, prepend=-1) > 0

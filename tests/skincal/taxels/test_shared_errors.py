@@ -10,7 +10,7 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Estimate, Method, State
-from skincal.taxels.shared_errors import CORRECTED_DRIFT_FACTOR, DRIFT_BLOCK_POKES, PredictedError, predicted_error
+from skincal.taxels.shared_errors import DRIFT_BLOCK_POKES, DRIFT_VARIANCE_FACTOR_IF_CORRECTED, PredictedError, predicted_error
 
 EVEN = NoiseSettings(force=1e-4, moment=1e-5, contact=5e-4, reach=1e-6, radius=1e9, skin=0.0)
 TAXEL = np.array([0.03, -0.02, 0.05])
@@ -82,7 +82,7 @@ def test_what_a_correction_takes_up_of_slow_errors_stays_in_the_spread():
         squares.append(np.sum((estimate.position - TAXEL) ** 2))
         predicted.append(estimate.rms**2)
         shown.append(both(contacts)[0].rms ** 2)
-    assert np.mean(halves) == pytest.approx(1.0 - 1.0 / CORRECTED_DRIFT_FACTOR, abs=0.05)
+    assert np.mean(halves) == pytest.approx(1.0 - 1.0 / DRIFT_VARIANCE_FACTOR_IF_CORRECTED, abs=0.05)
     assert 0.5 < np.mean(predicted) / np.mean(squares) < 1.5
     assert np.mean(shown) < 0.35 * np.mean(squares), "what misses show is not all"
 
