@@ -161,4 +161,6 @@ def loss_lines(links: Sequence[LinkHealth | LinkTotals]) -> list[str]:
 
 def link_notes(links: Sequence[LinkHealth]) -> list[str]:
     """List the last message of each open link's device."""
-    return [f"{link.link}: {link.text}" for link in links if link.state is LinkState.OPEN and link.text]
+    notes = [(link.link, link.text) for link in links if link.state is LinkState.OPEN]
+    notes += [(link.link, link.warning) for link in links]
+    return [f"{name}: {text}" for name, text in notes if text]

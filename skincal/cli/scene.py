@@ -12,6 +12,7 @@ from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
+    from skincal.model.robot import RobotSpec
     from skincal.session.part import Part
 
 _scenes = typer.Typer(
@@ -39,7 +40,8 @@ def new_scene(
     package: Annotated[
         list[str] | None, typer.Option(help="NAME=FOLDER of a ROS package that the URDF names; repeatable.")
     ] = None,
-    mesh: Annotated[Path | None, typer.Option(help="Mesh of the part, without a URDF.")] = None,
+    mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF in place of the file that it names.")] = None,
+    sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
     unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
     channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
     polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
@@ -63,6 +65,7 @@ def new_scene(
         joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
         packages=_packages(package or []),
         mesh=mesh,
+        sign=None if sign is None else int(sign),
         unit=unit,
         channels=channels,
         polarity=polarity,
@@ -98,19 +101,22 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
     scene, findings = part.scene, list(part.findings)
     arm = scene.arm
     angles = None
+    if arm is None and degrees is not None:
+        raise InputError("--joints: the scene has no joints between sensor and part; leave it out.")
     if arm is not None:
         if degrees is not None:
             if len(degrees) <= max(arm.arm.joints):
                 raise InputError(f"--joints has {len(degrees)} angles; the scene needs columns {list(arm.arm.joints)}.")
             angles = np.radians(degrees)[list(arm.arm.joints)]
         else:
-            angles = next(iter(arm.poses.values()), np.zeros(len(arm.arm.joints)))
+            zero = np.zeros(len(arm.arm.joints)) if isinstance(arm.arm, Arm) else arm.arm.middle_angles()
+            angles = next(iter(arm.poses.values()), zero)
         if not isinstance(arm.arm, Arm) and (warning := arm.arm.limit_warning(angles)) is not None:
             findings.append(warning)
     pose = scene.sensor_pose if arm is None or angles is None else arm.arm.link_from_sensor(angles)
     robot = scene.robot
-    if robot is not None and robot.sign is None:
-        findings.append("the URDF does not say whether the sensor reports the force or its reaction: see [wrench] sign")
+    if robot is not None:
+        findings += robot_findings(robot, scene.link, scene.wrench_sign)
     if scene.skin.layout is None:
         findings.append("no layout: the modules method is not available, and the guide searches for the taxels")
     if not scene.landmarks:
@@ -131,6 +137,24 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
         "taxels": None if scene.skin.layout is None else len(scene.skin.layout.channels),
         "findings": findings,
     }  # fmt: skip
+
+
+def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
+    """List what is unusual or unknown about a robot's sensor, and where its mesh is from."""
+    findings: list[str] = []
+    if robot.sign is None:
+        findings.append("the URDF does not say whether the sensor reports the force or its reaction: see [wrench] sign")
+    elif robot.sign != wrench_sign:
+        findings.append(f"[wrench] sign is {wrench_sign:+d}, and the URDF says {robot.sign:+d}: check one of them")
+    path = [joint.name for joint in robot.urdf.path_to_root(link)]
+    sensor = robot.urdf.sensor_named(robot.sensor, "")
+    if sensor.joint not in path:
+        others = [each.name for each in robot.urdf.sensors if each.joint in path]
+        hint = f"; {', '.join(others)} is" if others else ""
+        findings.append(f"sensor {robot.sensor} is not between the part and the robot's base{hint}: it may not feel the pokes")
+    if robot.mesh_link and robot.mesh_link != link:
+        findings.append(f"the mesh is that of link {robot.mesh_link}, which is fixed to {link}")
+    return findings
 
 
 def _lines(result: dict[str, Any]) -> list[str]:

@@ -200,6 +200,8 @@ class LinkHealth:
     """Units of its readings; empty while unknown."""
     verdict: LinkVerdict = LinkVerdict(LinkAnswer.LISTENING)
     address: str = ""
+    warning: str = ""
+    """What is suspicious about good readings, such as a joint outside its limits; empty for nothing."""
 
 
 def merge_side_readings(before: Mapping[str, SideReading], later: Mapping[str, SideReading]) -> dict[str, SideReading]:

@@ -11,7 +11,7 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.tables import Table, check_degrees
-from skincal.model.urdf import LinkMesh, Robot, UrdfChain, find_mesh, read_urdf
+from skincal.model.urdf import Robot, UrdfChain, find_mesh, read_urdf
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +30,10 @@ class RobotSpec:
     """Named arm poses: (moving joints,) float, radians."""
     tolerance: float
     """rad."""
-    mesh: tuple[Path, LinkMesh, FloatArray] | None
-    """File of the part's mesh, what the URDF says of it, its (4, 4) pose in the part's link; `None` without a mesh."""
+    mesh: tuple[Path, float, FloatArray] | None
+    """File of the part's mesh, metres per unit, its (4, 4) pose in the part's link; `None` without a mesh."""
+    mesh_link: str
+    """Link whose visual mesh that is; empty without a mesh."""
 
 
 def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> RobotSpec:
@@ -66,16 +68,21 @@ def read_robot(table: Table, link: str, folder: Path, needs_mesh: bool) -> Robot
         packages[name] = folder / packages_table.path(name)
     own = table.path("mesh", "")
     mesh = None
-    if needs_mesh and (found := urdf.mesh_for(link)) is not None:
+    found = urdf.mesh_for(link, urdf.sensor_named(sensor, where).joint)
+    if own and (found is None or not needs_mesh):
+        raise InputError(f"{where}: mesh is {own}, but the link has no visual mesh or [surface] names one; use [surface].")
+    if needs_mesh and found is not None:
         file = folder / own if own else find_mesh(urdf, found[0], packages)
         if file.suffix.lower() == ".dae":
             raise InputError(
                 f"{where}: the mesh of link {found[0].link} is a COLLADA file ({file.name}), which is not read; save it as "
-                "STL or OBJ, and name that file in mesh."
+                "STL or OBJ, such as by trimesh.load(FILE, force='mesh').export('part.stl'), and name it in mesh."
             )
-        mesh = file, *found
+        mesh = file, found[0].scale(where), found[1]
     table.refuse_unknown_keys()
-    return RobotSpec(urdf, sensor, chain, columns, sign, poses, float(np.radians(tolerance)), mesh)
+    return RobotSpec(
+        urdf, sensor, chain, columns, sign, poses, float(np.radians(tolerance)), mesh, found[0].link if mesh and found else ""
+    )
 
 
 def _degrees(table: Table | None, urdf: Robot) -> dict[str, float]:

@@ -303,8 +303,7 @@ def _fixed_sensor_pose(robot: RobotSpec | None) -> FloatArray:
 def _robot_surface(robot: RobotSpec | None) -> SurfaceSpec | None:
     if robot is None or robot.mesh is None:
         return None
-    file, mesh, link_from_mesh = robot.mesh
-    return SurfaceSpec(file, mesh.scale, link_from_mesh)
+    return SurfaceSpec(*robot.mesh)
 
 
 def _read_landmarks(root: Table, path: Path) -> tuple[Landmark, ...]:

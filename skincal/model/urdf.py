@@ -9,11 +9,13 @@ Sources: the URDF's XML reference (wiki.ros.org/urdf/XML); for `<sensor type="fo
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import os
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -27,6 +29,8 @@ MAX_URDF_BYTES = 16 << 20
 """The official URDF of a whole iCub has 0.2 MB."""
 MAX_DEPTH = 200
 """Joints between the root and a link. The longest chain of a humanoid has 40."""
+MAX_LINKS = 5000
+"""A humanoid with all its frames has 250."""
 MAX_LENGTH_M = 100.0
 MOVING = ("revolute", "continuous")
 """Kinds of joints whose angle is streamed."""
@@ -69,8 +73,17 @@ class LinkMesh:
     filename: str
     origin: FloatArray
     """(4, 4) float, metres: pose of the mesh in the link."""
-    scale: float
-    """Metres per unit of the file."""
+    scales: FloatArray
+    """(3,) float: metres per unit of the file, along each axis."""
+
+    def scale(self, where: str) -> float:
+        """Return the metres per unit; `InputError` if the axes differ or one is mirrored."""
+        if not (self.scales > 0).all() or not np.allclose(self.scales, self.scales[0], rtol=1e-9):
+            raise InputError(
+                f"{where}: the mesh of link {self.link} is scaled by {self.scales.tolist()}; expected one positive number for "
+                "all axes. Save the mesh in its true shape."
+            )
+        return float(self.scales[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +98,8 @@ class ForceTorqueSensor:
     """`child_to_parent` or `parent_to_child`; empty where the file does not say."""
     origin: FloatArray
     """(4, 4) float, metres: pose of the sensor in the child link."""
+    is_gazebo: bool = False
+    """Described in Gazebo's form alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,22 +129,36 @@ class UrdfChain:
             pose = pose @ (inverse_pose(step) if up else step)
         return pose @ self.sensor
 
+    def middle_angles(self) -> FloatArray:
+        """Compute the (len(joints),) angles in the middle of the limits, radians; 0 for a joint without limits."""
+        return np.array([0.0 if joint.limits is None else sum(joint.limits) / 2.0 for joint in self.moving])
+
     def limit_warning(self, angles: FloatArray) -> str | None:
         """Describe the first angle (rad) outside its joint's limits, with the likely mistake; `None` if all lie inside."""
         for joint, angle, column in zip(self.moving, np.asarray(angles, dtype=float), self.joints, strict=True):
             if joint.limits is None or joint.limits[0] - LIMIT_SLACK <= angle <= joint.limits[1] + LIMIT_SLACK:
                 continue
             low, high = np.degrees(joint.limits)
-            advice = "check the order of the joints"
-            if self._fit(np.degrees(angles)):
-                advice = "the values fit as radians: set the unit of the joint stream"
-            elif len(self.moving) > 1 and self._fit(np.asarray(angles)[::-1]):
-                advice = "the values fit in the opposite order: check the order of the joints"
+            advice = self._limit_advice(np.asarray(angles, dtype=float))
             return (
                 f"joint {joint.name} (column {column}) is at {np.degrees(angle):.1f} degrees; its limits are {low:.0f} to "
                 f"{high:.0f}; {advice}."
             )
         return None
+
+    def _limit_advice(self, angles: FloatArray) -> str:
+        """Name a mistake that would explain angles (rad) outside the limits."""
+        if self._fit(np.degrees(angles)):
+            return "if the stream is in radians, set its unit (the values fit as radians)"
+        if np.abs(angles).max() > 2.0 * np.pi and self._fit(np.radians(angles)):
+            return "if the stream is in degrees, set its unit (the values fit as degrees)"
+        for one, other in combinations(range(len(angles)), 2):
+            swapped = angles.copy()
+            swapped[[one, other]] = angles[[other, one]]
+            if self._fit(swapped):
+                names = f"{self.moving[one].name} and {self.moving[other].name}"
+                return f"the values fit if {names} are exchanged: check the order of the joints"
+        return "check the order of the joints and their unit"
 
     def _fit(self, angles: FloatArray) -> bool:
         return all(
@@ -180,6 +209,7 @@ class Robot:
         """
         for sensor in self.sensors:
             if sensor.name == name:
+                _require_usable(sensor, self.joints, self.path)
                 return sensor
         if name in self.joints:
             return ForceTorqueSensor(name, name, "child", "", np.eye(4))
@@ -215,8 +245,7 @@ class Robot:
         self.require_link(link, where)
         sensor = self.sensor_named(sensor_name, where)
         joint = self.joints.get(sensor.joint)
-        at = sensor_name if joint is None else joint.child
-        pose = _sensor_pose(sensor, joint)
+        at, pose = _sensor_frame(sensor, joint)
         up, down = self.path_to_root(link), self.path_to_root(at)
         while up and down and up[-1] is down[-1]:
             up.pop()
@@ -225,6 +254,8 @@ class Robot:
         moving: list[UrdfJoint] = []
         done: list[tuple[UrdfJoint, bool, float]] = []
         for each, is_up in steps:
+            if each.name in fixed and each.name in columns:
+                raise InputError(f"{where}: joint {each.name} is in joints and in [robot.fixed]; leave it in one of them.")
             if each.kind != "fixed" and each.name not in fixed:
                 self._require_streamed(each, columns, where)
                 moving.append(each)
@@ -261,55 +292,56 @@ class Robot:
         is_behind = any(each is joint for each in self.path_to_root(link))
         return 1 if (sensor.direction == "child_to_parent") == is_behind else -1
 
-    def mesh_for(self, link: str) -> tuple[LinkMesh, FloatArray] | None:
-        """Find the visual mesh of a link, or the nearest one of the links that are fixed to it.
+    def mesh_for(self, link: str, sensor_joint: str = "") -> tuple[LinkMesh, FloatArray] | None:
+        """Find the visual mesh of a link, or the nearest one of the links that are fixed to it on this side of the sensor.
 
         Returns
         -------
         The mesh and its (4, 4) pose in `link`, metres; `None` without a mesh.
         """
-        waiting, seen = [(link, np.eye(4))], {link}
-        while waiting:
-            at, pose = waiting.pop(0)
+        for at, pose in self.fixed_frames(link, sensor_joint).items():
             if at in self.meshes:
                 return self.meshes[at], pose @ self.meshes[at].origin
-            for other, step in self._fixed_neighbours(at):
-                if other not in seen:
-                    seen.add(other)
-                    waiting.append((other, pose @ step))
         return None
 
-    def fixed_frames(self, link: str) -> dict[str, FloatArray]:
-        """Compute the (4, 4) poses in `link` of all frames that are fixed to it, by name; metres."""
-        frames, waiting = {link: np.eye(4)}, [link]
+    def fixed_frames(self, link: str, sensor_joint: str = "") -> dict[str, FloatArray]:
+        """Compute the (4, 4) poses in `link` of all frames that are fixed to it, nearest first; metres.
+
+        The joint of the sensor is not crossed: what is behind it is not the part.
+        """
+        neighbours: dict[str, list[tuple[str, FloatArray]]] = {}
+        for joint in self.joints.values():
+            if joint.kind == "fixed" and joint.name != sensor_joint:
+                neighbours.setdefault(joint.child, []).append((joint.parent, inverse_pose(joint.origin)))
+                neighbours.setdefault(joint.parent, []).append((joint.child, joint.origin))
+        frames, waiting = {link: np.eye(4)}, deque([link])
         while waiting:
-            at = waiting.pop()
-            for other, step in self._fixed_neighbours(at):
+            at = waiting.popleft()
+            for other, step in neighbours.get(at, []):
                 if other not in frames:
                     frames[other] = frames[at] @ step
                     waiting.append(other)
         return frames
 
-    def _fixed_neighbours(self, link: str) -> Iterator[tuple[str, FloatArray]]:
-        for joint in self.joints.values():
-            if joint.kind == "fixed" and joint.child == link:
-                yield joint.parent, inverse_pose(joint.origin)
-            elif joint.kind == "fixed" and joint.parent == link:
-                yield joint.child, joint.origin
 
+def _sensor_frame(sensor: ForceTorqueSensor, joint: UrdfJoint | None) -> tuple[str, FloatArray]:
+    """Find the link that carries the sensor's frame, and the (4, 4) pose of that frame in it.
 
-def _sensor_pose(sensor: ForceTorqueSensor, joint: UrdfJoint | None) -> FloatArray:
-    """Compute the (4, 4) pose of the sensor's frame in the child link.
-
-    SDFormat: the moment is taken about the joint's origin, which is that of the child; `parent` and `sensor` turn the axes.
+    Gazebo (SDFormat): the moment is about the joint's origin, `parent` and `sensor` give the axes. iDynTree (`<parent joint>`):
+    `parent` is the whole frame of the parent link, `sensor` that of `<origin>` in the child link.
     """
-    if joint is None or sensor.frame == "child":
-        return np.eye(4)
-    if sensor.frame == "sensor":
-        return sensor.origin
+    if joint is None:
+        return sensor.name, np.eye(4)
     pose = np.eye(4)
-    pose[:3, :3] = joint.origin[:3, :3].T
-    return pose
+    if sensor.frame == "parent":
+        if sensor.is_gazebo:
+            pose[:3, 3] = joint.origin[:3, 3]
+        return joint.parent, pose
+    if sensor.frame == "sensor":
+        pose = sensor.origin.copy()
+        if sensor.is_gazebo:
+            pose[:3, 3] = 0.0
+    return joint.child, pose
 
 
 def read_urdf(path: Path) -> Robot:
@@ -318,15 +350,17 @@ def read_urdf(path: Path) -> Robot:
     Raises InputError: the file cannot be read, is no URDF, or its links and joints form no tree.
     """
     data = read_regular(path, MAX_URDF_BYTES, what="URDF file", advice="name the robot's .urdf file")
+    if b"\0" in data:
+        raise InputError(f"{path}: is not UTF-8 text; save the URDF as UTF-8.")
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise InputError(f"{path}: has a document type (<!DOCTYPE); remove it: a URDF needs none.")
     try:
         root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{path}: not an XML file ({error}); expected a URDF.") from None
     if root.tag != "robot":
         raise InputError(f"{path}: begins with <{root.tag}>; expected a URDF, which begins with <robot>.")
-    if b"<xacro:" in data:
+    if b"<xacro:" in data and any("xacro" in element.tag or element.tag.endswith("}macro") for element in root.iter()):
         raise InputError(f"{path}: is a xacro file; make a URDF of it first: xacro {path.name} > robot.urdf.")
     links = tuple(_attribute(element, "name", path) for element in root.findall("link"))
     joints = [_read_joint(element, path) for element in root.findall("joint")]
@@ -378,12 +412,7 @@ def _read_mesh(link: str, element: ElementTree.Element, path: Path) -> LinkMesh 
             continue
         where = f"{path}: link {link}"
         scale = _numbers(mesh.get("scale", "1 1 1"), 3, f"{where}: scale of the mesh")
-        if not (scale > 0).all() or not np.allclose(scale, scale[0], rtol=1e-9):
-            raise InputError(
-                f"{where}: the mesh is scaled by {scale.tolist()}; expected one positive number for all axes. Save the mesh in "
-                "its true shape."
-            )
-        return LinkMesh(link, _attribute(mesh, "filename", path), _read_origin(visual, where), float(scale[0]))
+        return LinkMesh(link, _attribute(mesh, "filename", path), _read_origin(visual, where), scale)
     return None
 
 
@@ -405,25 +434,29 @@ def _read_sensors(root: ElementTree.Element, joints: Mapping[str, UrdfJoint], pa
             frame = element.findtext("frame", frame).strip()
             direction = element.findtext("measure_direction", direction).strip()
             before = found.get(name)
-            origin = _read_origin(element, f"{path}: sensor {name}")
+            where = f"{path}: sensor {name}"
+            has_origin = element.find("origin") is not None or element.find("pose") is not None
+            origin = _read_pose_text(element, where) if element.find("origin") is None else _read_origin(element, where)
             found[name] = ForceTorqueSensor(
                 name=name,
                 joint=joint or ("" if before is None else before.joint) or (name if name in joints else ""),
                 frame=frame or ("" if before is None else before.frame),
                 direction=direction or ("" if before is None else before.direction),
-                origin=origin if before is None or element.find("origin") is not None else before.origin,
+                origin=origin if before is None or has_origin else before.origin,
+                is_gazebo=bool(reference) and (before is None or before.is_gazebo),
             )
     for sensor in found.values():
-        where = f"{path}: sensor {sensor.name}"
-        if sensor.joint not in joints:
-            raise InputError(f"{where}: is at joint {sensor.joint!r}, which is not there; expected a joint of the robot.")
-        if sensor.frame not in ("", "child", "parent", "sensor"):
-            raise InputError(f"{where}: frame is {sensor.frame!r}; expected child, parent or sensor.")
-        if sensor.direction not in ("", "child_to_parent", "parent_to_child"):
-            raise InputError(
-                f"{where}: measure_direction is {sensor.direction!r}; expected child_to_parent or parent_to_child."
-            )
         yield replace(sensor, frame=sensor.frame or "child")
+
+
+def _require_usable(sensor: ForceTorqueSensor, joints: Mapping[str, UrdfJoint], path: Path) -> None:
+    where = f"{path}: sensor {sensor.name}"
+    if sensor.joint not in joints:
+        raise InputError(f"{where}: is at joint {sensor.joint!r}, which is not there; expected a joint of the robot.")
+    if sensor.frame not in ("child", "parent", "sensor"):
+        raise InputError(f"{where}: frame is {sensor.frame!r}; expected child, parent or sensor.")
+    if sensor.direction not in ("", "child_to_parent", "parent_to_child"):
+        raise InputError(f"{where}: measure_direction is {sensor.direction!r}; expected child_to_parent or parent_to_child.")
 
 
 def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path) -> None:
@@ -432,6 +465,8 @@ def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path)
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise InputError(f"{path}: two {what}s are named {twice[0]!r}; expected a name for each.")
+    if len(links) > MAX_LINKS:
+        raise InputError(f"{path}: has {len(links)} links; expected at most {MAX_LINKS}.")
     known, above = set(links), dict[str, UrdfJoint]()
     for joint in joints:
         for end in (joint.parent, joint.child):
@@ -450,6 +485,9 @@ def _require_tree(links: Sequence[str], joints: Sequence[UrdfJoint], path: Path)
             if at == link or depth > MAX_DEPTH:
                 what = "is part of a circle" if at == link else f"lies below {plural(depth - 1, 'joint')}"
                 raise InputError(f"{path}: link {link} {what}; expected a tree of at most {MAX_DEPTH} joints in depth.")
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        raise InputError(f"{path}: no joint connects {roots[0]} and {roots[1]}; expected one tree: add the missing joint.")
 
 
 def _attribute(element: ElementTree.Element, name: str, path: Path) -> str:
@@ -459,13 +497,25 @@ def _attribute(element: ElementTree.Element, name: str, path: Path) -> str:
     return value
 
 
+def _read_pose_text(element: ElementTree.Element, where: str) -> FloatArray:
+    """Read SDFormat's `<pose>x y z roll pitch yaw</pose>` as a (4, 4) pose."""
+    values = _numbers(element.findtext("pose", "0 0 0 0 0 0"), 6, f"{where}: pose")
+    return _pose_of(values[:3], values[3:], where)
+
+
 def _read_origin(element: ElementTree.Element, where: str) -> FloatArray:
     """Read `<origin xyz rpy>` as a (4, 4) pose: roll, pitch and yaw about the fixed axes x, y and z."""
-    origin, pose = element.find("origin"), np.eye(4)
+    origin = element.find("origin")
     if origin is None:
-        return pose
-    pose[:3, 3] = _numbers(origin.get("xyz", "0 0 0"), 3, f"{where}: origin xyz")
-    (sr, sp, sy), (cr, cp, cy) = (f(_numbers(origin.get("rpy", "0 0 0"), 3, f"{where}: origin rpy")) for f in (np.sin, np.cos))
+        return np.eye(4)
+    xyz, rpy = (_numbers(origin.get(key, "0 0 0"), 3, f"{where}: origin {key}") for key in ("xyz", "rpy"))
+    return _pose_of(xyz, rpy, where)
+
+
+def _pose_of(xyz: FloatArray, rpy: FloatArray, where: str) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, 3] = xyz
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
     pose[:3, :3] = [
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
@@ -515,8 +565,9 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
         candidates = [folder / inner for folder in _package_folders(package, robot.path, packages)]
         candidates.append(robot.path.parent / inner)
     for candidate in candidates:
-        if candidate.is_file():
-            return candidate
+        with contextlib.suppress(OSError):  # a name that is too long, a folder without rights
+            if candidate.is_file():
+                return candidate
     advice = "give the folder of the package in [robot.packages]" if separator else "copy it there"
     raise InputError(f"{where}: {mesh.filename} is not found; {advice}, or name a mesh in [surface].")
 
@@ -527,7 +578,8 @@ def _package_folders(package: str, urdf: Path, packages: Mapping[str, Path]) -> 
     for folder in urdf.resolve().parents:
         if folder.name == package:
             yield folder
-        yield folder / package
+        elif (folder / package / "package.xml").is_file():
+            yield folder / package
     for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
         if folder:
             yield from (Path(folder) / package, *([Path(folder)] if Path(folder).name == package else []))

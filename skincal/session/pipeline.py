@@ -184,7 +184,7 @@ class Pipeline:
         """State of the links; that of the joints says if an angle lies outside the limits of the URDF."""
         links = self._intake.health(now_ns)
         warning = self.poses.limit_warning
-        return tuple(replace(link, text=warning) if warning and Stream.JOINTS in link.carries else link for link in links)
+        return tuple(replace(link, warning=warning) if warning and Stream.JOINTS in link.carries else link for link in links)
 
     @property
     def before_pokes(self) -> BeforePokes:

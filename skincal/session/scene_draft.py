@@ -77,7 +77,9 @@ class SceneDraft:
     """Columns of the joint stream; empty for the joints of the chain, from sensor to part."""
     packages: Mapping[str, Path] = field(default_factory=dict[str, Path])
     mesh: Path | None = None
-    """In place of that of the URDF."""
+    """In place of the file that the URDF names."""
+    sign: int | None = None
+    """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
     unit: str = "mm"
     channels: int | None = None
     """`None` for those of the layout."""
@@ -93,8 +95,8 @@ def write_scene(draft: SceneDraft) -> Scene:
 
     Raises InputError: a file cannot be read or written, a file is there already, or a name is not in the URDF.
     """
-    if (draft.urdf is None) == (draft.mesh is None):
-        raise InputError(f"{draft.out}: expected either a URDF (--urdf) or a mesh (--mesh).")
+    if draft.urdf is None and draft.mesh is None:
+        raise InputError(f"{draft.out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
     if draft.urdf is not None and not draft.sensor:
         raise InputError(f"{draft.urdf}: name the force/torque sensor (--sensor); {_list_sensors(read_urdf(draft.urdf))}.")
     layout_file = draft.out.parent / LAYOUT_FILE
@@ -126,7 +128,7 @@ def _scene_text(draft: SceneDraft, anchor: str) -> str:
     ]
     if draft.urdf is not None:
         lines += ["", *_robot_lines(draft, draft.urdf, folder)]
-    if draft.mesh is not None:
+    if draft.mesh is not None and draft.urdf is None:
         lines += [
             "", "[surface]", f"mesh = {_named(draft.mesh, folder)}", f"unit = {_quoted(draft.unit)}", "",
             "# [sensor]                     # pose of the force/torque sensor in the link, metres; now they have one frame",
@@ -145,18 +147,18 @@ def _robot_lines(draft: SceneDraft, urdf: Path, folder: Path) -> list[str]:
     names = list(draft.joints) or joints_in_order(chain)
     _, sign = robot.chain(draft.link, draft.sensor, names, {}, str(urdf))
     lines = ["[robot]", f"urdf = {_named(urdf, folder)}", f"sensor = {_quoted(draft.sensor)}"]
+    if draft.mesh is not None:
+        lines.append(f"mesh = {_named(draft.mesh, folder)}")
     if names:
-        lines.append(f"joints = {json.dumps(names)}{'':8}# columns of the joint stream")
-        lines += ["[robot.poses]                  # degrees, for an arm that does not stream its joints"]
-        lines.append(f"middle = {_middle_pose(robot, names)}")
+        lines.append(f"joints = {json.dumps(names, ensure_ascii=False)}{'':8}# columns of the joint stream")
+        lines += ["# [robot.poses]                # named arm poses, degrees, for an arm that does not stream its joints"]
+        lines.append(f"# middle = {_middle_pose(robot, names)}")
     if draft.packages:
         lines.append("[robot.packages]")
         lines += [f"{_quoted(name)} = {_named(path, folder)}" for name, path in draft.packages.items()]
-    if sign is None:
-        lines += [
-            "", "[wrench]",
-            "sign = 1                       # the URDF does not say; -1 if the sensor reports the reaction force",
-        ]  # fmt: skip
+    if draft.sign is not None or sign is None:
+        why = "given" if draft.sign is not None else "the URDF does not say; -1 if the sensor reports the reaction force"
+        lines += ["", "[wrench]", f"sign = {draft.sign or 1}{'':23}# {why}"]
     return lines
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, IntArray, cross_matrix, inverse_pose
+from skincal.geometry import Arm, FloatArray, IntArray, cross_matrix, inverse_pose
 from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface
@@ -280,8 +280,11 @@ def _nominal(scene: Scene) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return (angles, link_from_sensor) of every arm pose by name."""
     if scene.arm is None:
         return {"": (np.empty(0), scene.sensor_pose)}
-    poses = scene.arm.poses or {"zero": np.zeros(len(scene.arm.arm.joints))}
-    return {name: (angles, scene.arm.arm.link_from_sensor(angles)) for name, angles in poses.items()}
+    arm = scene.arm.arm
+    poses = scene.arm.poses
+    if not poses:
+        poses = {"zero": np.zeros(len(arm.joints))} if isinstance(arm, Arm) else {"middle": arm.middle_angles()}
+    return {name: (angles, arm.link_from_sensor(angles)) for name, angles in poses.items()}
 
 
 def _rotation(vector: FloatArray) -> FloatArray:

@@ -47,6 +47,11 @@ def turned(axis, angle):
     return matrix
 
 
+def at(chain, columns):
+    """The chain's pose with an angle for each column."""
+    return chain.link_from_sensor(np.array([columns[column] for column in chain.joints]))
+
+
 def test_sensor_and_part_may_lie_on_different_branches(tmp_path):
     chain, sign = robot(tmp_path).chain("cover", "right_hand", ["l2", "head", "l1", "r1"], {}, "scene")
     assert chain.joints == (0, 2, 3)
@@ -82,13 +87,26 @@ def test_frame_and_sign_come_from_the_file(tmp_path, frame, direction, link, sig
     chain, found = made.chain(link, "ft", ["l1", "l2", "r1"], {}, "scene")
     assert found == sign
     at_child, _ = made.chain(link, "left_hand", ["l1", "l2", "r1"], {}, "scene")
-    angles = np.full(len(chain.joints), 0.1)
-    own = np.linalg.inv(at_child.link_from_sensor(angles)) @ chain.link_from_sensor(angles)
+    columns = {column: 0.1 * (column + 1) for column in range(3)}
+    own = np.linalg.inv(at(at_child, columns)) @ at(chain, columns)
     expected = {
         "child": np.eye(4),
-        "parent": pose([0, 0, 0], [0, 1, 0]).T,
+        "parent": np.linalg.inv(pose([0, 0, 0.2], [0, 1, 0]) @ turned([1, 1, 0], columns[1])),
         "sensor": pose([0, 0, 0.01], [0.3, 0.2, 0.1]),
     }[frame]
+    assert np.abs(own - expected).max() < 1e-14
+
+
+@pytest.mark.parametrize(("frame", "expected"), [
+    ("parent", np.linalg.inv(turned([1, 1, 0], 0.2)) @ pose([0, 0, 0], [0, 1, 0]).T),
+    ("sensor", pose([0, 0, 0], [0, 0, 1.5])),
+])  # fmt: skip
+def test_gazebos_sensor_turns_about_the_joints_origin(tmp_path, frame, expected):
+    details = f"<force_torque><frame>{frame}</frame></force_torque><pose>0 0 0.1 0 0 1.5</pose>"
+    made = robot(tmp_path, sensor=f'<gazebo reference="l2"><sensor name="ft" type="force_torque">{details}</sensor></gazebo>')
+    columns = {0: 0.1, 1: 0.2}
+    chains = [made.chain("cover", name, ["l1", "l2"], {}, "scene")[0] for name in ("left_hand", "ft")]
+    own = np.linalg.inv(at(chains[0], columns)) @ at(chains[1], columns)
     assert np.abs(own - expected).max() < 1e-14
 
 
@@ -102,13 +120,14 @@ def test_gazebos_form_of_a_sensor_is_completed_by_the_other(tmp_path):
 def test_a_frame_without_a_mesh_has_that_of_a_link_fixed_to_it(tmp_path):
     made = robot(tmp_path)
     mesh, at = made.mesh_for("left_hand")
-    assert (mesh.link, mesh.scale) == ("cover", 0.001)
+    assert (mesh.link, mesh.scale("x")) == ("cover", 0.001)
     assert np.abs(at - pose([0, 0, 0.05], [0.4, 0, 0]) @ pose([0, 0, 0.01], [0, 0, 1.5])).max() < 1e-14
     assert made.mesh_for("trunk") is None
+    assert made.mesh_for("left_hand", "glue") is None, "the joint of the sensor is not crossed"
     assert set(made.fixed_frames("cover")) == {"cover", "left_hand"}
 
 
-@pytest.mark.parametrize(("degrees", "words"), [([5.0, 50.0], None), ([80.0, 5.0], "r1"), ([50.0, 5.0], "opposite order")])
+@pytest.mark.parametrize(("degrees", "words"), [([5.0, 50.0], None), ([80.0, 5.0], "r1"), ([50.0, 5.0], "are exchanged")])
 def test_angles_outside_the_limits_are_named(tmp_path, degrees, words):
     chain, _ = robot(tmp_path).chain("left_upper", "right_upper", ["r1", "l1"], {}, "scene")
     warning = chain.limit_warning(np.radians(degrees))
@@ -184,8 +203,9 @@ BAD_FILES = [
     (of(joint(inside='<origin xyz="0 0"/>')), "3 finite numbers"),
     (of(joint(inside='<origin xyz="0 0 1e9"/>')), "expected metres"),
     (of(joint(kind="revolute", inside='<axis xyz="0 0 0"/>')), "not zero"),
-    (of(MESH, links=""), "scaled by"),
-    (of(joint(), '<sensor name="s" type="force_torque"><parent joint="x"/></sensor>'), "which is not there"),
+    (of(links="ab"), "no joint connects a and b"),
+    ('<?xml version="1.0" encoding="foo"?><robot/>', "not an XML file"),
+    (of(*(joint(f"j{i}", "l0", f"l{i}") for i in range(1, 5001)), links=[f"l{i}" for i in range(5001)]), "at most 5000"),
     (of(*(joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in LONG[:-1]), links=[f"l{i}" for i in LONG]), "in depth"),
 ]
 
@@ -197,6 +217,24 @@ def test_a_bad_file_is_refused_with_a_sentence(tmp_path, text, words):
     with pytest.raises(InputError, match=r"bad\.urdf") as refused:
         read_urdf(path)
     assert words in str(refused.value)
+
+
+def test_utf_16_is_refused(tmp_path):
+    path = tmp_path / "wide.urdf"
+    path.write_text('<!DOCTYPE r [<!ENTITY a "aaaa">]><robot>&a;</robot>', encoding="utf-16")
+    with pytest.raises(InputError, match="UTF-8"):
+        read_urdf(path)
+
+
+def test_what_is_wrong_elsewhere_in_the_robot_is_no_fault_of_the_chain(tmp_path):
+    path = tmp_path / "other.urdf"
+    path.write_text(of(joint(), MESH.replace('"a"', '"c"'), joint("k", "b", "c"), SENSOR.format(frame="up", direction="x")))
+    made = read_urdf(path)
+    made.chain("b", "a", [], {}, "scene")
+    with pytest.raises(InputError, match="scaled by"):
+        made.meshes["c"].scale("scene")
+    with pytest.raises(InputError, match="is at joint 'l2'"):
+        made.chain("b", "ft", [], {}, "scene")
 
 
 def test_a_huge_file_is_not_read(tmp_path):
@@ -213,6 +251,7 @@ def test_a_huge_file_is_not_read(tmp_path):
         ("covr", "trunk", ["l1", "l2"], {}, "fixed", "", "did you mean cover"),
         ("cover", "ft", ["l1", "l2"], {}, "fixed", "", "no force/torque sensor, joint or link 'ft'"),
         ("cover", "trunk", ["l1"], {}, "fixed", "", "joint l2 moves"),
+        ("cover", "trunk", ["l1", "l2"], {"l1": 0.1}, "fixed", "", "leave it in one of them"),
         ("right_hand", "trunk", ["r1", "r2"], {}, "prismatic", "", "is prismatic"),
         ("right_hand", "trunk", ["r1"], {"r2": 0.1}, "prismatic", "", "is prismatic"),
         ("right_hand", "trunk", ["r1", "r2"], {}, "continuous", '<mimic joint="l1"/>', "mimics l1"),
@@ -257,7 +296,7 @@ def test_the_public_icub_has_all_that_a_calibration_needs():
     assert (chain.joints, sign) == ((0, 1), 1)
     assert chain.limit_warning(np.radians([94.0, 0.0])) is None
     assert "radians" in chain.limit_warning(np.radians(np.radians([94.0, 0.0])))
-    assert "opposite order" in chain.limit_warning(np.radians([0.0, 50.0]))
+    assert "are exchanged" in chain.limit_warning(np.radians([0.0, 50.0]))
     mesh, _ = made.mesh_for("l_forearm_dh_frame")
     assert find_mesh(made, mesh, {}).name == "sim_sea_2-5_l_forearm_prt-binary.stl"
     frames = [name for name in made.fixed_frames("l_forearm_dh_frame") if name.startswith("l_forearm_skin_")]

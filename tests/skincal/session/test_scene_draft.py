@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from skincal.cli import main
+from skincal.cli.scene import robot_findings
 from skincal.journal.writer import copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
@@ -47,6 +48,7 @@ def draft(tmp_path, urdf, **values):
 def test_a_robots_scene_has_its_chain_sign_mesh_and_grid(tmp_path, urdf):
     scene = write_scene(draft(tmp_path, urdf))
     assert scene.arm.arm.joints == (0, 1)
+    assert scene.arm.poses == {}, "an arm pose is streamed or chosen, never assumed"
     assert scene.robot.columns == ("elbow", "wrist")
     assert scene.wrench_sign == 1
     assert scene.skin.channels == 12
@@ -82,7 +84,13 @@ def test_a_copy_holds_urdf_and_mesh_and_its_digest_covers_them(tmp_path, urdf):
 
 def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
     poses = ArmPoses(write_scene(draft(tmp_path, urdf)))
-    for degrees, words in (([60, 10], ""), ([150, 10], "joint elbow"), ([5, 70], "opposite order"), ([1.0, 0.1], "radians")):
+    for degrees, words in (
+        ([60, 10], ""),
+        ([150, 10], "joint elbow"),
+        ([5, 70], "are exchanged"),
+        ([1.0, 0.1], "radians"),
+        ([3000, 400], "in degrees"),
+    ):
         poses.at("", np.radians(np.array(degrees, dtype=float)))
         assert (poses.limit_warning == "") if not words else (words in poses.limit_warning)
 
@@ -94,7 +102,7 @@ def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
         ({"sensor": ""}, "it has wrist_ft"),
         ({"joints": ("elbow",)}, "joint wrist moves"),
         ({"grid": None}, "--channels"),
-        ({"urdf": None}, "either a URDF"),
+        ({"urdf": None}, "name the robot's URDF"),
     ],
 )
 def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, values, words):
@@ -108,6 +116,24 @@ def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, va
 def test_a_grid_is_refused(text):
     with pytest.raises(InputError, match="such as 6x8@9mm"):
         parse_grid(text)
+
+
+def test_a_mesh_in_place_of_that_of_the_urdf_and_a_sign_are_options(tmp_path, urdf):
+    trimesh.creation.box((60.0, 40.0, 80.0)).export(tmp_path / "own.stl")
+    urdf.write_text(ROBOT.format(direction=DIRECTION).replace("package://arm/meshes/part.stl", "../meshes/part.dae"))
+    scene = write_scene(draft(tmp_path, urdf, mesh=tmp_path / "own.stl", sign=-1))
+    assert scene.surface.path.name == "own.stl"
+    assert scene.wrench_sign == -1
+    findings = robot_findings(scene.robot, scene.link, scene.wrench_sign)
+    assert findings == ["[wrench] sign is -1, and the URDF says +1: check one of them"]
+
+
+def test_a_sensor_of_another_arm_is_a_finding(tmp_path, urdf):
+    arm = '<link name="other"/><joint name="o" type="fixed"><parent link="base"/><child link="other"/></joint>'
+    urdf.write_text(ROBOT.format(direction=DIRECTION).replace("</robot>", f"{arm}</robot>"))
+    scene = write_scene(draft(tmp_path, urdf, sensor="o"))
+    (finding,) = [words for words in robot_findings(scene.robot, "part", 1) if "not between" in words]
+    assert "wrist_ft is" in finding
 
 
 def test_a_mesh_alone_becomes_a_scene_by_the_command_and_is_shown(tmp_path, capsys):
