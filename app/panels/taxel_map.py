@@ -235,7 +235,7 @@ class TaxelMap(pg.GraphicsView):
             "wheel, + and - zoom, a drag moves the map, 0 shows all of it."
         )
         self._is_made = True
-        self._set_range()
+        self._show_range()
 
     def sizeHint(self) -> QSize:
         return QSize(380, 260)
@@ -376,6 +376,10 @@ class TaxelMap(pg.GraphicsView):
         return self._middle + np.array([point.x() - self.width() / 2, self.height() / 2 - point.y()]) / self._scale
 
     def _set_range(self) -> None:
+        self._show_range()
+        self._draw_all()
+
+    def _show_range(self) -> None:
         """Show the part of the map around `_middle`, moved so that no space stays empty that the map could fill."""
         bounds, size = self._plan.bounds, np.array([max(1, self.width()), max(1, self.height())])
         whole = np.array([bounds.width(), bounds.height()])
@@ -385,7 +389,6 @@ class TaxelMap(pg.GraphicsView):
         self._middle = np.clip(self._middle, centre - room, centre + room)
         low = self._middle - half
         self._box.setRange(QRectF(*low.tolist(), *(2 * half).tolist()), padding=0.0)
-        self._draw_all()
 
     def _bring_into_view(self, channel: int | None) -> None:
         if channel in self._row and self._zoom > 1.0 and not self.rect().contains(self.place_of(channel).toPoint()):

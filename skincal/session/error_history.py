@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -158,8 +159,9 @@ class ErrorCourse:
         self._points: Mapping[int, Spreads] = {}
         """By the number of contacts; replaced and never changed, since `work` reads it."""
         self._stride = 1
-        # `work` solves the past with this session; these contacts count in it.
-        self._replica, self._fed = Session(scene, surface), tuple[Contact, ...]()
+        self._scene, self._surface = scene, surface
+        self._fed: tuple[Contact, ...] = ()
+        """Contacts that count in `_replica`."""
 
     def update(self, snapshot: Snapshot) -> None:
         """Drop points that no longer hold, and add the newest."""
@@ -176,6 +178,11 @@ class ErrorCourse:
     def missing(self) -> list[int]:
         """Numbers of contacts whose points are not solved yet, ascending."""
         return [at for at in range(self._stride, len(self._input.contacts), self._stride) if at not in self._points]
+
+    @cached_property
+    def _replica(self) -> Session:
+        """Session that solves the past; made in the background, since a large part takes a tenth of a second."""
+        return Session(self._scene, self._surface)
 
     def work(self, seconds: float = math.inf) -> tuple[CourseInput, dict[int, Spreads]]:
         """Compute missing points of the error curve for about `seconds`, one at least, for `add_points`."""
