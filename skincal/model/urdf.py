@@ -168,7 +168,7 @@ class UrdfChain:
 
 
 LIMIT_SLACK = float(np.radians(3.0))
-"""rad by which an angle may exceed its limits: encoders have offsets."""
+"""Tolerance of the joint limits, rad: encoders have offsets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

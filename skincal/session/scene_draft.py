@@ -201,7 +201,7 @@ def _anchor_text(draft: SceneDraft, scene: Scene) -> str:
     why = "given" if draft.anchor_mm is not None else "the mesh point farthest out along the link's z axis: move it"
     values = {"at_mm": at.round(3), "point_mm": (point * 1e3).round(3), "x": x.round(6), "normal": normal.round(6)}
     rows = [f"{key} = {(value + 0.0).tolist()}" for key, value in values.items()]
-    return f"\n[skin.anchor]                  # where the layout lies on the part: {why}\n" + "\n".join(rows) + "\n"
+    return f"\n[skin.anchor]                  # position of the layout: {why}\n" + "\n".join(rows) + "\n"
 
 
 def _anchor_on(surface: Surface | None, point_mm: FloatArray | None) -> tuple[FloatArray, FloatArray]:
