@@ -335,7 +335,7 @@ class NewSessionDialog(QDialog):
             widget.setVisible(bool(is_needed and self.pose.count()))
 
     def _choose_previews(self) -> None:
-        """Preview the addresses that the operator agreed to."""
+        """Connect to the addresses that the operator confirmed, and show their readings beside the fields."""
         named = {stream: row.named for stream, row in self.rows.items() if row.named and not _address_problem(row.named)}
         self._previews.choose(named, self._scene)
         if named:

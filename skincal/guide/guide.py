@@ -322,7 +322,7 @@ class Guide:
         return found
 
     def _phase(self, open_: BoolArray) -> tuple[GuidePhase, int | None]:
-        """Choose the phase, and the next place of the search for taxels."""
+        """Choose the guide's phase (search or sweep), and the next point to press while it searches for taxels."""
         place = None if self._search is None else self._search.next_place(self._pokes.hand(self._places))
         if place is not None:
             return GuidePhase.COVER, place

@@ -246,7 +246,7 @@ def _cost_of_size(force: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """Misses of n pokes under each of h hypotheses."""
+    """Distances of n pokes from their landmarks (residuals) under each of h hypotheses on the sensor frame."""
 
     misses: FloatArray
     """(h, 2 n) float, across the push, in units of `LANDMARK_SD_M`."""

@@ -139,7 +139,7 @@ class LinkMonitor:
             self._forget_data(event.host_ns)
 
     def compare(self, batch: Batch, ends: Sequence[int]) -> list[Differences]:
-        """Compare the readings of a batch, part by part; each part ends before one of `ends`, ascending to their number."""
+        """Compare each reading with the one before it, part by part. `ends` are the ascending rows after each part."""
         known, bits = self._streams.get(batch.stream), _bits(batch.values)
         differs = np.zeros(len(bits), np.int64)
         differs[1:] = (bits[1:] != bits[:-1]).any(axis=1)

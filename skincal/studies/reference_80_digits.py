@@ -528,7 +528,7 @@ def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Tru
 
 
 def _perturbed_points(case: ModuleCase, pose: ExactPose, back: Exact, rng: np.random.Generator) -> Exact:
-    """Return the pads (k, 3) after one Newton step with perturbed inputs."""
+    """Compute the positions (k, 3) of a module's taxels after one Newton step with perturbed inputs."""
     other, flat = perturbed(case, rng), perturbed(case.module.flat, rng)
     if isinstance(pose, OnMesh):
         pads = OnMesh.project(other.module.mesh, pose.at, pose.origin, pose.x, flat).pads()

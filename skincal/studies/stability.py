@@ -375,7 +375,7 @@ MODULE_ALTERNATIVES: dict[str, Alternative] = {
 
 
 def summary(result: dict[str, Any]) -> list[str]:
-    """List how many cases hold, the worst of each solver, each failure, and the alternatives."""
+    """List how many cases stay within the tolerance, the worst case of each solver, each failure, and the other solvers."""
     cases = result["cases"]
     lines = [
         f"{result['held']} of {len(cases)} cases hold: the error is at most {TOLERANCE_FACTOR:g} times the effect of the "

@@ -340,7 +340,7 @@ LANDMARK_LOOKS = {21: (BLUE, "o"), 70: (VERMILION, "s")}
 
 
 def draw(result: Mapping[str, Any], figure: Figure) -> None:
-    """Draw the predicted and the true error of each case, and the share of taxels inside."""
+    """Draw the predicted and the true error of each case, and the share of taxels inside their 95 % regions."""
     rows: Sequence[Mapping[str, Any]] = result["unmodelled"]
     figure.set_size_inches(13.0, 5.0)
     panels: tuple[Axes, Axes] = figure.subplots(1, 2, sharey=True)
