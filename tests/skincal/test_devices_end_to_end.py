@@ -36,7 +36,7 @@ def test_a_session_over_makers_devices_is_recorded_and_plays_to_the_same(tmp_pat
     ) as server:
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\n" * 3)  # a busy machine delays readings, and a poke may be rejected
+            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\n" * 3)  # on a busy machine some are rejected
             server.stdin.flush()
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
             assert main(["record", *arguments, "--pokes", "5", "--seconds", "30", "--json"]) == 0
