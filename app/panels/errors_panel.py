@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -166,7 +167,6 @@ class ErrorsPanel(Panel):
         self.source_box, self.module_box = compact_combo("compared with"), QComboBox()
         self.axis_buttons = {axis: QToolButton() for axis in Axis}
         self.lines = {method: QLabel() for method in self._methods}
-        self.plot = ErrorPlot(self._methods, self._modules)
         self._prepare()
         self._arrange()
         self._list_sources()
@@ -220,8 +220,15 @@ class ErrorsPanel(Panel):
         column.setContentsMargins(0, 0, 0, 0)
         column.setSpacing(0)
         column.addLayout(head)
-        column.addWidget(self.plot, 1)
+        self._column = column
         self.setWidget(inner)
+
+    @cached_property
+    def plot(self) -> ErrorPlot:
+        """Plot of the courses, made when the tab is first shown: a third of the time of all panels."""
+        plot = ErrorPlot(self._methods, self._modules)
+        self._column.addWidget(plot, 1)
+        return plot
 
     def _list_sources(self) -> None:
         self.source_box.clear()
@@ -256,7 +263,8 @@ class ErrorsPanel(Panel):
         self.plot.draw(series, self.axis, row, quantity_words(self.course.source))
 
     def recolour(self) -> None:
-        self.plot.recolour()
+        if self._shown:
+            self.plot.recolour()
         super().recolour()
 
     def restore(self, settings: QSettings) -> None:
