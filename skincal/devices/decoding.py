@@ -421,8 +421,6 @@ class FrameDecoder(ABC):
         self._count_missing(self._gaps.missing_before(seq))
 
     def _add_side_reading(self, name: str, value: float) -> None:
-        if not math.isfinite(value):  # otherwise its extremes, and the JSON of `skincal watch`, would be lost for good
-            return
         new = SideReading(value, value, value)
         self.side_readings[name] = self.side_readings[name].then(new) if name in self.side_readings else new
 

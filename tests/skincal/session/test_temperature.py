@@ -37,7 +37,7 @@ def feed(pipeline, temperatures, from_s):
 def folder(tmp_path):
     scene = write_scene(tmp_path)
     pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
-    feed(pipeline, [float("nan"), 31.0, 30.5, *(31.0 + 0.01 * k for k in range(200))], 1)
+    feed(pipeline, [31.0, 30.5, *(31.0 + 0.01 * k for k in range(200))], 1)
     # The device is unplugged, and warmer when it comes back.
     feed(pipeline, [33.0] * 100, 10)
     pipeline.close()
