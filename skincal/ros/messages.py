@@ -1,0 +1,320 @@
+"""Readings in ROS messages: stamp and values of a message, by the definition of its type.
+
+    types = MessageTypes()
+    streams_of(types, "geometry_msgs/msg/WrenchStamped")    # (Stream.WRENCH,): what its messages can be
+    reader = MessageReader(types, "geometry_msgs/msg/WrenchStamped", Stream.WRENCH)
+    message = types.decode(data, reader.type_name)          # or the JSON object of a rosbridge
+    reader.stamp_of(message)                                # 1717.25, seconds of the sender's clock, or None
+    reader.values_of(message)                               # array([fx, fy, fz, mx, my, mz]), N and N m
+
+Angles of joints are given in degrees, as every decoder of this program takes them. Without a field path, the values are
+
+    WrenchStamped, Wrench       force and torque
+    JointState                  positions, by name; radians in the message
+    std_msgs arrays             the data
+    ChannelFloat32              the values
+    TactileState                the values of all sensors, one after the other
+    SensStream (XELA)           z of each taxel: forces if the sensors are calibrated, else raw values
+    another type                its first array of numbers, else all its numbers
+
+A field path chooses others: `cdc`, `wrench.force`, `sensors[0].values`, `sensors.forces`. Without an index, a path goes through
+every element of an array; a message at its end gives all its numbers.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.ros.types import HEADER_TYPE, TIME_TYPES, Field, MessageError, MessageTypes, full_type_name
+
+MAX_DEPTH = 12
+"""Nested messages in a field path; a type that contains itself has no end."""
+LAYOUT_TYPE = "std_msgs/msg/MultiArrayLayout"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+SHOWN_NAMES = 8
+"""Names that a sentence lists."""
+_XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
+_ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS)
+_KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
+    "geometry_msgs/msg/WrenchStamped": ((Stream.WRENCH,), "wrench"),
+    "geometry_msgs/msg/Wrench": ((Stream.WRENCH,), ""),
+    JOINT_STATE: ((Stream.JOINTS,), "position"),
+    "sensor_msgs/msg/ChannelFloat32": ((Stream.SKIN,), "values"),
+    "tactile_msgs/msg/TactileState": ((Stream.SKIN,), "sensors.values"),
+    "xela_server_ros2/msg/SensStream": ((Stream.SKIN,), _XELA_RAW),
+    **{
+        f"std_msgs/msg/{kind}MultiArray": (_ANY_STREAM, "data")
+        for kind in ("Float32", "Float64", "Byte", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+    },
+}
+"""Types that devices publish as: the streams that they can be, and the usual field."""
+_STEP_RE = re.compile(r"([A-Za-z]\w*)((?:\[\d+\])*)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step of a field path: a field's name, or the number of an array's element."""
+
+    name: str
+    index: int = -1
+    many: bool = False
+    """The field is an array of messages, and the path goes through all of them."""
+
+
+def streams_of(types: MessageTypes, type_name: str, field: str = "") -> tuple[Stream, ...]:
+    """List the streams that messages of a type can be, the likeliest first; empty if it has no numbers or no definition.
+
+    Standard types that no sensor or skin is published as count only with a field path.
+    """
+    name = full_type_name(type_name)
+    if not field and name in _KNOWN_TYPES:
+        return _KNOWN_TYPES[name][0]
+    if not field and types.is_standard(name):
+        return ()
+    try:
+        find_field(types, name, field)
+    except (MessageError, InputError):
+        return ()
+    return _ANY_STREAM
+
+
+def find_field(types: MessageTypes, type_name: str, field: str = "") -> str:
+    """Return the field path that is read of a type: `field` itself, or the usual one; empty for all numbers.
+
+    Raises
+    ------
+    InputError
+        The path does not exist, leads to text, or the type has no numbers.
+    MessageError
+        The type, or a part of it, has no definition.
+    """
+    name = full_type_name(type_name)
+    if not field and name in _KNOWN_TYPES:
+        return _KNOWN_TYPES[name][1]
+    if field:
+        _plan(types, name, field)
+        return field
+    found = next((path for path, each in _walk(types, name) if each.kind == "number" and each.is_array), None)
+    if found is None and not any(each.kind == "number" for _, each in _walk(types, name)):
+        raise InputError(f"The type {name} has no numbers; choose a topic with readings.")
+    return found or ""
+
+
+class MessageReader:
+    """Extracts the readings of one stream from the messages of one type.
+
+    Parameters
+    ----------
+    field : path of the values; empty for the usual field
+    joints : names of the joints in the wanted order; without them all joints of the first message, in its order. For
+        `JointState` only
+
+    Raises InputError: the field does not exist or has no numbers, or the type has no definition.
+    """
+
+    def __init__(
+        self, types: MessageTypes, type_name: str, stream: Stream, field: str = "", joints: Sequence[str] = ()
+    ) -> None:
+        self.type_name = full_type_name(type_name)
+        self.stream = stream
+        self.joints = tuple(joints)
+        """Names of the joints, in the order of the values; empty before the first `JointState`, and for other types."""
+        self.seen_joints: dict[str, float] = {}
+        """Last position of each joint that came, rad."""
+        self._by_name = self.type_name == JOINT_STATE and stream is Stream.JOINTS and field in ("", "position")
+        try:
+            self.field = find_field(types, self.type_name, field)
+            """Path of the values; empty for all numbers."""
+            self._get = _getter(types, self.type_name, self.field)
+            self._forces = _getter(types, self.type_name, _XELA_FORCES) if self.field == _XELA_RAW and not field else None
+            self._stamp = _stamp_path(types, self.type_name)
+        except MessageError as error:
+            raise InputError(f"Messages of {self.type_name} cannot be read: {error}.") from None
+
+    def stamp_of(self, message: Any) -> float | None:
+        """Return the stamp that the sender wrote, seconds of its clock; `None` if there is none or it is 0."""
+        try:
+            stamp = message
+            for step in self._stamp or ():
+                stamp = _step_into(stamp, step)
+            if isinstance(stamp, float):
+                seconds = stamp
+            elif isinstance(stamp, Mapping):
+                parts = cast("Mapping[str, Any]", stamp)
+                seconds = float(parts.get("sec", parts.get("secs", 0))) + 1e-9 * parts.get("nanosec", parts.get("nsecs", 0))
+            else:
+                seconds = stamp.sec + 1e-9 * stamp.nanosec
+        except (AttributeError, MessageError, TypeError, ValueError):
+            return None
+        return seconds if seconds > 0 and math.isfinite(seconds) else None
+
+    def values_of(self, message: Any) -> FloatArray | None:
+        """Return the values of a message, (n,) float: N and N m, raw values of the skin, or degrees.
+
+        `None` if a `JointState` has none of the wanted joints, or one of them never came; see `missing_joints`.
+
+        Raises MessageError: the message has not the fields of its type.
+        """
+        if self._by_name:
+            angles = self._angles(message)
+            return None if angles is None else np.degrees(angles)
+        if self._forces is not None:
+            # Only calibrated sensors have forces. The first message decides, since the unit must stay the same.
+            if len(self._forces(message)):
+                self.field, self._get = _XELA_FORCES, self._forces
+            self._forces = None
+        values = self._get(message)
+        return np.degrees(values) if self.stream is Stream.JOINTS else values
+
+    @property
+    def missing_joints(self) -> str:
+        """Sentence on the wanted joints that never came; empty if all did."""
+        missing = [name for name in self.joints if name not in self.seen_joints]
+        if not self._by_name or not missing:
+            return ""
+        seen = ", ".join(list(self.seen_joints)[:SHOWN_NAMES]) or "none"
+        return f"No position of {', '.join(missing)} came; the messages have {seen}. Check the joint names of the scene."
+
+    def _angles(self, message: Any) -> FloatArray | None:
+        """Return the wanted positions, rad. Several nodes may publish parts of a robot: each joint's last position counts."""
+        names, positions = list(_member(message, "name")), _numbers(_member(message, "position"))
+        if len(names) != len(positions):
+            if not len(positions):
+                return None  # velocities alone
+            raise MessageError(f"a joint state has {len(names)} names and {len(positions)} positions")
+        self.joints = self.joints or tuple(names)
+        self.seen_joints.update(zip(names, positions.tolist(), strict=True))
+        if not any(name in names for name in self.joints) or any(name not in self.seen_joints for name in self.joints):
+            return None
+        return np.array([self.seen_joints[name] for name in self.joints])
+
+
+# ------------------------------------------------------------------ paths
+
+
+def _plan(types: MessageTypes, type_name: str, path: str) -> tuple[list[_Step], Field]:
+    """Read a field path of a type. Raises InputError: it does not exist, or leads to text."""
+    steps: list[_Step] = []
+    at = Field("", "message", type_name, is_array=False)
+    for part in path.split(".") if path else []:
+        found = _STEP_RE.fullmatch(part)
+        fields = {each.name: each for each in types.fields_of(at.type_name)} if at.kind == "message" else {}
+        if found is None or found[1] not in fields:
+            known = ", ".join(fields) or "no fields"
+            raise InputError(f"The field {path!r} of {type_name} does not exist: {part!r} is not among {known}.")
+        at = fields[found[1]]
+        indices = [int(each) for each in re.findall(r"\d+", found[2])]
+        if len(indices) > (1 if at.is_array else 0) or len(steps) > MAX_DEPTH:
+            raise InputError(f"The field {path!r} of {type_name} does not exist: {found[1]!r} has no such element.")
+        steps.append(_Step(at.name, many=at.is_array and at.kind == "message" and not indices))
+        if indices:
+            steps.append(_Step("", indices[0]))
+            at = Field(at.name, at.kind, at.type_name, is_array=False)
+    if at.kind == "text":
+        raise InputError(f"The field {path!r} of {type_name} is text; expected numbers.")
+    return steps, at
+
+
+def _walk(types: MessageTypes, type_name: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Field]]:
+    """Yield path and field of all numbers and texts of a type, outer fields first; headers, times and layouts are left out."""
+    inner: list[Field] = []
+    for each in types.fields_of(type_name):
+        if each.kind != "message":
+            yield f"{prefix}{each.name}", each
+        elif each.type_name not in (*TIME_TYPES, HEADER_TYPE, LAYOUT_TYPE) and depth < MAX_DEPTH:
+            inner.append(each)
+    for each in inner:
+        yield from _walk(types, each.type_name, f"{prefix}{each.name}.", depth + 1)
+
+
+def _getter(types: MessageTypes, type_name: str, path: str) -> Callable[[Any], FloatArray]:
+    """Make a function that reads the numbers at a path, (n,) float. It raises MessageError."""
+    steps, end = _plan(types, type_name, path)
+    paths = [steps]
+    if end.kind == "message":
+        inner = [each for each, field in _walk(types, end.type_name) if field.kind == "number"]
+        if not inner:
+            raise InputError(f"The field {path!r} of {type_name} has no numbers.")
+        tails = [_plan(types, end.type_name, each)[0] for each in inner]
+        # Element by element, not field by field: x y z of a taxel stay together.
+        if steps and steps[-1].many:
+            return lambda message: _joined(
+                part for element in _reach(message, steps) for tail in tails for part in _reach(element, tail)
+            )
+        paths = [[*steps, *tail] for tail in tails]
+    return lambda message: _joined(part for each in paths for part in _reach(message, each))
+
+
+def _reach(value: Any, steps: Sequence[_Step], at: int = 0) -> Iterator[Any]:
+    """Yield the fields at the end of a path, one for each element that the path goes through."""
+    while at < len(steps):
+        step = steps[at]
+        value = _step_into(value, step)
+        at += 1
+        if step.many:
+            for element in value:
+                yield from _reach(element, steps, at)
+            return
+    yield value
+
+
+def _step_into(value: Any, step: _Step) -> Any:
+    if step.index < 0:
+        return _member(value, step.name)
+    value = _numbers(value) if isinstance(value, str) else value
+    if step.index >= len(value):
+        raise MessageError(f"an array has {len(value)} elements; the field path wants number {step.index}, counted from 0")
+    return value[step.index]
+
+
+def _member(value: Any, name: str) -> Any:
+    """Return a field of a message, which is an object or a JSON object."""
+    try:
+        return cast("dict[str, Any]", value)[name] if isinstance(value, dict) else getattr(value, name)
+    except (KeyError, AttributeError):
+        # A field with the name of a Python keyword has an underscore.
+        found = getattr(cast("Any", value), f"{name}_", None)
+        if found is None:
+            raise MessageError(f"the field {name} is missing") from None
+        return found
+
+
+def _joined(parts: Iterator[Any]) -> FloatArray:
+    arrays = [_numbers(part) for part in parts]
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays) if arrays else np.empty(0)
+
+
+def _numbers(value: Any) -> FloatArray:
+    """Convert a number or an array of a message to (n,) float. JSON has null for NaN, and bytes in base64."""
+    try:
+        if isinstance(value, str):
+            return np.frombuffer(base64.b64decode(value, validate=True), np.uint8).astype(np.float64)
+        numbers = np.atleast_1d(np.asarray(value, np.float64))
+    except (TypeError, ValueError, OverflowError, binascii.Error):
+        raise MessageError("a field has no numbers") from None
+    if numbers.ndim != 1:
+        raise MessageError(f"a field has an array of {numbers.ndim} dimensions; expected one")
+    return numbers
+
+
+def _stamp_path(types: MessageTypes, type_name: str) -> tuple[_Step, ...] | None:
+    """Find the stamp in a type: that of its header, else its first time, else the time of XELA's first sensor."""
+    fields = types.fields_of(type_name)
+    header = next((each for each in fields if each.type_name == HEADER_TYPE and not each.is_array), None)
+    time = next((each for each in fields if each.type_name == TIME_TYPES[0] and not each.is_array), None)
+    if header is not None:
+        return _Step(header.name), _Step("stamp")
+    if time is not None:
+        return (_Step(time.name),)
+    return (_Step("sensors"), _Step("", 0), _Step("time")) if type_name.endswith("/SensStream") else None

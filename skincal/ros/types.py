@@ -1,0 +1,190 @@
+"""Definitions of ROS messages by type name, and messages from their bytes: CDR of ROS 2, and the serialisation of ROS 1.
+
+The standard definitions and the readers are those of `rosbags`, which is imported with the first `MessageTypes`. Added are the
+types of tactile skins: `tactile_msgs/TactileState` (ubi-agni/tactile_toolbox, `tactile_msgs/msg`) and XELA's `SensStream`
+(mcsix/xela_server_ros2, `msg`). A laboratory's own type comes with a recording, or from its `.msg` file.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from skincal.model.errors import InputError
+from skincal.model.given import read_regular
+
+MAX_DEFINITION_BYTES = 1 << 20
+"""Of the definition of a type with those of its parts; the longest standard one has 40,000."""
+MAX_ARRAY_ELEMENTS = 1 << 24
+"""Of an array in a message: a skin of 100,000 channels has far fewer. A damaged length must not fill the memory."""
+SECTION_END = "=" * 80
+"""Line between the definitions of a type and its parts, as bags carry them."""
+TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+HEADER_TYPE = "std_msgs/msg/Header"
+_STORE_NAMES: dict[int, str] = {1: "ros1_noetic", 2: "ros2_humble"}
+_SKIN_DEFINITIONS = {
+    "tactile_msgs/msg/TactileState": "std_msgs/Header header\nsensor_msgs/ChannelFloat32[] sensors\n",
+    "xela_server_ros2/msg/Forces": "float32 x\nfloat32 y\nfloat32 z\n",
+    "xela_server_ros2/msg/Taxel": "uint16 x\nuint16 y\nuint16 z\n",
+    "xela_server_ros2/msg/SensorFull": (
+        "uint32 message\nfloat64 time\nstring model\nuint8 sensor_pos\nTaxel[] taxels\nForces[] forces\n"
+    ),
+    "xela_server_ros2/msg/SensStream": "SensorFull[] sensors\n",
+}
+_NAME_RE = re.compile(r"[A-Za-z]\w*/(?:msg/)?[A-Za-z]\w*")
+_PART_RE = re.compile(r"^\s*([A-Za-z]\w*)(?:\[[^\]]*\])?\s+[a-z]\w*", re.MULTILINE)
+"""A field of a type without a package. Base types match, too; no file has their names."""
+
+
+class MessageError(ValueError):
+    """A message cannot be read; the message is a sentence without the topic."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A field of a message."""
+
+    name: str
+    kind: Literal["number", "text", "message"]
+    type_name: str
+    """Of a message: its type; else the base type, such as `float32`."""
+    is_array: bool
+
+
+def full_type_name(name: str) -> str:
+    """Write `package/Type` as `package/msg/Type`. Raises InputError: it is no type name."""
+    if not _NAME_RE.fullmatch(name):
+        raise InputError(f"{name!r} is no type of a ROS message; expected package/msg/Type, such as std_msgs/msg/Header.")
+    package, *_, last = name.split("/")
+    return f"{package}/msg/{last}"
+
+
+class MessageTypes:
+    """Message definitions of one version of ROS, and the messages in bytes.
+
+    A type that is not added is a standard one, or one of a tactile skin.
+
+    Parameters
+    ----------
+    ros : 1 or 2; a header of ROS 1 has a counter, too
+
+    Raises InputError: the package `rosbags` is missing.
+    """
+
+    def __init__(self, ros: Literal[1, 2] = 2) -> None:
+        try:
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError:
+            raise InputError(
+                "Messages of ROS are read by the package rosbags, which is not installed; install it: "
+                "python -m pip install 'skincal[rosbag]'"
+            ) from None
+        self.ros = ros
+        self._store = get_typestore(Stores.EMPTY)
+        self._store.max_sequence_length = MAX_ARRAY_ELEMENTS
+        self._standard = get_typestore(Stores(_STORE_NAMES[ros]))
+        self._of_ros = frozenset(self._standard.fielddefs)
+        for name, text in _SKIN_DEFINITIONS.items():
+            self._standard.register(_parse_definition(name, text))
+
+    def is_standard(self, type_name: str) -> bool:
+        """Return whether ROS itself defines a type of this name."""
+        return full_type_name(type_name) in self._of_ros
+
+    def add_definition(self, type_name: str, text: str) -> None:
+        """Add a type from its definition in the language of `.msg` files; its parts may follow as in a bag.
+
+        Raises InputError: the text is no definition, or another one of the type or of a part was added before.
+        """
+        from rosbags.typesys import TypesysError
+
+        name = full_type_name(type_name)
+        try:
+            self._store.register(_parse_definition(name, text))
+        except TypesysError as error:
+            raise InputError(f"{name}: {' '.join(str(error).split())} Expected one definition of each type.") from None
+
+    def add_file(self, path: Path, type_name: str) -> None:
+        """Add a type from its `.msg` file; those of its parts are looked for next to it.
+
+        Raises InputError: a file cannot be read, or is no definition.
+        """
+        name = full_type_name(type_name)
+        package = name.split("/")[0]
+        texts, waiting = dict[str, str](), [path]
+        while waiting:
+            file = waiting.pop()
+            data = read_regular(file, MAX_DEFINITION_BYTES, advice="expected the .msg file of the type")
+            texts[file.stem] = text = data.decode(errors="replace")
+            parts = {found[1] for found in _PART_RE.finditer(text)} - texts.keys()
+            waiting += [near for part in sorted(parts) if (near := file.with_name(f"{part}.msg")).is_file()]
+        own = texts.pop(path.stem)
+        sections = [f"{SECTION_END}\nMSG: {package}/{part}\n{text}" for part, text in texts.items()]
+        try:
+            self.add_definition(name, "\n".join([own, *sections]))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def fields_of(self, type_name: str) -> tuple[Field, ...]:
+        """List the fields of a type in order. Raises MessageError: it, or a part of it, has no definition."""
+        name = self._require(type_name)
+        return tuple(_field_of(*each) for each in self._store.fielddefs[name][1])
+
+    def decode(self, data: bytes | memoryview, type_name: str) -> Any:
+        """Read a message from its bytes: CDR, or the serialisation of ROS 1. Its fields are attributes, arrays are of numpy.
+
+        Raises MessageError: the bytes are no message of this type, or the type has no definition.
+        """
+        from rosbags.serde import SerdeError
+
+        name = self._require(type_name)
+        read = self._store.deserialize_cdr if self.ros == 2 else self._store.deserialize_ros1
+        try:
+            return read(data, name)
+        except KeyError as error:
+            raise _undefined(str(error.args[0])) from None
+        except (SerdeError, IndexError, OverflowError, MemoryError, RecursionError, AssertionError, ValueError):
+            raise MessageError(f"{len(data)} bytes are no message of the type {name}") from None
+
+    def _require(self, type_name: str) -> str:
+        """Return the full name of a type; a standard one is added with its parts. Raises MessageError: it is unknown."""
+        name = full_type_name(type_name)
+        waiting = [name]
+        while waiting:
+            each = waiting.pop()
+            if each in self._store.fielddefs:
+                continue
+            if each not in self._standard.fielddefs:
+                raise _undefined(each)
+            definition = self._standard.fielddefs[each]
+            self._store.register({each: definition})
+            waiting += [field.type_name for field in (_field_of(*one) for one in definition[1]) if field.kind == "message"]
+        return name
+
+
+def _field_of(name: str, description: Any) -> Field:
+    """Describe a field from the type system's description of it."""
+    from rosbags.interfaces import Nodetype
+
+    is_array = description[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+    node, detail = description[1][0] if is_array else description
+    if node == Nodetype.NAME:
+        return Field(name, "message", detail, is_array)
+    return Field(name, "text" if detail[0] in ("string", "wstring") else "number", detail[0], is_array)
+
+
+def _undefined(name: str) -> MessageError:
+    return MessageError(f"the type {name} has no definition here; add its .msg file to the topic: TOPIC?msg=FILE")
+
+
+def _parse_definition(name: str, text: str) -> Any:
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    if len(text) > MAX_DEFINITION_BYTES:
+        raise InputError(f"{name}: its definition has {len(text)} letters; expected at most {MAX_DEFINITION_BYTES}.")
+    try:
+        return get_types_from_msg(text, name)
+    except (TypesysError, RecursionError, ValueError, KeyError, IndexError):
+        raise InputError(f"{name}: its definition cannot be read; expected the text of a .msg file.") from None

@@ -1,0 +1,224 @@
+"""Readings of ROS messages: from bytes of both versions, from JSON, and from a laboratory's own definition."""
+
+import math
+
+import numpy as np
+import pytest
+
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.ros.messages import MessageReader, find_field, streams_of
+from skincal.ros.patches import SkinPatches
+from skincal.ros.topics import TopicChoice
+from skincal.ros.types import MessageError, MessageTypes
+
+STAMP = {"sec": 1700000000, "nanosec": 250000000}
+HEADER = {"stamp": STAMP, "frame_id": "sensor"}
+SECONDS = 1700000000.25
+LAB_TYPE = "lab_msgs/msg/TaxelData"
+LAB_DEFINITION = "Header header\nuint8 cdc_length\nfloat32[] cdc\nstring name\nlab_msgs/Cell[2] cells\n"
+CELL_DEFINITION = "float64 a\nuint8[] raw\n"
+XYZ = ("x", "y", "z")
+
+
+def vector(values):
+    return dict(zip(XYZ, values, strict=True))
+
+
+def xela(forces):
+    taxels = [[vector((1, 2, 3)), vector((4, 5, 6))], [vector((7, 8, 9))]]
+    sensors = [
+        {"message": 5, "time": SECONDS, "model": "m", "sensor_pos": k, "taxels": each, "forces": forces[k]}
+        for k, each in enumerate(taxels)
+    ]
+    return {"sensors": sensors}
+
+
+WRENCH = {"force": vector((1.0, -2.0, 3.0)), "torque": vector((0.1, 0.2, -0.3))}
+JOINTS = {"header": HEADER, "name": ["b", "wheel", "a"], "position": [0.5, 9.0, -1.0], "velocity": [], "effort": []}
+SENSORS = [{"name": "l", "values": [1.5, 2.0]}, {"name": "r", "values": [0.25]}]
+LAB = {"header": HEADER, "cdc_length": 2, "cdc": [3.0, 4.5], "name": "n", "cells": [{"a": 1.0, "raw": [7, 200]}] * 2}
+CASES = (
+    ("geometry_msgs/msg/WrenchStamped", "", {"header": HEADER, "wrench": WRENCH}, Stream.WRENCH, [1, -2, 3, 0.1, 0.2, -0.3]),
+    ("geometry_msgs/msg/WrenchStamped", "wrench.torque", {"header": HEADER, "wrench": WRENCH}, Stream.SKIN, [0.1, 0.2, -0.3]),
+    ("geometry_msgs/msg/Wrench", "", WRENCH, Stream.WRENCH, [1, -2, 3, 0.1, 0.2, -0.3]),
+    ("sensor_msgs/msg/JointState", "", JOINTS, Stream.JOINTS, np.degrees([0.5, 9.0, -1.0])),
+    ("std_msgs/msg/UInt8MultiArray", "", {"layout": {"dim": [], "data_offset": 0}, "data": [0, 255]}, Stream.SKIN, [0, 255]),
+    ("std_msgs/msg/Int32MultiArray", "", {"layout": {"dim": [], "data_offset": 0}, "data": [-7]}, Stream.SKIN, [-7]),
+    ("sensor_msgs/msg/ChannelFloat32", "", SENSORS[0], Stream.SKIN, [1.5, 2.0]),
+    ("tactile_msgs/msg/TactileState", "", {"header": HEADER, "sensors": SENSORS}, Stream.SKIN, [1.5, 2.0, 0.25]),
+    ("tactile_msgs/msg/TactileState", "sensors[1].values", {"header": HEADER, "sensors": SENSORS}, Stream.SKIN, [0.25]),
+    ("xela_server_ros2/msg/SensStream", "", xela([[], []]), Stream.SKIN, [3, 6, 9]),
+    ("xela_server_ros2/msg/SensStream", "", xela([[vector((1, 2, 0.5))], [vector((1, 2, 0.75))]]), Stream.SKIN, [0.5, 0.75]),
+    ("xela_server_ros2/msg/SensStream", "sensors.taxels", xela([[], []]), Stream.SKIN, [1, 2, 3, 4, 5, 6, 7, 8, 9]),
+    (LAB_TYPE, "", LAB, Stream.SKIN, [3.0, 4.5]),
+    (LAB_TYPE, "cells.raw", LAB, Stream.SKIN, [7, 200, 7, 200]),
+    (LAB_TYPE, "cells[1].raw[1]", LAB, Stream.SKIN, [200]),
+    (LAB_TYPE, "cdc", LAB, Stream.JOINTS, np.degrees([3.0, 4.5])),
+)
+
+
+@pytest.fixture(params=[1, 2])
+def types(request, tmp_path):
+    (tmp_path / "TaxelData.msg").write_text(LAB_DEFINITION.replace("lab_msgs/Cell", "Cell"))
+    (tmp_path / "Cell.msg").write_text(CELL_DEFINITION)
+    found = MessageTypes(request.param)
+    found.add_file(tmp_path / "TaxelData.msg", LAB_TYPE)
+    return found
+
+
+def make(types, type_name, content):
+    """Make the message object of a JSON object, in the classes of the type system."""
+    made = {}
+    for field in types.fields_of(type_name):
+        value = content.get(field.name, 0)
+        if field.kind == "message":
+            value = (
+                [make(types, field.type_name, each) for each in value]
+                if field.is_array
+                else make(types, field.type_name, value)
+            )
+        elif field.is_array and field.kind == "number":
+            value = np.array(value, "u1" if field.type_name in ("byte", "char") else field.type_name)
+        made[field.name] = value
+    return types._store.types[type_name](**made)
+
+
+@pytest.mark.parametrize(("type_name", "field", "content", "stream", "expected"), CASES)
+def test_bytes_and_json_give_the_same_values_and_stamp(types, type_name, field, content, stream, expected):
+    message = make(types, type_name, content)
+    store = types._store
+    data = bytes((store.serialize_cdr if types.ros == 2 else store.serialize_ros1)(message, type_name))
+    read = types.decode(data, type_name)
+    assert stream in streams_of(types, type_name, field)
+    for each in (read, content):
+        reader = MessageReader(types, type_name, stream, field)
+        np.testing.assert_allclose(reader.values_of(each), expected, rtol=1e-15)
+        has_stamp = "header" in content or "Sens" in type_name
+        assert reader.stamp_of(each) == (SECONDS if has_stamp else None)
+
+
+def test_joints_are_found_by_name_also_in_parts_of_the_robot(types):
+    reader = MessageReader(types, "sensor_msgs/JointState", Stream.JOINTS, joints=("a", "b", "c"))
+    assert reader.values_of(JOINTS) is None
+    assert reader.missing_joints.startswith("No position of c came; the messages have b, wheel, a.")
+    assert reader.values_of(JOINTS | {"name": ["gripper"], "position": [1.0]}) is None
+    part = JOINTS | {"name": ["c"], "position": [0.25]}
+    np.testing.assert_allclose(reader.values_of(part), np.degrees([-1.0, 0.5, 0.25]))
+    assert reader.missing_joints == ""
+    assert reader.values_of(JOINTS | {"position": []}) is None
+    with pytest.raises(MessageError, match="3 names and 1 positions"):
+        reader.values_of(JOINTS | {"position": [1.0]})
+
+
+def test_json_of_a_bridge_has_bytes_in_base64_and_null_for_nan(types):
+    reader = MessageReader(types, "std_msgs/UInt8MultiArray", Stream.SKIN)
+    assert reader.values_of({"data": "AP8="}).tolist() == [0, 255]
+    reader = MessageReader(types, "std_msgs/Float32MultiArray", Stream.SKIN)
+    assert math.isnan(reader.values_of({"data": [1.0, None]})[1])
+    for damaged in ({}, {"data": "AP8"}, {"data": [[1.0]]}, {"data": {"a": 1}}, {"data": ["x"]}, [], None):
+        with pytest.raises(MessageError):
+            reader.values_of(damaged)
+    assert (
+        MessageReader(types, "std_msgs/Header", Stream.SKIN, "stamp").stamp_of({"stamp": {"secs": 3, "nsecs": 5}}) == 3 + 5e-9
+    )
+
+
+def test_own_types_without_an_array_give_all_numbers():
+    types = MessageTypes()
+    types.add_definition(
+        "a/P", "std_msgs/Header header\nfloat32 left\nstring s\na/Q q\n" + "=" * 80 + "\nMSG: a/Q\nint16 right\n"
+    )
+    assert find_field(types, "a/P") == ""
+    reader = MessageReader(types, "a/P", Stream.SKIN)
+    assert reader.values_of({"left": 1.5, "q": {"right": -3}}).tolist() == [1.5, -3]
+
+
+@pytest.mark.parametrize("type_name", ["sensor_msgs/msg/Image", "std_msgs/msg/String", "nobody/msg/Knows"])
+def test_types_that_no_sensor_publishes_are_not_proposed(type_name):
+    assert streams_of(MessageTypes(), type_name) == ()
+
+
+@pytest.mark.parametrize(
+    ("type_name", "field", "words"),
+    [
+        ("nobody/Knows", "", "nobody/msg/Knows has no definition here; add its .msg file"),
+        ("std_msgs/String", "data", "is text; expected numbers"),
+        ("std_msgs/Header", "stamp.minute", "'minute' is not among sec, nanosec"),
+        ("std_msgs/Header", "stamp[0]", "has no such element"),
+        ("std_msgs/Float32MultiArray", "data[0", "is not among layout, data"),
+        ("std_msgs/Empty2", "", "has no definition"),
+        ("a b", "", "is no type of a ROS message"),
+    ],
+)
+def test_fields_that_do_not_exist_are_named(type_name, field, words):
+    with pytest.raises(InputError, match=words.replace("[", r"\[")):
+        MessageReader(MessageTypes(), type_name, Stream.SKIN, field)
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [
+        "flo at x",
+        "int32 \x00",
+        "a/B[] more\n",
+        "float64[4000000000] x\n",
+        "uint8[] x\nFoo f\n",
+        "=" * 80 + "\nMSG: a/B\n",
+        "x" * (1 << 21),
+    ],
+)
+def test_hostile_definitions_give_a_sentence(definition):
+    def read():
+        types = MessageTypes()
+        types.add_definition("a/B", definition)
+        return MessageReader(types, "a/B", Stream.SKIN).values_of(types.decode(b"\0\1\0\0" + b"\xff" * 100, "a/B"))
+
+    with pytest.raises((InputError, MessageError)):
+        read()
+
+
+def test_damaged_bytes_give_a_sentence_or_values(types):
+    message = make(types, LAB_TYPE, LAB)
+    store = types._store
+    good = bytes((store.serialize_cdr if types.ros == 2 else store.serialize_ros1)(message, LAB_TYPE))
+    reader, refused = MessageReader(types, LAB_TYPE, Stream.SKIN), 0
+    for at in range(len(good)):
+        for damaged in (good[:at], good[:at] + bytes([good[at] ^ 0xFF]) + good[at + 1 :], good + bytes(at)):
+            try:
+                reader.values_of(types.decode(damaged, LAB_TYPE))
+            except MessageError:
+                refused += 1
+    assert refused > len(good)
+
+
+def test_two_definitions_of_one_type_are_refused():
+    types = MessageTypes()
+    types.add_definition("a/B", "int32 x\n")
+    with pytest.raises(InputError, match="one definition"):
+        types.add_definition("a/B", "int16 x\n")
+
+
+def test_patches_make_frames_in_the_order_of_their_topics():
+    patches = SkinPatches(["/a", "/b"])
+    assert patches.add(1, np.array([3.0])) is None
+    assert patches.add(1, np.array([4.0])) is None
+    assert patches.waiting_for == ["/a"]
+    assert patches.add(0, np.array([1.0, 2.0])).tolist() == [1, 2, 4]
+    assert patches.superseded == [0, 1]
+    assert patches.add(0, np.array([9.0, 9.0])) is None
+
+
+@pytest.mark.parametrize(
+    "text", ["/a", "/skin/a+/skin/b?field=sensors[0].values", "/j?joints=l_elbow,l_wrist", "/s?field=cdc&msg=/home/x%2By/T.msg"]
+)
+def test_topics_are_written_as_they_are_read(text):
+    choice = TopicChoice.parse(text)
+    assert str(choice) == text
+    assert TopicChoice.parse(str(choice)) == choice
+
+
+@pytest.mark.parametrize("text", ["", "/a+", "/a b", "/a?filed=x", "7"])
+def test_wrong_topics_are_refused(text):
+    with pytest.raises(InputError):
+        TopicChoice.parse(text)
