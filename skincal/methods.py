@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 _NONE_DEAD: Mapping[int, str] = {}
 _NONE_BEFORE: Mapping[int, Estimate] = {}
-LEADS_FROM = 0.95
+LEADING_METHOD_MIN_TAXEL_SHARE = 0.95
 """A method may lead if it knows at least this share of the taxels that the most complete method knows: a small error of few
 taxels is no better calibration."""
-_AT_ONCE = 20_000
+_ANSWERS_PER_SOLVER_CALL = 20_000
 """Answers solved at once: their results, some 10 MB, stay in the processor's cache. More are solved in two threads."""
-_SHARE = 3
+_FIRST_THREAD_PART_INTERVAL = 3
 """One part in this many is solved in the first thread, which also makes the estimates: both threads end about together."""
 
 Estimates: TypeAlias = dict[Method, dict[int, Estimate]]
@@ -102,7 +102,11 @@ def leading_method(estimates: Mapping[Method, Sequence[Estimate]]) -> Method | N
 def leading_by(errors: Mapping[Method, Sequence[float]]) -> Method | None:
     """Choose the leading method by the predicted errors, metres, of its estimates; see `leading_method`."""
     known = max(map(len, errors.values()), default=0)
-    enough = {method: float(np.mean(rms)) for method, rms in errors.items() if rms and len(rms) >= LEADS_FROM * known}
+    enough = {
+        method: float(np.mean(rms))
+        for method, rms in errors.items()
+        if rms and len(rms) >= LEADING_METHOD_MIN_TAXEL_SHARE * known
+    }
     return min(enough, key=enough.__getitem__, default=None)
 
 
@@ -146,8 +150,8 @@ def _solve_parts(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Sol
         yield from (work(part, False) for part in parts)
         return
     with ThreadPoolExecutor(1) as other:
-        own = parts[_SHARE - 1 :: _SHARE]
-        waiting = deque(other.submit(work, part, True) for i, part in enumerate(parts) if (i + 1) % _SHARE)
+        own = parts[_FIRST_THREAD_PART_INTERVAL - 1 :: _FIRST_THREAD_PART_INTERVAL]
+        waiting = deque(other.submit(work, part, True) for i, part in enumerate(parts) if (i + 1) % _FIRST_THREAD_PART_INTERVAL)
         for part in own:
             yield work(part, False)
             while waiting and waiting[0].done():
@@ -156,9 +160,9 @@ def _solve_parts(parts: Sequence[Evidence], work: Callable[[Evidence, bool], Sol
 
 
 def _blocks(evidence: Evidence) -> list[tuple[int, int]]:
-    """Cut the taxels into parts of about `_AT_ONCE` answers: first taxel, and the one after the last."""
+    """Cut the taxels into parts of about `_ANSWERS_PER_SOLVER_CALL` answers: first taxel, and the one after the last."""
     count = len(evidence.channels)
-    edges = np.searchsorted(evidence.starts, np.arange(0, len(evidence.pokes), _AT_ONCE), side="left")
+    edges = np.searchsorted(evidence.starts, np.arange(0, len(evidence.pokes), _ANSWERS_PER_SOLVER_CALL), side="left")
     cuts = sorted({*edges.tolist(), count})
     return [(a, b) for a, b in pairwise(cuts) if b > a]
 

@@ -21,7 +21,7 @@ from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, 
 from app.state.view_state import ViewState
 from app.theme import GAP
 from skincal.contacts.outcome import Outcome
-from skincal.contacts.thresholds import NEWEST_POKES, threshold_uses
+from skincal.contacts.thresholds import NEWEST_POKES_COMPARED, threshold_uses
 from skincal.model.actions import SetThresholds
 from skincal.model.scene import ContactSettings
 from skincal.words.threshold_words import (
@@ -123,7 +123,7 @@ class ThresholdsDialog(QDialog):
         if now != self._now:
             self._now = now
             self._show_fields()
-        newest = [record.outcome for record in state.snapshot.pokes[-NEWEST_POKES:]]
+        newest = [record.outcome for record in state.snapshot.pokes[-NEWEST_POKES_COMPARED:]]
         # By identity: outcomes hold arrays, which have no truth value.
         if self._newest is None or list(map(id, newest)) != list(map(id, self._newest)):
             self._newest = newest

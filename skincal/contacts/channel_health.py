@@ -15,30 +15,30 @@ from skincal.contacts.tare import TARE_AGE_MAX_S
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import Scene
 
-NO_NUMBER_AFTER_S = 2.0
+DEAD_IF_NO_VALUE_FOR_S = 2.0
 """s. A channel without a number for this time is dead: a hundred frames at 50 Hz."""
 STUCK_AT_END_AFTER_S = TARE_AGE_MAX_S
 """s. A channel that stays at the pressed end of its range for this time is stuck: longer than any poke that counts."""
-STUCK_AFTER_S = 60.0
+STUCK_IF_CONSTANT_FOR_S = 60.0
 """s. A channel that keeps one exact value for this time is stuck, on a skin with noise."""
-NOISY_FRAME_FRACTION = 0.75
+NOISY_SKIN_MIN_CHANGED_FRAME_SHARE = 0.75
 """Share of the frames in which the typical channel changes, on a skin with noise of a raw unit and more. On a coarser skin a
 good channel may keep its value for minutes."""
-STUCK_NEIGHBOUR_POKES = 6
+STUCK_MIN_POKES_ON_NEIGHBOUR = 6
 """Pokes on a neighbour, without any change of this channel, that make it stuck."""
-FAR_POKES_MIN = 5
+ALWAYS_ON_MIN_FAR_POKES_ANSWERED = 5
 """Far pokes that a channel must have answered to be always on."""
-FAR_ANSWERED_FRACTION = 0.6
+ALWAYS_ON_MIN_SHARE_OF_FAR_POKES = 0.6
 """Share of the far pokes that a channel must have answered to be always on."""
-NO_LAYOUT_POKES_MIN = 10
+ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT = 10
 """Pokes before a channel may be called always on without a layout: then no poke is known to be far."""
-NO_LAYOUT_PEAKS_MIN = 5
+ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT = 5
 """Different strongest taxels that these pokes must have."""
-NO_LAYOUT_ANSWERED_FRACTION = 0.8
+ALWAYS_ON_MIN_SHARE_OF_POKES_WITHOUT_LAYOUT = 0.8
 """Share of all pokes that a channel must have answered to be always on, without a layout."""
-MAX_CHANNELS_PER_POKE = 32
+MAX_ANSWERING_CHANNELS_PER_POKE = 32
 """Channels. A poke that more of them answer, such as a palm, says nothing about single channels."""
-NEIGHBOUR_SPACINGS = 1.2
+NEIGHBOUR_MAX_SPACINGS = 1.2
 """Largest distance of direct neighbours, in spacings of the layout."""
 
 
@@ -61,7 +61,7 @@ class ChannelHealth:
         self._candidates = candidates
         self._positions = None if layout is None else layout.places[candidates]
         self._far = 0.0 if layout is None else 2.0 * scene.contacts.gap_factor * layout.spacing
-        self._near = 0.0 if layout is None else NEIGHBOUR_SPACINGS * layout.spacing
+        self._near = 0.0 if layout is None else NEIGHBOUR_MAX_SPACINGS * layout.spacing
         self._pressed_end = None if scene.skin.range is None else scene.skin.range[1 if scene.skin.polarity > 0 else 0]
         self._last: FloatArray = np.empty(0)
         self._frames = 0
@@ -97,7 +97,7 @@ class ChannelHealth:
 
     def on_poke(self, host_s: float, channels: IntArray, responses: FloatArray) -> bool:
         """Take the answers of one poke, accepted or not; return whether `dead` changed."""
-        if not 0 < len(channels) <= MAX_CHANNELS_PER_POKE:
+        if not 0 < len(channels) <= MAX_ANSWERING_CHANNELS_PER_POKE:
             return False
         peak = int(channels[np.argmax(responses)])
         answered = np.isin(self._candidates, channels)
@@ -134,25 +134,28 @@ class ChannelHealth:
         if not why.startswith(DeadCause.ALWAYS_ON.value):
             return not self._varied[channel]
         if self._positions is None:
-            return self._pokes < NO_LAYOUT_POKES_MIN or len(self._peaks) < NO_LAYOUT_PEAKS_MIN
-        return bool((self._far_pokes[self._candidates == channel] < FAR_POKES_MIN).any())
+            return (
+                self._pokes < ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT or len(self._peaks) < ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT
+            )
+        return bool((self._far_pokes[self._candidates == channel] < ALWAYS_ON_MIN_FAR_POKES_ANSWERED).any())
 
     def _without_numbers(self, host_s: float) -> dict[int, str]:
-        without = host_s - self._number_s[self._candidates] >= NO_NUMBER_AFTER_S
-        words = f"{DeadCause.NO_NUMBER.value} for {NO_NUMBER_AFTER_S:g} s or more; check its wiring"
+        without = host_s - self._number_s[self._candidates] >= DEAD_IF_NO_VALUE_FOR_S
+        words = f"{DeadCause.NO_NUMBER.value} for {DEAD_IF_NO_VALUE_FOR_S:g} s or more; check its wiring"
         return dict.fromkeys(self._candidates[without].tolist(), words)
 
     def _stuck(self, host_s: float) -> dict[int, str]:
         own, word = self._candidates, DeadCause.STUCK.value
         value, unchanged_s = self._last[own], host_s - self._changed_s[own]
         # An exact value means something only if the typical channel changes in most frames.
-        is_noisy = float(np.median(self._changes[own])) >= NOISY_FRAME_FRACTION * self._frames
-        since = f"for {STUCK_AFTER_S:g} s or more while the others vary"
+        is_noisy = float(np.median(self._changes[own])) >= NOISY_SKIN_MIN_CHANGED_FRAME_SHARE * self._frames
+        since = f"for {STUCK_IF_CONSTANT_FOR_S:g} s or more while the others vary"
         dead = {
-            c: f"{word}: exactly {self._last[c]:g} {since}" for c in own[(unchanged_s >= STUCK_AFTER_S) & is_noisy].tolist()
+            c: f"{word}: exactly {self._last[c]:g} {since}"
+            for c in own[(unchanged_s >= STUCK_IF_CONSTANT_FOR_S) & is_noisy].tolist()
         }
-        pokes = f"through {STUCK_NEIGHBOUR_POKES} pokes or more on its neighbours"
-        near = own[self._near_pokes[own] >= STUCK_NEIGHBOUR_POKES].tolist()
+        pokes = f"through {STUCK_MIN_POKES_ON_NEIGHBOUR} pokes or more on its neighbours"
+        near = own[self._near_pokes[own] >= STUCK_MIN_POKES_ON_NEIGHBOUR].tolist()
         dead |= {c: f"{word}: exactly {self._last[c]:g} {pokes}" for c in near}
         if self._pressed_end is not None:
             at_end = own[(unchanged_s >= STUCK_AT_END_AFTER_S) & (value == self._pressed_end)].tolist()
@@ -163,10 +166,10 @@ class ChannelHealth:
     def _always_on(self) -> dict[int, str]:
         if self._positions is not None:
             answered, of, where = self._far_answered, self._far_pokes, "that lie elsewhere"
-            always = (answered >= FAR_POKES_MIN) & (answered >= FAR_ANSWERED_FRACTION * of)
-        elif self._pokes >= NO_LAYOUT_POKES_MIN and len(self._peaks) >= NO_LAYOUT_PEAKS_MIN:
+            always = (answered >= ALWAYS_ON_MIN_FAR_POKES_ANSWERED) & (answered >= ALWAYS_ON_MIN_SHARE_OF_FAR_POKES * of)
+        elif self._pokes >= ALWAYS_ON_MIN_POKES_WITHOUT_LAYOUT and len(self._peaks) >= ALWAYS_ON_MIN_PEAK_TAXELS_WITHOUT_LAYOUT:
             answered, of, where = self._answered, np.full(len(self._answered), self._pokes), f"at {len(self._peaks)} places"
-            always = answered >= NO_LAYOUT_ANSWERED_FRACTION * self._pokes
+            always = answered >= ALWAYS_ON_MIN_SHARE_OF_POKES_WITHOUT_LAYOUT * self._pokes
         else:
             return {}
         return {

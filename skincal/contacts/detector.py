@@ -35,7 +35,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skincal.contacts.channel_health import ChannelHealth
-from skincal.contacts.gates import GAP_PERIODS, answer_limit, finish, judge
+from skincal.contacts.gates import MAX_SAMPLE_GAP_IN_SKIN_PERIODS, answer_limit, finish, judge
 from skincal.contacts.outcome import CROWDED_REASONS, BeforePokes, Outcome, PressPhase, Progress, Reason, Rejection
 from skincal.contacts.press import ArmPose, FinishedPress, Press, arm_turn_between
 from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, TareKeeper
@@ -43,7 +43,7 @@ from skincal.geometry import FloatArray, IntArray, axis_point, length_of, move_w
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings, Scene
 
-PERIOD_SAMPLES = 15
+SAMPLES_FOR_MEDIAN_PERIOD = 15
 """Samples whose median spacing is the period; enough to outvote a few missing frames."""
 
 
@@ -71,7 +71,7 @@ class ContactDetector:
         self._tares = TareKeeper(scene.contacts, scene.skin.channels)
         self._health = ChannelHealth(scene, self._candidates, dead)
         self._ignored: Set[int] | None = None
-        self._spacings: deque[float] = deque(maxlen=PERIOD_SAMPLES)
+        self._spacings: deque[float] = deque(maxlen=SAMPLES_FOR_MEDIAN_PERIOD)
         self._period_s = 0.0
         self._last: Sample | None = None
         self._untared_since = 0.0
@@ -146,7 +146,7 @@ class ContactDetector:
         if (press := self._press) is not None:
             # Just over the limit at least: the break itself is the loss, however soon it is known.
             lost = 0.0 if host_s is None else host_s - self.last_s
-            press.note_gap(max(lost, GAP_PERIODS * self._period_s * (1 + 1e-9)))
+            press.note_gap(max(lost, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * self._period_s * (1 + 1e-9)))
             outcomes += self._end(press)
         outcomes += self._finalize_pending(None)
         self._drop_tare(self.last_s)
@@ -236,7 +236,7 @@ class ContactDetector:
             if len(self._spacings) >= 3 and self._press is None:
                 self._period_s = median(self._spacings)
         # Time that stands still or goes back is a gap, too.
-        return abs(step) if known > 0 and not 0 < step <= GAP_PERIODS * known else 0.0
+        return abs(step) if known > 0 and not 0 < step <= MAX_SAMPLE_GAP_IN_SKIN_PERIODS * known else 0.0
 
     def _feed_idle(self, sample: Sample, pose: ArmPose, gap_s: float) -> list[Outcome]:
         outcomes: list[Outcome] = []

@@ -19,7 +19,7 @@ from skincal.contacts.tare import TARE_AGE_MAX_S, Tare, force_change, wrench_bas
 from skincal.geometry import FloatArray, IntArray, pitch
 from skincal.model.scene import ContactSettings, Scene
 
-GAP_PERIODS = 3.0
+MAX_SAMPLE_GAP_IN_SKIN_PERIODS = 3.0
 """Periods of the skin. A longer gap between two samples of a poke means lost readings; one missing frame does not."""
 
 
@@ -54,7 +54,7 @@ def _failed_gates(
     size = press.peak if wrench is None else float(np.linalg.norm(wrench[:3]))
     # Devices.
     yield _at_most(Reason.SATURATED, press.saturated, 0, "")
-    yield _at_most(Reason.READINGS_LOST, press.gap_s, GAP_PERIODS * press.period_s, "s")
+    yield _at_most(Reason.READINGS_LOST, press.gap_s, MAX_SAMPLE_GAP_IN_SKIN_PERIODS * press.period_s, "s")
     tare_age = (press.end_s if mean is None else mean.time_s) - press.before.end_s
     yield _at_most(Reason.NO_TARE, tare_age, TARE_AGE_MAX_S, "s")
     yield _at_least(Reason.NO_POSE, int(mean is None or mean.link_from_sensor is not None), 1, "")

@@ -50,10 +50,10 @@ def arm_turn_between(before: ArmPose, now: ArmPose) -> float:
     return rotation if rotation > joints * change + 1e-6 else change
 
 
-CONTACT_REACH = 0.1
+MAX_CONTACT_DISTANCE_ALONG_AXIS_M = 0.1
 """m. Largest distance of the contact, along the force axis, from the axis point nearest to the sensor's origin: more than the
 radius of a robot's limb."""
-_NOISE_STD_ERRORS = 2.0
+_TRAVEL_NOISE_STD_ERRORS = 2.0
 """Standard errors that are subtracted from a travel, so that noise alone exceeds the limit in few still presses."""
 
 
@@ -85,8 +85,9 @@ def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> f
 
     The axis of sample i passes the point c(lambda) of the mean axis at the distance d_i = f_i x (f_i x c + m_i)/|f_i|^2. A
     hand that only tilts turns the axis about the contact. So lambda is the one with the smallest d_i, within
-    `CONTACT_REACH` of the point nearest to the sensor. The travel is the slope of a straight line through the d_i times the
-    window's length. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,), s.
+    `MAX_CONTACT_DISTANCE_ALONG_AXIS_M` of the point nearest to the sensor. The travel is the slope of a straight line through
+    the d_i times the window's length. Force and moment are (n, 3), N and N m, tared, sensor frame; n >= 3; `times_s` is (n,),
+    s.
     """
     mean_force = mean_rows(force)
     along = mean_force / length_of(mean_force)
@@ -97,7 +98,7 @@ def axis_travel(force: FloatArray, moment: FloatArray, times_s: FloatArray) -> f
     weight = float(np.add.reduce(sideways * sideways, axis=None))
     # Below this the axes are parallel to rounding: every lambda is as good.
     shift = float(np.add.reduce(offset * sideways, axis=None)) / weight if weight > 1e-12 * len(force) else 0.0
-    offset = offset - min(max(shift, -CONTACT_REACH), CONTACT_REACH) * sideways
+    offset = offset - min(max(shift, -MAX_CONTACT_DISTANCE_ALONG_AXIS_M), MAX_CONTACT_DISTANCE_ALONG_AXIS_M) * sideways
     return _straight_travel(offset, times_s)
 
 
@@ -108,7 +109,7 @@ def _straight_travel(offset: FloatArray, times_s: FloatArray) -> float:
     rest = offset - mean_rows(offset) - time[:, None] * slope
     span = float(times_s[-1] - times_s[0])
     error = math.sqrt(np.add.reduce(rest * rest, axis=None) / (len(time) - 2) / square) * span
-    return max(0.0, length_of(slope) * span - _NOISE_STD_ERRORS * error)
+    return max(0.0, length_of(slope) * span - _TRAVEL_NOISE_STD_ERRORS * error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,20 +20,20 @@ from skincal.geometry import FloatArray, length_of, mean_rows
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
-QUIET_SPREAD = 0.35
+QUIET_WINDOW_MAX_FORCE_SPREAD_N = 0.35
 """N. Largest spread (root of the summed variances) of a quiet window: twice that of 0.1 N noise an axis."""
-QUIET_SHIFT = 0.2
+QUIET_WINDOW_MAX_FORCE_SHIFT_N = 0.2
 """N. Largest change of the mean force within and directly after a quiet window: above noise of 0.1 N, below a tool."""
-ONSET_S = 0.2
+TARE_TO_TOUCH_MIN_S = 0.2
 """s. Time from the end of a tare to the touch, at least, if there is such a tare: a slow touch needs it to reach
 `touch_force`."""
 TARE_AGE_MAX_S = 10.0
 """s. Older tares are not used: drift of 0.5 N in ten minutes is 0.01 N in this time."""
 MIN_WINDOW_SAMPLES, MAX_WINDOW_SAMPLES = 4, 1024
 """Fewer samples say nothing about their spread; more only take memory, for a device that claims to be fast."""
-NOISE_WINDOWS = 16
+WINDOWS_IN_NOISE_MEAN = 16
 """Quiet windows over which a channel's noise is averaged: ten samples alone give it to 25 %."""
-IQR_OF_NORMAL_SD = 1.349
+NORMAL_IQR_OVER_SD = 1.349
 """Interquartile range of a normal distribution, in standard deviations."""
 
 
@@ -79,7 +79,7 @@ def robust_level(values: FloatArray) -> tuple[FloatArray, FloatArray]:
         below, above = np.take_along_axis(ordered, np.array([low, np.minimum(low + 1, last)]), axis=0)
         return below + (at - low) * (above - below)
 
-    return quantile(0.5), (quantile(0.75) - quantile(0.25)) / IQR_OF_NORMAL_SD
+    return quantile(0.5), (quantile(0.75) - quantile(0.25)) / NORMAL_IQR_OVER_SD
 
 
 def is_quiet(window: FloatArray, following: FloatArray) -> bool:
@@ -90,7 +90,7 @@ def is_quiet(window: FloatArray, following: FloatArray) -> bool:
     half = len(window) // 2
     within = length_of(mean_rows(window[-half:]) - mean_rows(window[:half]))
     onward = length_of(mean_rows(following) - mean)
-    return spread <= QUIET_SPREAD and max(within, onward) <= QUIET_SHIFT
+    return spread <= QUIET_WINDOW_MAX_FORCE_SPREAD_N and max(within, onward) <= QUIET_WINDOW_MAX_FORCE_SHIFT_N
 
 
 def window_length(seconds: float, period_s: float) -> int:
@@ -107,7 +107,7 @@ class TareKeeper:
         self.quiet_s = settings.quiet_s
         """s, length of a quiet window."""
         self._run: deque[Sample] = deque()
-        # Successive tares are half a window apart or more: eight reach back beyond `ONSET_S`.
+        # Successive tares are half a window apart or more: eight reach back beyond `TARE_TO_TOUCH_MIN_S`.
         self._recent: deque[Tare] = deque(maxlen=8)
         self._samples_since_tare = 0
         self._noise_windows = 0
@@ -123,9 +123,9 @@ class TareKeeper:
         return self._recent[-1] if self._recent else None
 
     def before(self, touch_s: float) -> Tare | None:
-        """Find the tare for a poke that touches at `touch_s`: the newest that ends `ONSET_S` before it."""
+        """Find the tare for a poke that touches at `touch_s`: the newest that ends `TARE_TO_TOUCH_MIN_S` before it."""
         for tare in reversed(self._recent):
-            if tare.end_s <= touch_s - ONSET_S:
+            if tare.end_s <= touch_s - TARE_TO_TOUCH_MIN_S:
                 return tare
         return self.tare
 
@@ -157,8 +157,8 @@ class TareKeeper:
             return None
         window = list(self._run)[:quiet]
         median, sd = robust_level(np.array([sample.skin for sample in window]))
-        # A running mean of the variance: first of all windows alike, then the newest has a weight of 1/`NOISE_WINDOWS`.
-        self._noise_windows = min(self._noise_windows + 1, NOISE_WINDOWS)
+        # A running mean of the variance: first of all windows alike, then the newest has a weight of 1/`WINDOWS_IN_NOISE_MEAN`.
+        self._noise_windows = min(self._noise_windows + 1, WINDOWS_IN_NOISE_MEAN)
         self._variance += np.where(np.isfinite(sd), sd**2 - self._variance, 0.0) / self._noise_windows
         self.noise = np.sqrt(self._variance)
         tare = Tare(

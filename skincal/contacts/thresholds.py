@@ -11,7 +11,7 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Outcome, Rejection
 from skincal.geometry import pitch
 
-NEWEST_POKES = 10
+NEWEST_POKES_COMPARED = 10
 """Pokes that are compared: a minute of work, in which hand and tool stay the same."""
 
 
@@ -29,7 +29,7 @@ class ThresholdUse:
 
 def threshold_uses(outcomes: Sequence[Outcome], names: Sequence[str]) -> dict[str, ThresholdUse]:
     """Compare the newest of `outcomes`, which are in the order of their numbers, with each threshold of `names`."""
-    newest = outcomes[-NEWEST_POKES:]
+    newest = outcomes[-NEWEST_POKES_COMPARED:]
     rejecting = [outcome.threshold for outcome in newest if isinstance(outcome, Rejection)]
     values = [_measured(outcome) for outcome in newest]
     return {

@@ -17,15 +17,15 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate
 
-DEFAULT_SPACING_M = 0.005
+DEFAULT_TAXEL_SPACING_M = 0.005
 """Distance of neighbouring taxels without a layout: the iCub's and most others'."""
-SKIN_OFFSET_SD_M = 0.006
+SKIN_OFFSET_FROM_PLAN_SD_M = 0.006
 """Offset of the whole skin from its plan, each direction: by hand it is put on to a few millimetres."""
-MODULE_OFFSET_SD_M = 0.002
+MODULE_OFFSET_FROM_SKIN_SD_M = 0.002
 """Offset of a module from where the whole skin puts it: turns of the skin, and its bend."""
-TAXEL_OFFSET_SD_M = 0.001
+TAXEL_OFFSET_FROM_MODULE_SD_M = 0.001
 """Offset of a taxel from where its module puts it: pads are printed more exactly; the mesh is not the part."""
-RIG_MODULE_SHARE = 0.3
+RIG_SHIFT_SHARE_DIFFERING_BY_MODULE = 0.3
 """Part of a rig's shift that differs between modules: turns of an arm pose of 1 degree (`RigPrior`) move positions 0.1 m apart
 by 2 mm against each other, and the skin 0.2 to 0.4 m from the sensor by 3 to 7 mm."""
 MIN_ESTIMATE_SD_M = 0.0005
@@ -81,15 +81,15 @@ def believed_positions(plan: PlannedPlaces, estimates: Sequence[Estimate], rig: 
     precision[np.isnan(measured[:, 0])] = 0.0
     off = np.where(np.isfinite(plan.places), measured - plan.places, np.nan)
     known, module = np.isfinite(off).all(axis=1), plan.modules
-    everyone, rig_of_module = np.zeros(int(known.sum()), dtype=np.int64), RIG_MODULE_SHARE * rig
-    whole = _group_offsets(off[known], precision[known], everyone, 1, float(np.hypot(SKIN_OFFSET_SD_M, rig)))[0]
+    everyone, rig_of_module = np.zeros(int(known.sum()), dtype=np.int64), RIG_SHIFT_SHARE_DIFFERING_BY_MODULE * rig
+    whole = _group_offsets(off[known], precision[known], everyone, 1, float(np.hypot(SKIN_OFFSET_FROM_PLAN_SD_M, rig)))[0]
     count, rest = int(module.max(initial=-1)) + 1, off - whole
-    sd = float(np.hypot(MODULE_OFFSET_SD_M, rig_of_module))
+    sd = float(np.hypot(MODULE_OFFSET_FROM_SKIN_SD_M, rig_of_module))
     own = _group_offsets(rest[known], precision[known], module[known], count, sd)
     if not count:
         return _add_own_offset(plan.places.copy(), measured, precision, np.zeros(3))
     moved = whole + own
-    skin = _skin_share(SKIN_OFFSET_SD_M, rig) * whole + _skin_share(MODULE_OFFSET_SD_M, rig_of_module) * own
+    skin = _skin_share(SKIN_OFFSET_FROM_PLAN_SD_M, rig) * whole + _skin_share(MODULE_OFFSET_FROM_SKIN_SD_M, rig_of_module) * own
     return _add_own_offset(plan.places + skin[module], measured, precision, (moved - skin)[module])
 
 
@@ -109,5 +109,5 @@ def _group_offsets(off: FloatArray, precision: FloatArray, groups: IntArray, cou
 def _add_own_offset(places: FloatArray, measured: FloatArray, precision: FloatArray, rig: FloatArray) -> FloatArray:
     """Shift positions towards each taxel's own estimate, less the rig's share, by how precise that is."""
     off = np.nan_to_num(measured - places - rig)
-    own = solve_each(precision + np.eye(3) / TAXEL_OFFSET_SD_M**2, (precision @ off[:, :, None])[:, :, 0])
+    own = solve_each(precision + np.eye(3) / TAXEL_OFFSET_FROM_MODULE_SD_M**2, (precision @ off[:, :, None])[:, :, 0])
     return np.where(np.isfinite(places), places + own, measured)

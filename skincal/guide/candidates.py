@@ -26,15 +26,15 @@ from skincal.taxels.noise import offset_square, row_precision
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-TRIED_AZIMUTHS = 8
+PUSH_AZIMUTHS_TRIED = 8
 """Directions around the normal that are tried."""
 TILT_SHARES = (0.6, 1.0)
 """Shares of the usable tilt that are tried, in addition to no tilt."""
-PUSHES_PER_TAXEL = 1 + TRIED_AZIMUTHS * len(TILT_SHARES)
-MAX_NEIGHBOUR_SPACINGS = 1.35
+PUSHES_PER_TAXEL = 1 + PUSH_AZIMUTHS_TRIED * len(TILT_SHARES)
+NEIGHBOUR_MAX_SPACINGS = 1.35
 """Neighbours within this many spacings may answer: on the simulated forearm nine in ten of those that do are nearer."""
-MIN_NEIGHBOUR_WEIGHT = 1e-3
-PUSH_FORCE_N = 9.0
+MIN_NEIGHBOUR_ANSWER_WEIGHT = 1e-3
+EXPECTED_PUSH_FORCE_N = 9.0
 """Mean force of a hand (6 to 12)."""
 
 
@@ -54,7 +54,7 @@ def find_answering(places: FloatArray, spacing: float, noise: NoiseSettings, mos
     rows, weights = np.tile(np.arange(count)[:, None], (1, most + 1)), np.zeros((count, most + 1))
     weights[:, 0] = 1.0
     known = np.flatnonzero(np.isfinite(places).all(axis=1))
-    near, far = known[pairs_within(places[known], MAX_NEIGHBOUR_SPACINGS * spacing)].T
+    near, far = known[pairs_within(places[known], NEIGHBOUR_MAX_SPACINGS * spacing)].T
     apart = np.sqrt(np.sum((places[far] - places[near]) ** 2, axis=1))
     taxel, other, apart = np.concatenate([near, far]), np.concatenate([far, near]), np.concatenate([apart, apart])
     order = np.lexsort((other, apart, taxel))
@@ -80,8 +80,8 @@ def candidate_pushes(normals: FloatArray, usable: float) -> FloatArray:
     tries = [-normals]
     for share in TILT_SHARES:
         tilt = share * usable
-        for step in range(TRIED_AZIMUTHS):
-            turn = 2.0 * np.pi * step / TRIED_AZIMUTHS
+        for step in range(PUSH_AZIMUTHS_TRIED):
+            turn = 2.0 * np.pi * step / PUSH_AZIMUTHS_TRIED
             aside = np.cos(turn) * east + np.sin(turn) * north
             tries.append(np.sin(tilt) * aside - np.cos(tilt) * normals)
     return np.stack(tries, axis=1)
@@ -159,13 +159,13 @@ def _lowered(
 ) -> tuple[FloatArray, FloatArray]:
     """Compute (m, 1, k) the traces of the covariances `before` (m, k, 3, 3), and (m, d, k) their reduction by each push."""
     (m, k), d = touched.shape, state.pushes.shape[1]
-    weights = np.maximum(weights, MIN_NEIGHBOUR_WEIGHT)
+    weights = np.maximum(weights, MIN_NEIGHBOUR_ANSWER_WEIGHT)
     pairs = orthonormal_pair(state.pushes[rows].reshape(-1, 3)).reshape(m, d, 1, 2, 3)
     away: FloatArray = state.places[touched] - state.sensor
     lever: FloatArray = np.broadcast_to(away[:, None], (m, d, k, 3))
     offsets: FloatArray = np.broadcast_to(offset_square(weights, noise)[:, None], (m, d, k))
     every: FloatArray = np.broadcast_to(pairs, (m, d, k, 2, 3)).reshape(-1, 2, 3)
-    forces = np.full(m * d * k, PUSH_FORCE_N)
+    forces = np.full(m * d * k, EXPECTED_PUSH_FORCE_N)
     precision = row_precision(every, lever.reshape(-1, 3), forces, offsets.reshape(-1), noise)
     # The chance that it answers at all is about its share of the strongest answer.
     beside = _inverse(precision).reshape(m, d, k, 2, 2) / weights[:, None, :, None, None]

@@ -20,25 +20,25 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 
 CHI2_2DOF_MEDIAN = 1.3863
-WINDOW_POKES = 12
+POKES_PER_WINDOW = 12
 """Pokes of one window, half a minute of work: 24 numbers, six for a rigid motion."""
-MIN_WINDOWS = 8
+MIN_WINDOWS_TO_LEARN_NOISE = 8
 """Windows below which the scene's noise is kept: of fewer misses the median is too uncertain (8 % in standard deviations)."""
-MAX_NOISE_FACTOR = 1.5
+MAX_LEARNED_OVER_SCENE_NOISE = 1.5
 """Largest learned noise of a poke over the scene's (standard deviations). Sessions whose regions are right need at most 1.44
 (skin that spreads a press over six taxels). Larger misses come from an error of the rig or the mesh, so the scene's noise
 judges them."""
-MOTION_LEVER_M = 0.2
+SENSOR_TO_SKIN_LEVER_M = 0.2
 """Typical distance from the sensor to the skin: a turn counts as the way at this distance."""
-MOTION_RIDGE = 1.0
+MOTION_PRIOR_INFORMATION_PER_M2 = 1.0
 """1/m^2, added to the information of each motion (a prior of 1 m): one that a window does not determine is no division by 0."""
 BISECTION_STEPS = 16
-EDGE_ANSWER_RATIO = 0.6
+EDGE_POKE_MAX_ANSWERS_OVER_MEDIAN = 0.6
 """Pokes with at most this share of the session's median number of answers are taken for pokes at the skin's edge."""
-MIN_EDGE_POKES = 24
+MIN_EDGE_POKES_FOR_SCATTER = 24
 """Edge pokes below which their scatter is that of the others."""
-MAX_EDGE_NOISE_FACTOR = 3.0
-"""`MAX_NOISE_FACTOR` of edge pokes: the middle of the taxels that answer may lie a whole pitch beside the press."""
+MAX_EDGE_OVER_SCENE_NOISE = 3.0
+"""`MAX_LEARNED_OVER_SCENE_NOISE` of edge pokes: the middle of the taxels that answer may lie a whole pitch beside the press."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,21 +90,23 @@ class Scatter:
 def learn_scatter(misses: PokeMisses) -> Scatter:
     """Learn the variances that contact points have beyond the scene's noise.
 
-    0 if the scene's noise is enough. 0 as well if more than `MAX_NOISE_FACTOR` is needed: an error and not scatter.
+    0 if the scene's noise is enough. 0 as well if more than `MAX_LEARNED_OVER_SCENE_NOISE` is needed: an error and not scatter.
     """
     windows = _windows(misses)
-    if len(windows) < MIN_WINDOWS:
+    if len(windows) < MIN_WINDOWS_TO_LEARN_NOISE:
         return Scatter()
     own = misses.select(windows.ravel())
-    edge_answers = int(EDGE_ANSWER_RATIO * np.median(own.answers))
+    edge_answers = int(EDGE_POKE_MAX_ANSWERS_OVER_MEDIAN * np.median(own.answers))
     at_edge = own.answers <= edge_answers
-    if np.count_nonzero(at_edge) < MIN_EDGE_POKES:
+    if np.count_nonzero(at_edge) < MIN_EDGE_POKES_FOR_SCATTER:
         at_edge, edge_answers = np.zeros_like(at_edge), 0
-    common = _bisect(lambda scatter: _median(own, windows.shape, Scatter(scatter), ~at_edge), own, MAX_NOISE_FACTOR)
+    common = _bisect(lambda scatter: _median(own, windows.shape, Scatter(scatter), ~at_edge), own, MAX_LEARNED_OVER_SCENE_NOISE)
     if not edge_answers:
         return Scatter(common)
     edge = _bisect(
-        lambda scatter: _median(own, windows.shape, Scatter(common, scatter, edge_answers), at_edge), own, MAX_EDGE_NOISE_FACTOR
+        lambda scatter: _median(own, windows.shape, Scatter(common, scatter, edge_answers), at_edge),
+        own,
+        MAX_EDGE_OVER_SCENE_NOISE,
     )
     return Scatter(common, max(common, edge), edge_answers)
 
@@ -122,13 +124,13 @@ def _bisect(median: Callable[[float], float], misses: PokeMisses, max_factor: fl
 
 def _median(misses: PokeMisses, shape: tuple[int, ...], scatter: Scatter, counted: NDArray[np.bool_]) -> float:
     """Compute the median of the squared misses that no rigid motion of a window explains, of the pokes that are counted."""
-    motions = np.concatenate([misses.pairs, np.cross(misses.levers[:, None], misses.pairs) / MOTION_LEVER_M], axis=2)
+    motions = np.concatenate([misses.pairs, np.cross(misses.levers[:, None], misses.pairs) / SENSOR_TO_SKIN_LEVER_M], axis=2)
     total = misses.covariances + scatter.variances(misses.answers)[:, None, None] * np.eye(2)
     whiten = np.linalg.inv(np.linalg.cholesky(total))
     slopes = (whiten @ motions).reshape(shape[0], -1, 6)
     sides = (whiten @ misses.misses[:, :, None]).reshape(shape[0], -1, 1)
     held = slopes.transpose(0, 2, 1) @ slopes
-    taken = slopes @ np.linalg.solve(held + MOTION_RIDGE * np.eye(6), slopes.transpose(0, 2, 1))
+    taken = slopes @ np.linalg.solve(held + MOTION_PRIOR_INFORMATION_PER_M2 * np.eye(6), slopes.transpose(0, 2, 1))
     # Of each miss the motion takes its leverage.
     left = 1.0 - np.diagonal(taken, axis1=1, axis2=2)
     rest = (sides - taken @ sides)[:, :, 0] / np.sqrt(np.maximum(left, 0.05))
@@ -136,10 +138,10 @@ def _median(misses: PokeMisses, shape: tuple[int, ...], scatter: Scatter, counte
 
 
 def _windows(misses: PokeMisses) -> IntArray:
-    """Find (w, WINDOW_POKES) rows of pokes that follow each other in one arm pose; the rest of a pose is dropped."""
+    """Find (w, POKES_PER_WINDOW) rows of pokes that follow each other in one arm pose; the rest of a pose is dropped."""
     order = misses.pokes.argsort(kind="stable")
-    found = [np.empty((0, WINDOW_POKES), dtype=np.int64)]
+    found = [np.empty((0, POKES_PER_WINDOW), dtype=np.int64)]
     for pose in np.unique(misses.poses):
         rows = order[misses.poses[order] == pose]
-        found.append(rows[: len(rows) // WINDOW_POKES * WINDOW_POKES].reshape(-1, WINDOW_POKES))
+        found.append(rows[: len(rows) // POKES_PER_WINDOW * POKES_PER_WINDOW].reshape(-1, POKES_PER_WINDOW))
     return np.concatenate(found)

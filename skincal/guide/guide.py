@@ -15,8 +15,8 @@ from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.believed_positions import PlannedPlaces, believed_positions
 from skincal.guide.candidates import (
+    PUSH_AZIMUTHS_TRIED,
     PUSHES_PER_TAXEL,
-    TRIED_AZIMUTHS,
     BoolArray,
     ChoiceState,
     GainCache,
@@ -51,20 +51,20 @@ from skincal.taxels.result import Estimate, Method, State
 if TYPE_CHECKING:
     from skincal.guide.surface_search import SurfaceSearch
 
-NEIGHBOUR_SHARE_SWEEP = 0.6
+NEIGHBOUR_GAIN_WEIGHT_IN_SWEEP = 0.6
 """Share of a poke's gain at the neighbours that counts in the sweep. The free method needs 86 pokes to 5 mm (median of 20
 rigs); with a share of 1 it needs 93. See `docs/decisions/neighbours-in-the-sweep.md`."""
-NEIGHBOUR_SHARE_OWN = 0.3
+NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES = 0.3
 """The same in the phase of own pokes: with 0 it takes 6 % more pokes to 3 mm, with 1 neighbours are pulled together."""
-MAX_AIM_OFFSET_M = 0.002
+TARGET_MAX_OFFSET_FROM_TAXEL_M = 0.002
 """Largest distance of a target from its taxel; beyond, a neighbour would answer most."""
-MAX_TAXELS_COMPARED = 150
+MAX_CANDIDATE_TAXELS_COMPARED = 150
 """The free method's number of candidates for the next target: two thirds those nearest to the hand, one third the neediest."""
 SAME_SIDE_COSINE = float(np.cos(np.radians(25.0)))
 """Two pushes within this angle come from the same side: half the angle between two that are tried."""
-AZIMUTH_STEP = 3
+AZIMUTH_STEP_IN_EIGHTH_TURNS = 3
 """Eighths of a turn between tilted pushes on a module: eight pushes come from eight sides, successive ones far apart."""
-MAX_SKIPS_PER_SIDE = 2
+MAX_SKIPS_PER_TAXEL_SIDE = 2
 """A side of a taxel that was skipped so often is left out."""
 
 
@@ -100,7 +100,7 @@ class Guide:
         # (n,) channels without a planned position: no taxels until they answer.
         self._unplanned: BoolArray = np.isnan(plan.places[:, 0])
         self._rig = 0.0
-        self._others = NEIGHBOUR_SHARE_OWN
+        self._others = NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
         self._gains = GainCache(count, noise)
         self._usable_tilt = self._pokes.tilt.usable
         self._find_neighbours()
@@ -349,7 +349,7 @@ class Guide:
             push = self._next_push(row)
         else:
             near = self._preselect(rows, seconds)
-            self._others = NEIGHBOUR_SHARE_SWEEP if phase is GuidePhase.SWEEP else NEIGHBOUR_SHARE_OWN
+            self._others = NEIGHBOUR_GAIN_WEIGHT_IN_SWEEP if phase is GuidePhase.SWEEP else NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
             skipped = {row: self._skipped_pushes(row) for row in self._skips}
             gains = self._gains.gains(state, rows[near], self._others, skipped) / seconds[near, None]
             best = int(gains.argmax())
@@ -363,22 +363,22 @@ class Guide:
         if skips is None:
             return np.zeros(PUSHES_PER_TAXEL, dtype=bool)
         same_side = self._pushes[row] @ np.array(skips).T > SAME_SIDE_COSINE
-        return np.sum(same_side, axis=1) >= MAX_SKIPS_PER_SIDE
+        return np.sum(same_side, axis=1) >= MAX_SKIPS_PER_TAXEL_SIDE
 
     def _preselect(self, rows: IntArray, seconds: FloatArray) -> IntArray:
         """Select the indices of `rows` to compare; all if they are few."""
-        if len(rows) <= MAX_TAXELS_COMPARED:
+        if len(rows) <= MAX_CANDIDATE_TAXELS_COMPARED:
             return np.arange(len(rows))
         nearest, neediest = seconds.argsort(kind="stable"), np.lexsort((seconds, self._statistics.contacts[rows]))
-        return np.union1d(nearest[: 2 * MAX_TAXELS_COMPARED // 3], neediest[: MAX_TAXELS_COMPARED // 3])
+        return np.union1d(nearest[: 2 * MAX_CANDIDATE_TAXELS_COMPARED // 3], neediest[: MAX_CANDIDATE_TAXELS_COMPARED // 3])
 
     def _next_push(self, row: int) -> int:
         """Choose the push at a taxel in turn: along the normal; for modules without a mesh, from another side each time."""
         order = list(range(PUSHES_PER_TAXEL))
         if self._tilted:
             # The pushes of the largest tilt come last, one for each azimuth.
-            turn, tilted = AZIMUTH_STEP * int(self._own()[row]), order[-TRIED_AZIMUTHS:]
-            order = [*(tilted[(turn + step) % TRIED_AZIMUTHS] for step in range(TRIED_AZIMUTHS)), *order]
+            turn, tilted = AZIMUTH_STEP_IN_EIGHTH_TURNS * int(self._own()[row]), order[-PUSH_AZIMUTHS_TRIED:]
+            order = [*(tilted[(turn + step) % PUSH_AZIMUTHS_TRIED] for step in range(PUSH_AZIMUTHS_TRIED)), *order]
         skipped = self._skipped_pushes(row)
         return next((push for push in order if not skipped[push]), order[0])
 
@@ -408,7 +408,7 @@ class Guide:
         if Need.DEPTH in missing:
             off += know.own[row] * know.depth_bias[row] * (push / (push @ normal) - normal)
         size = float(np.sqrt(off @ off))
-        return self._places[row] + off * min(1.0, MAX_AIM_OFFSET_M / size if size > 0 else 0.0)
+        return self._places[row] + off * min(1.0, TARGET_MAX_OFFSET_FROM_TAXEL_M / size if size > 0 else 0.0)
 
     def _make_target(self, state: ChoiceState, row: int, push: int) -> Target:
         direction = state.pushes[row, push]

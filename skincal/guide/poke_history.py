@@ -16,12 +16,12 @@ import numpy as np
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.geometry import FloatArray, IntArray, axis_point, move_wrench
 from skincal.guide.guidance import Target
-from skincal.guide.progress import INTERVAL_POKES, GuideSettings
+from skincal.guide.progress import POKES_PER_INTERVAL_ESTIMATE, GuideSettings
 from skincal.guide.tilt_limit import TiltLimit
 
 TargetOfPoke: TypeAlias = Callable[[int], Target | None]
 """Target that was shown for a poke, by its number; `None` if there was none."""
-TARGET_RADIUS_M = 0.010
+POKE_MAX_DISTANCE_FROM_TARGET_M = 0.010
 """A poke was meant for its target if its axis passes that at no more: two taxels away it is another poke."""
 
 
@@ -140,7 +140,7 @@ class PokeHistory:
 
     def latest_starts(self) -> FloatArray:
         """Start times of the last contacts, seconds, by number: as many as `poke_interval` uses."""
-        numbers = sorted(islice(reversed(self.contacts), INTERVAL_POKES + 1))
+        numbers = sorted(islice(reversed(self.contacts), POKES_PER_INTERVAL_ESTIMATE + 1))
         return np.array([self.contacts[number].start_s for number in numbers])
 
     def hand(self, places: FloatArray) -> FloatArray | None:
@@ -203,7 +203,7 @@ class PokeHistory:
                 )
             elif slid and axis is not None:
                 self._add_slide(poke, axis, target, normals)
-            if target is None or axis is None or not axis.distance_to(target.place) <= TARGET_RADIUS_M:
+            if target is None or axis is None or not axis.distance_to(target.place) <= POKE_MAX_DISTANCE_FROM_TARGET_M:
                 continue
             if is_contact or slid:
                 self.tilt.compare_aim(target.tilt, axis.tilt(target.normal))

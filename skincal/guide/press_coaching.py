@@ -18,13 +18,13 @@ from skincal.taxels.result import Method
 
 PRESSING_PHASES = (PressPhase.PRESSING, PressPhase.STILL, PressPhase.HELD)
 """Phases in which a tool presses."""
-MIN_FORCE_N = 2.0
+MIN_FORCE_FOR_TILT_N = 2.0
 """Below it a reading gives the tilt to no better than 3 degrees, the tip to no better than a taxel (0.1 N, 10 N mm)."""
-LOW_PASS_SHARE = 0.6
+LOW_PASS_OLD_VALUE_WEIGHT = 0.6
 """Weight of the former value at each reading, 30 a second: it halves the noise and lags by 50 ms."""
 MIN_PUSH_COSINE = float(np.cos(np.radians(75.0)))
 """A push farther off the normal is no push of a tool on this skin, and its axis meets the skin far away."""
-MIN_LEAN = 1e-3
+MIN_SIN_BETWEEN_PUSHES = 1e-3
 """Sine. Two pushes that differ by less along the skin have no direction between them."""
 
 
@@ -73,7 +73,7 @@ def smooth_wrench(before: SmoothedWrench | None, progress: Progress) -> Smoothed
         return None
     if before is None:
         return SmoothedWrench(force, moment)
-    share = LOW_PASS_SHARE
+    share = LOW_PASS_OLD_VALUE_WEIGHT
     return SmoothedWrench(share * before.force + (1.0 - share) * force, share * before.moment + (1.0 - share) * moment)
 
 
@@ -83,7 +83,7 @@ def compare_to_target(felt: SmoothedWrench, progress: Progress, target: Target, 
     `skin` is the target's projection on the skin, (3,) metres: a believed position may lie above or below.
     """
     size = float(np.sqrt(felt.force @ felt.force))
-    if size < MIN_FORCE_N:
+    if size < MIN_FORCE_FOR_TILT_N:
         return None
     push, normal = felt.force / size, target.normal
     cosine = -float(push @ normal)
@@ -100,7 +100,7 @@ def compare_to_target(felt: SmoothedWrench, progress: Progress, target: Target, 
         tilt=float(np.arccos(min(1.0, cosine))),
         off=off,
         error=float(np.arctan2(np.sqrt(across @ across), push @ target.push)),
-        lean=lean / length if length > MIN_LEAN else np.zeros(3),
+        lean=lean / length if length > MIN_SIN_BETWEEN_PUSHES else np.zeros(3),
         landed=int(progress.channels[progress.responses.argmax()]) if len(progress.channels) else None,
     )
 

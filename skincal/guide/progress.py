@@ -174,14 +174,14 @@ def give_up_reason(
 
 SINGLE_POKE_SD_M = {Method.FREE: 0.0070, Method.SURFACE: 0.0048}
 """sd of a taxel's position by one poke in each direction, hand and sensor together: the n-th poke moves the estimate by this
-over n; by the free method depth above all. From guided sessions of the standard study, as `HIT_SHARE`."""
-HIT_SHARE = 0.6
+over n; by the free method depth above all. From guided sessions of the standard study, as `EXPECTED_OWN_POKE_SHARE`."""
+EXPECTED_OWN_POKE_SHARE = 0.6
 """Share of the pokes that are own pokes of their target; the others are a neighbour's, which may be finished."""
-BALANCING_POKES = 2
+POKES_TO_BALANCE_A_TAXEL = 2
 """Own pokes that it takes to balance a taxel's contacts."""
-MAX_INTERVAL_S = 30.0
+MAX_WORKING_POKE_INTERVAL_S = 30.0
 """A longer time between two pokes is a pause, not work."""
-INTERVAL_POKES = 20
+POKES_PER_INTERVAL_ESTIMATE = 20
 """Latest pokes from which the interval is measured."""
 
 
@@ -208,7 +208,7 @@ def count_pokes_left(
     # The variance falls as one over the pokes.
     error = np.where(np.isfinite(rms), rms, settings.wanted)
     exact = np.ceil(np.maximum(pokes, 1) * ((error / settings.wanted) ** 2 - 1.0))
-    balance = np.where((offset > settings.balance) & (pokes > 0), BALANCING_POKES, 0)
+    balance = np.where((offset > settings.balance) & (pokes > 0), POKES_TO_BALANCE_A_TAXEL, 0)
     first = np.maximum.reduce([wanted, exact, balance, np.zeros(len(own))])
     unsettled = (first > 0) | ~(last_shift <= settings.settled)
     then = np.minimum(pokes + first, settings.patience).astype(np.int64)
@@ -216,7 +216,7 @@ def count_pokes_left(
     each = np.minimum(first + settling, settings.patience - pokes)
     share = float(open_.mean()) if len(open_) else 0.0
     # A poke that misses its taxel lands on a neighbour's, which is open with this share.
-    return int(np.ceil(float(each[open_].sum()) / (HIT_SHARE + (1.0 - HIT_SHARE) * share)))
+    return int(np.ceil(float(each[open_].sum()) / (EXPECTED_OWN_POKE_SHARE + (1.0 - EXPECTED_OWN_POKE_SHARE) * share)))
 
 
 def count_module_pokes_left(
@@ -261,8 +261,8 @@ def poke_interval(times: FloatArray) -> float | None:
 
     `times` is (n,), seconds, ascending: when each poke began.
     """
-    steps = np.diff(times[-INTERVAL_POKES - 1 :])
-    steps = steps[steps <= MAX_INTERVAL_S]
+    steps = np.diff(times[-POKES_PER_INTERVAL_ESTIMATE - 1 :])
+    steps = steps[steps <= MAX_WORKING_POKE_INTERVAL_S]
     return float(np.median(steps)) if len(steps) >= 2 else None
 
 
@@ -271,7 +271,7 @@ def working_time(begins: FloatArray, ends: FloatArray) -> float:
     if not len(begins):
         return 0.0
     waits = begins[1:] - ends[:-1]
-    return float(np.sum(ends - begins) + np.sum(waits[waits <= MAX_INTERVAL_S]))
+    return float(np.sum(ends - begins) + np.sum(waits[waits <= MAX_WORKING_POKE_INTERVAL_S]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,13 +13,13 @@ from skincal.guide.poke_history import PokeAxis
 from skincal.mesh.search import nearest_in_metric
 from skincal.mesh.surface import Surface
 
-PLACE_SPACING_M = 0.008
+SEARCH_PLACE_SPACING_M = 0.008
 """Between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
-MIN_SPACING_SHARE = 0.8
+MIN_SHARE_OF_PLACE_SPACING = 0.8
 """Two places are at least this share of the spacing apart."""
-SKIN_NEIGHBOUR_M = 2.2 * PLACE_SPACING_M
+SKIN_NEIGHBOUR_M = 2.2 * SEARCH_PLACE_SPACING_M
 """Places this near to an answered poke come first: where skin is, more skin is likely."""
-MAX_GAP_M = 0.025
+MAX_UNPOKED_DISTANCE_M = 0.025
 """Elsewhere a place farther than this from each poke is tried: the smallest patches of skin are larger."""
 
 
@@ -28,7 +28,7 @@ class SurfaceSearch:
 
     def __init__(self, surface: Surface) -> None:
         self._surface = surface
-        self.places, triangles = spread_over(surface, PLACE_SPACING_M)
+        self.places, triangles = spread_over(surface, SEARCH_PLACE_SPACING_M)
         self.normals: FloatArray = surface.normals[triangles]
         self._pokes: dict[int, tuple[FloatArray, bool]] = {}
         """By number: position, (3,) metres, and whether a taxel answered."""
@@ -53,11 +53,11 @@ class SurfaceSearch:
     def next_place(self, hand: FloatArray | None) -> int | None:
         """Choose the next place, given the last poke's position `hand` (3,), metres; `None` if all are covered."""
         poked, answered = self._distances(), self._distances(answered_only=True)
-        waiting = (poked > PLACE_SPACING_M) & ~self._skipped
+        waiting = (poked > SEARCH_PLACE_SPACING_M) & ~self._skipped
         near = np.flatnonzero(waiting & (answered <= SKIN_NEIGHBOUR_M))
         if near.size:
             return self._nearest(near, self.places[near[0]] if hand is None else hand)
-        far = np.flatnonzero(waiting & (poked > MAX_GAP_M))
+        far = np.flatnonzero(waiting & (poked > MAX_UNPOKED_DISTANCE_M))
         if not far.size:
             return None
         if not np.isfinite(poked[far]).all():
@@ -78,7 +78,7 @@ class SurfaceSearch:
 
 
 def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
-    """Spread places (n, 3) over a surface, at least `MIN_SPACING_SHARE` of `spacing` apart; also return their triangles."""
+    """Spread places (n, 3) over a surface, `MIN_SHARE_OF_PLACE_SPACING` times `spacing` apart, with their triangles."""
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
     # Pieces of at most half the spacing, thinned out afterwards.
@@ -89,7 +89,7 @@ def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]
         places.append((shares @ corners[rows]).reshape(-1, 3))
         triangles.append(rows.repeat(len(shares)))
     every, owners = np.concatenate(places), np.concatenate(triangles)
-    kept = _thin_out(every, MIN_SPACING_SHARE * spacing)
+    kept = _thin_out(every, MIN_SHARE_OF_PLACE_SPACING * spacing)
     return every[kept], owners[kept]
 
 

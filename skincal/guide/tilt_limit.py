@@ -24,9 +24,9 @@ TILT_STEP_RAD = float(np.radians(2.0))
 """Usable tilts are multiples of it, so that targets are not computed again after each poke."""
 MIN_TILT_RAD = float(np.radians(10.0))
 """Smallest limit: a hand's own error is hardly smaller."""
-MAX_MISSES_IN_A_ROW = 2
+MISSES_IN_A_ROW_TO_LOWER_LIMIT = 2
 """Number of misses after which the limit is lowered."""
-HITS_TO_RAISE = 4
+HITS_IN_A_ROW_TO_RAISE_LIMIT = 4
 """Number of hits in a row after which the limit is raised by `RAISE_RAD`."""
 RAISE_RAD = float(np.radians(4.0))
 
@@ -71,11 +71,11 @@ class TiltLimit:
         if made < asked - self._settings.tolerance:
             self._hits = 0
             self._missed_tilts.append(made)
-            if len(self._missed_tilts) >= MAX_MISSES_IN_A_ROW:
+            if len(self._missed_tilts) >= MISSES_IN_A_ROW_TO_LOWER_LIMIT:
                 self._demand = max(MIN_TILT_RAD, float(np.mean(self._missed_tilts)) + self._settings.tolerance / 2.0)
                 self._missed_tilts = []
             return
         self._missed_tilts = []
         self._hits = self._hits + 1 if made >= asked - self._settings.tolerance / 2.0 else 0
-        if self._hits >= HITS_TO_RAISE and self._demand < self._settings.usable_tilt:
+        if self._hits >= HITS_IN_A_ROW_TO_RAISE_LIMIT and self._demand < self._settings.usable_tilt:
             self._hits, self._demand = 0, min(self._demand + RAISE_RAD, self._settings.usable_tilt)

@@ -35,28 +35,28 @@ from skincal.rig.closing import Closing
 from skincal.rig.correction_fit import LandmarkAgreement
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import MISS_MAX, SD_MAX, Estimate, Method, State
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Estimate, Method, State
 from skincal.taxels.shared_errors import PredictedError, predicted_error
 from skincal.taxels.solve import Solution, solve
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-HELD_OUT_INTERVAL = 6
+POKES_PER_HELD_OUT_POKE = 6
 """One poke in this many is held out."""
-MIN_HELD_OUT = 20
-"""In a short session more are held out, up to all: twice `MIN_CHECKED`, since some cannot be predicted. The choice depends on
-the number of pokes alone, never on where they fell."""
-CHI2_2DOF_95 = 5.991
-OUTSIDE_SHARE = 0.05
+MIN_HELD_OUT_POKES = 20
+"""In a short session more are held out, up to all: twice `MIN_CHECKED_POKES`, since some cannot be predicted. The choice
+depends on the number of pokes alone, never on where they fell."""
+CHI2_2DOF_QUANTILE_95 = 5.991
+EXPECTED_SHARE_OUTSIDE_95_REGION = 0.05
 """Expected share of the pokes outside if the predicted errors are true."""
-MIN_CHANCE = 0.01
+DISAGREE_IF_P_VALUE_BELOW = 0.01
 """Below this chance the number of pokes outside is no accident."""
-MIN_CHANCE_TO_AGREE = 0.1
+AGREE_IF_P_VALUE_AT_LEAST = 0.1
 """With a smaller chance they are not said to agree: at most one true session in ten."""
-MIN_CHECKED = 10
+MIN_CHECKED_POKES = 10
 """Fewer held-out pokes say nothing: with five, all are inside by chance in three sessions of four."""
-MIN_OTHER_CONTACTS = 2
+MIN_OTHER_CONTACTS_TO_PREDICT = 2
 """Other contacts of its taxel that a prediction needs."""
 
 
@@ -70,7 +70,7 @@ class Check:
     @property
     def chance(self) -> float:
         """Probability that as many or more are outside although the predicted errors are true."""
-        outside, share = self.checked - self.inside, OUTSIDE_SHARE
+        outside, share = self.checked - self.inside, EXPECTED_SHARE_OUTSIDE_95_REGION
         # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
         # Rounding may bring the sum past 1.
@@ -79,17 +79,17 @@ class Check:
     @property
     def has_enough(self) -> bool:
         """Whether there are enough of them to agree."""
-        return self.checked >= MIN_CHECKED
+        return self.checked >= MIN_CHECKED_POKES
 
     @property
     def agrees(self) -> bool:
         """Whether chance alone easily puts so many held-out pokes outside their 95 % regions."""
-        return self.chance >= MIN_CHANCE_TO_AGREE
+        return self.chance >= AGREE_IF_P_VALUE_AT_LEAST
 
     @property
     def believed(self) -> bool:
         """Whether chance alone may put so many held-out pokes outside their 95 % regions."""
-        return self.chance >= MIN_CHANCE
+        return self.chance >= DISAGREE_IF_P_VALUE_BELOW
 
 
 def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
@@ -103,7 +103,7 @@ def is_believed(check: Check, landmarks: LandmarkAgreement | None) -> bool:
 
 def held_out(contacts: Sequence[Contact]) -> list[tuple[int, int]]:
     """List number and strongest channel of the held-out contacts, by number."""
-    step = max(1, min(HELD_OUT_INTERVAL, len(contacts) // MIN_HELD_OUT))
+    step = max(1, min(POKES_PER_HELD_OUT_POKE, len(contacts) // MIN_HELD_OUT_POKES))
     return [(contact.poke, contact.strongest_channel) for contact in contacts[step - 1 :: step]]
 
 
@@ -171,7 +171,7 @@ def _check_misses(
     out = np.isin(pokes, [poke for poke, _ in held_out(contacts)])
     scatter = learn_scatter(every.select(np.flatnonzero(~out)))
     squares = every.select(np.flatnonzero(out)).squares(scatter)
-    return Check(len(squares), int((squares <= CHI2_2DOF_95).sum()))
+    return Check(len(squares), int((squares <= CHI2_2DOF_QUANTILE_95).sum()))
 
 
 def _check_modules(
@@ -192,7 +192,7 @@ def _check_modules(
     if fit is None:
         return Check(0, 0)
     touches, fitted = fit
-    at = np.flatnonzero(fitted.misses[touches.of] <= MISS_MAX)
+    at = np.flatnonzero(fitted.misses[touches.of] <= FORCE_AXIS_MAX_MISS_M)
     rows = touches.rows[at]
     levers = touches.contact_centres(fitted.pads)[0][at] - answers.sensors[rows]
     return _check_misses(contacts, answers, rows, levers, *predicted_misses(touches, fitted, noise, at))
@@ -208,7 +208,7 @@ def _cuts(answers: Evidence, pairs: Sequence[tuple[int, int]]) -> list[tuple[int
         first, after = answers.starts[row[channel] : row[channel] + 2].tolist()
         out = answers.pokes[first:after].tolist().index(poke) + first
         others = [answer for answer in range(first, after) if answer != out]
-        if len(others) >= MIN_OTHER_CONTACTS:
+        if len(others) >= MIN_OTHER_CONTACTS_TO_PREDICT:
             cuts.append((out, others))
     return cuts
 
@@ -219,10 +219,10 @@ def _misses(
     """Compute levers (n, 3), misses (n, 2), their covariances and the pokes' own (n, 2, 2); NaN if the taxel is unknown."""
     if method is Method.FREE and solution.has_free:
         places, known = solution.answer["solution"], solution.answer["free"]
-        there = known["sd"] <= SD_MAX
+        there = known["sd"] <= POSITION_MAX_SD_M
     elif solution.has_surface:
         places, known = solution.answer["point"], solution.answer["on_surface"]
-        there = (solution.answer["triangle"] >= 0) & (known["sd"] <= SD_MAX)
+        there = (solution.answer["triangle"] >= 0) & (known["sd"] <= POSITION_MAX_SD_M)
     else:
         raise ValueError(f"the {method.value} method was not solved")
     # Unknown values are 0 to keep the algebra finite, and become NaN below.

@@ -27,12 +27,12 @@ from skincal.model.scene import ContactSettings, with_thresholds
 from skincal.model.tables import shown
 from skincal.streams.links import LinkSpec
 
-JOURNAL_FORMAT = 4
+JOURNAL_FORMAT_VERSION = 4
 """Version of the session folder; a reader refuses a newer one. Up to 3 a streamed arm pose was named by its rounded angles."""
-FORMAT_WITH_GROUPED_POSES = 4
+FIRST_FORMAT_WITH_GROUPED_POSES = 4
 MAX_LINKS = len(Stream)
 """Links of a session: each carries another stream."""
-MAX_MEASURED_NUMBER = 1e12
+MAX_MEASURED_VALUE = 1e12
 """Of forces, moments and responses, in their units: no sensor has more, and their squares stay finite."""
 MAX_POKE_NUMBER = 1 << 31
 """Largest number of a poke: one a second would take a lifetime."""
@@ -213,9 +213,9 @@ def _from_body(kind: object, body: dict[str, Any], path: Path) -> SessionEvent |
 
 
 def _read_header(body: Mapping[str, Any], path: Path) -> SegmentHeader:
-    if body["format"] > JOURNAL_FORMAT:
+    if body["format"] > JOURNAL_FORMAT_VERSION:
         raise InputError(
-            f"{path}: was written by skincal {body['skincal']}, a newer one; expected format {JOURNAL_FORMAT} at most."
+            f"{path}: was written by skincal {body['skincal']}, a newer one; expected format {JOURNAL_FORMAT_VERSION} at most."
         )
     if len(body["links"]) > MAX_LINKS:
         raise InputError(
@@ -261,7 +261,7 @@ def _check_contact(contact: Contact) -> Contact:
     channels, responses = contact.channels.tolist(), contact.responses.tolist()
     # In plain numbers: ten times faster than in arrays, and a session may have ten thousand contacts.
     numbers = (*contact.force.tolist(), *contact.moment.tolist(), *responses, contact.start_s, contact.end_s)
-    is_bounded = all(-MAX_MEASURED_NUMBER <= number <= MAX_MEASURED_NUMBER for number in numbers)  # false for NaN
+    is_bounded = all(-MAX_MEASURED_VALUE <= number <= MAX_MEASURED_VALUE for number in numbers)  # false for NaN
     is_right = 0 < contact.poke < MAX_POKE_NUMBER and any(numbers[:3])
     is_right &= len(channels) == len(responses) > 0 and channels == sorted(set(channels)) and min(responses) > 0
     if not is_bounded or not is_right:

@@ -23,7 +23,7 @@ MAX_LINE_FILE_BYTES = 64 << 20
 TOTALS_KEY = "totals"
 """Key of counts: only the last of a file counts."""
 _LINE_END = b"]\n"
-_HEAD_BYTES = 12
+_LINE_HEAD_BYTES = 12
 """Bytes in front of what the checksum covers: `["`, eight digits, `",`."""
 _CLOSED = b'"closed"'
 
@@ -102,10 +102,10 @@ def read_lines(segment: Path) -> Lines | None:
     body, last_key, checksum, size = b"0]\n", b'""', 0, 0
     # One by one up to the first damage: a list of all could need far more memory than the file.
     for line in BytesIO(data):
-        found = zlib.crc32(line[_HEAD_BYTES:], checksum)
-        if line[:_HEAD_BYTES] != b'["%08x",' % found:
+        found = zlib.crc32(line[_LINE_HEAD_BYTES:], checksum)
+        if line[:_LINE_HEAD_BYTES] != b'["%08x",' % found:
             break
-        body, checksum = line[_HEAD_BYTES:], found
+        body, checksum = line[_LINE_HEAD_BYTES:], found
         size += len(line)
         _, *rest = body.split(b",", 2)
         if len(rest) < 2:

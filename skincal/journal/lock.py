@@ -23,7 +23,7 @@ LOCK_NAME = "session.lock"
 RETRY_FOR_S, RETRY_EVERY_S = 0.3, 0.02
 """s. A reader that checks holds a shared lock for some microseconds; a writer tries again."""
 _LOCK_HELD_ERRNOS = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
-MAX_HOLDER_BYTES = 400
+LOCK_HOLDER_TEXT_MAX_BYTES = 400
 
 if sys.platform == "win32":
     import msvcrt
@@ -140,7 +140,7 @@ def _words_of(path: Path) -> str:
     """Describe the holder of a lock, from its file."""
     try:
         with FileIO(path, "r", opener=_open_plain) as file:
-            process, host, begun, *_ = (file.read(MAX_HOLDER_BYTES) or b"").decode().split("\n")
+            process, host, begun, *_ = (file.read(LOCK_HOLDER_TEXT_MAX_BYTES) or b"").decode().split("\n")
     except (OSError, ValueError):
         return "another process"
     return f"process {process} on {host} since {begun}"

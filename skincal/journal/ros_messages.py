@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 
-MAX_ROS_SECONDS = 0x7FFFFFFF
+MAX_ROS_TIME_S = 0x7FFFFFFF
 """s. The seconds of ROS 2 end in 2038; a clock that is set wrong must not stop a recording."""
 CDR_HEADER = b"\x00\x01\x00\x00"
 _SEPARATOR = "=" * 80
@@ -62,7 +62,7 @@ def encode_wrenches(unix_ns: IntArray, frame: str, wrenches: FloatArray) -> NDAr
     messages["prefix"], messages["wrench"] = np.frombuffer(prefix, np.uint8), wrenches
     rows = messages.view(np.uint8).reshape(len(wrenches), -1)
     seconds, rest = np.divmod(unix_ns, 1_000_000_000)
-    clock = np.column_stack([np.minimum(seconds, MAX_ROS_SECONDS), rest]).astype("<u4")
+    clock = np.column_stack([np.minimum(seconds, MAX_ROS_TIME_S), rest]).astype("<u4")
     rows[:, len(CDR_HEADER) : len(CDR_HEADER) + 8] = clock.view(np.uint8)
     return rows
 
@@ -95,7 +95,7 @@ def encode_temperature(unix_ns: int, frame: str, celsius: float) -> bytes:
 
 def _header(unix_ns: int, frame: str) -> bytes:
     seconds, rest = divmod(unix_ns, 1_000_000_000)
-    return struct.pack("<iI", min(seconds, MAX_ROS_SECONDS), rest) + _text(frame)
+    return struct.pack("<iI", min(seconds, MAX_ROS_TIME_S), rest) + _text(frame)
 
 
 def _text(text: str) -> bytes:

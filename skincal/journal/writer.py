@@ -38,7 +38,7 @@ from skincal import __version__
 from skincal.geometry import FloatArray
 from skincal.journal import ros_messages
 from skincal.journal.documents import (
-    JOURNAL_FORMAT,
+    JOURNAL_FORMAT_VERSION,
     Item,
     Result,
     SessionClosed,
@@ -59,18 +59,18 @@ from skincal.model.scene import Scene, load_scene
 from skincal.model.tables import read_text
 from skincal.streams.links import LinkSpec
 
-FLUSH_NS = 500_000_000
+FLUSH_PERIOD_NS = 500_000_000
 """ns. Longest time in the buffer: the most that a crash may cost."""
-FLUSH_COPY_NS = 2_000_000_000
+IMPORT_FLUSH_PERIOD_NS = 2_000_000_000
 """ns. The same in an imported session, by the recording's clock."""
-WATCH_NS = 500_000_000
+FILE_PRESENCE_CHECK_PERIOD_NS = 500_000_000
 """ns. Interval of the check that the file is still in its folder."""
-SEGMENT_NS = 300_000_000_000
+SEGMENT_MAX_DURATION_NS = 300_000_000_000
 """ns. Longest segment. While it is open the library holds its index, 2 kB a second; after a crash it is written again, which
 takes 1 s for each minute at 1 kHz."""
 SEGMENT_NAME = "segment-{:04d}.mcap"
 SCENE_FILE = "scene.toml"
-MAX_SCENE_FILES = 16
+MAX_SCENE_FOLDER_FILES = 16
 """TOML files of a scene's folder: a scene and its layout are two, and each may have 4 MB."""
 SCENE_FOLDER = "scene"
 """Folder in a session's folder with copies of the scene's files, so that the session opens on another machine."""
@@ -208,7 +208,7 @@ class JournalWriter:
         self._watched_ns = 0
         self._lock = lock
         self._holds_lock = True
-        self._copy, self._flush_ns = copy, FLUSH_COPY_NS if copy else FLUSH_NS
+        self._copy, self._flush_ns = copy, IMPORT_FLUSH_PERIOD_NS if copy else FLUSH_PERIOD_NS
         self.wants_decoded = not copy
         """Decoded readings are added, too."""
         self._open_files(self._monotonic_ns, continues=False)
@@ -219,7 +219,7 @@ class JournalWriter:
         if self._begun_ns is None:
             self._begun_ns = item.host_ns
         # The end of a session belongs to its last segment; the next one may be open already.
-        if item.host_ns - self._begun_ns >= SEGMENT_NS and not isinstance(item, SessionClosed):
+        if item.host_ns - self._begun_ns >= SEGMENT_MAX_DURATION_NS and not isinstance(item, SessionClosed):
             self._continue_in_next(item.host_ns)
         if isinstance(item, Chunk):
             data = ros_messages.encode_chunk(item.host_ns, item.data)
@@ -264,7 +264,7 @@ class JournalWriter:
         if self._buffered and now_ns - self._flushed_ns >= self._flush_ns:
             self._flushed_ns = now_ns
             self._flush()
-        if now_ns - self._watched_ns >= WATCH_NS:
+        if now_ns - self._watched_ns >= FILE_PRESENCE_CHECK_PERIOD_NS:
             self._watched_ns = now_ns
             self._check_file_still_there()
 
@@ -332,7 +332,7 @@ class JournalWriter:
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES)
         self._mcap.start(profile="ros2", library=f"skincal {__version__}")
         about = {
-            "format": JOURNAL_FORMAT,
+            "format": JOURNAL_FORMAT_VERSION,
             "segment": self._number,
             "continues": continues,
             "skincal": __version__,
@@ -501,8 +501,10 @@ def toml_digest(folder: Path) -> str:
     """
     digest = hashlib.sha256()
     paths = sorted(folder.glob("*.toml"))
-    if len(paths) > MAX_SCENE_FILES:
-        raise InputError(f"{folder}: has {len(paths)} TOML files; expected at most {MAX_SCENE_FILES}: move the others away.")
+    if len(paths) > MAX_SCENE_FOLDER_FILES:
+        raise InputError(
+            f"{folder}: has {len(paths)} TOML files; expected at most {MAX_SCENE_FOLDER_FILES}: move the others away."
+        )
     for path in paths:
         text = read_regular(path, MAX_TEXT_BYTES)
         digest.update(f"{path.name} {len(text)}\n".encode())

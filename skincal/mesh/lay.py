@@ -18,13 +18,13 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.skin import Anchor, Layout
 
-OUTLINE_STEP_M = 0.002
+OUTLINE_PIECE_MAX_LENGTH_M = 0.002
 """Longest piece of a drawn outline: on a forearm of 40 mm radius it leaves the surface by 0.01 mm."""
-MAX_ANCHOR_GAP_M = 0.02
+ANCHOR_TO_SURFACE_MAX_M = 0.02
 """An anchor farther from the surface is of another frame or unit: no cover is that thick."""
-MIN_WALL_M = 0.0005
+MIN_WALL_THICKNESS_M = 0.0005
 """A wall that faces as the anchor does is behind another one if it is farther by more: covers are no thinner."""
-OPPOSITE_COSINE = 0.5
+OPPOSITE_WALL_MIN_COSINE = 0.5
 """A wall into which a normal points faces against it within 60 degrees; one at an edge faces sideways."""
 
 
@@ -43,7 +43,7 @@ class PlacedLayout:
 def place_layout(layout: Layout, anchor: Anchor | None, surface: Surface | None) -> PlacedLayout | None:
     """Place each module from its own anchor, or else from the layout's; `None` without any anchor.
 
-    Raises InputError: an anchor is farther than `MAX_ANCHOR_GAP_M` from the surface, or no triangle faces its normal.
+    Raises InputError: an anchor is farther than `ANCHOR_TO_SURFACE_MAX_M` from the surface, or no triangle faces its normal.
     """
     anchors = [module.anchor or anchor for module in layout.modules]
     if all(own is None for own in anchors):
@@ -81,10 +81,10 @@ def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | Non
     turns = np.broadcast_to(np.eye(3), (len(points), 3, 3))
     near, facing = (nearest_in_metric(surface, turns, points, pushes) for pushes in (None, -normals))
     gaps = np.sqrt(facing.values) - np.sqrt(near.values)
-    against = np.einsum("ij,ij->i", surface.normals[near.triangles], normals) < -OPPOSITE_COSINE * np.linalg.norm(
+    against = np.einsum("ij,ij->i", surface.normals[near.triangles], normals) < -OPPOSITE_WALL_MIN_COSINE * np.linalg.norm(
         normals, axis=1
     )
-    wrong = against & (facing.triangles >= 0) & (gaps > MIN_WALL_M)
+    wrong = against & (facing.triangles >= 0) & (gaps > MIN_WALL_THICKNESS_M)
     if not wrong.any():
         return ()
     ids = [str(id_) for id_, bad in zip(owns, wrong, strict=True) if bad]
@@ -98,10 +98,10 @@ def anchor_remarks(layout: Layout, anchor: Anchor | None, surface: Surface | Non
 
 
 def subdivide_outline(outline: FloatArray) -> FloatArray:
-    """Cut the sides of a closed polygon (v, 2) into pieces no longer than `OUTLINE_STEP_M`: (n, 2)."""
+    """Cut the sides of a closed polygon (v, 2) into pieces no longer than `OUTLINE_PIECE_MAX_LENGTH_M`: (n, 2)."""
     pieces: list[FloatArray] = []
     for start, end in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        count = max(1, int(np.ceil(np.linalg.norm(end - start) / OUTLINE_STEP_M)))
+        count = max(1, int(np.ceil(np.linalg.norm(end - start) / OUTLINE_PIECE_MAX_LENGTH_M)))
         # Without the end, with which the next side begins.
         pieces.append(start + np.arange(count)[:, None] / count * (end - start))
     return np.concatenate(pieces)
@@ -114,9 +114,9 @@ def place_anchor(surface: Surface, anchor: Anchor, name: str) -> MeshPoints:
     if found.triangles[0] < 0:
         raise InputError(f"{name}: no triangle of the surface faces its normal {anchor.normal.tolist()}; correct the normal.")
     gap = float(np.sqrt(found.values[0]))
-    if gap > MAX_ANCHOR_GAP_M:
+    if gap > ANCHOR_TO_SURFACE_MAX_M:
         raise InputError(
-            f"{name} lies {gap * 1e3:.1f} mm from the surface; at most {MAX_ANCHOR_GAP_M * 1e3:.0f} mm was expected: "
+            f"{name} lies {gap * 1e3:.1f} mm from the surface; at most {ANCHOR_TO_SURFACE_MAX_M * 1e3:.0f} mm was expected: "
             "check point_mm, the mesh's unit and its pose."
         )
     x, _ = tangent_axes(anchor.x, surface.normals[found.triangles[0]])

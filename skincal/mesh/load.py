@@ -27,24 +27,31 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.readers import read_mesh, reader_of
 from skincal.mesh.search import surface_in_solver
-from skincal.mesh.surface import SLIVER_RATIO, Surface, find_edges, make_surface, pairs_within, triangle_heights
+from skincal.mesh.surface import (
+    SLIVER_MIN_LENGTH_OVER_HEIGHT,
+    Surface,
+    find_edges,
+    make_surface,
+    pairs_within,
+    triangle_heights,
+)
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec
 
 MIN_DIAGONAL_M, MAX_DIAGONAL_M = 0.005, 3.0
 """Of the box of a robot part: a fingertip to a whole torso. Millimetres taken for metres miss it by a thousand."""
-MERGE_DISTANCE_M = 1e-6
+VERTEX_MERGE_DISTANCE_M = 1e-6
 """Vertices this near are one: a hundredth of a cover's tolerance, far above the rounding of a 32-bit file."""
-MAX_PAIRS_COMPARED = 30_000_000
+MAX_VERTEX_PAIRS_COMPARED = 30_000_000
 """Pairs of vertices: 3 s. A million vertices of a cover make a tenth; 20,000 vertices in one micrometre make 200 million."""
 MIN_TRIANGLE_HEIGHT_M = 1e-7
 """A flatter triangle has no direction: a 32-bit file in millimetres rounds 0.5 m to 3e-8 m."""
-MIN_SIDE_RATIO = 0.1
+MIN_INSIDE_OUTSIDE_SCORE = 0.1
 """Smallest |s| that separates inside from outside: chance reaches it on a rough flat sheet of 100 triangles."""
-FLAT_HEIGHT_M = 1e-6
+FLAT_COMPONENT_MAX_HEIGHT_M = 1e-6
 """A component with smaller heights (rms) is flat."""
-MAX_OUTER_WALLS = 32
+MAX_OUTER_WALL_CANDIDATES = 32
 """Largest components that are compared as outer walls."""
 
 
@@ -52,10 +59,10 @@ class FindingKind(Enum):
     """Finding in a mesh; the value is its sentence, with a gap for the count."""
 
     SIZE = "The part is {}."
-    MERGED = f"Vertices within {MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."
+    MERGED = f"Vertices within {VERTEX_MERGE_DISTANCE_M * 1e6:.0f} um of another, merged: {{}}."
     ZERO_AREA = f"Triangles without area (flatter than {MIN_TRIANGLE_HEIGHT_M * 1e9:.0f} nm), dropped: {{}}."
     DUPLICATES = "Triangles that were there twice, dropped: {}."
-    SLIVERS = f"Slivers (over {SLIVER_RATIO:.0f} times as long as high), used as they are: {{}}."
+    SLIVERS = f"Slivers (over {SLIVER_MIN_LENGTH_OVER_HEIGHT:.0f} times as long as high), used as they are: {{}}."
     OPEN_EDGES = "The mesh has open rims, as covers have ({} edges); it is used as it is."
     NON_MANIFOLD = "Edges shared by three or more triangles, across which no pad is laid: {}."
     COMPONENTS = "Pieces that share no edge: {}."
@@ -150,7 +157,7 @@ def _drop(path: Path, vertices: FloatArray, triangles: IntArray) -> tuple[IntArr
 
 
 def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray, int]:
-    """Merge vertices nearer than `MERGE_DISTANCE_M`, and drop unused ones.
+    """Merge vertices nearer than `VERTEX_MERGE_DISTANCE_M`, and drop unused ones.
 
     Returns vertices and triangles, in the order of the file, and the number of merged vertices.
     """
@@ -160,7 +167,7 @@ def merge_vertices(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArra
     vertices = vertices[used]
     same = _first_equal(vertices)
     keep = np.flatnonzero(same == np.arange(len(vertices)))
-    near = connected_components(len(keep), pairs_within(vertices[keep], MERGE_DISTANCE_M, MAX_PAIRS_COMPARED))
+    near = connected_components(len(keep), pairs_within(vertices[keep], VERTEX_MERGE_DISTANCE_M, MAX_VERTEX_PAIRS_COMPARED))
     index = np.empty(len(vertices), dtype=np.int64)
     index[keep] = keep[near]
     index = index[same]
@@ -251,8 +258,8 @@ def _side(vertices: FloatArray, triangles: IntArray, component: IntArray) -> Flo
         through, square = np.bincount(component, flux), np.bincount(component, flux**2 / size)
         spread = np.sqrt(square * total)
         # For a closed component the sign of the volume decides, however thin its walls are.
-        clear = (np.abs(through) > MIN_SIDE_RATIO * spread) | ~is_open
-        return np.where(clear & (square > FLAT_HEIGHT_M**2 * total), np.sign(through), 0.0)
+        clear = (np.abs(through) > MIN_INSIDE_OUTSIDE_SCORE * spread) | ~is_open
+        return np.where(clear & (square > FLAT_COMPONENT_MAX_HEIGHT_M**2 * total), np.sign(through), 0.0)
 
     side = about(own[component])
     return np.where(side != 0, side, about(whole))
@@ -268,7 +275,7 @@ def _inside_another(vertices: FloatArray, triangles: IntArray, component: IntArr
     inside = np.zeros(count, dtype=bool)
     size = np.prod(high - low, axis=1)
     # Only the largest boxes are compared: all pairs would take too long for a triangle soup.
-    for outer in np.argsort(-size, kind="stable")[:MAX_OUTER_WALLS]:
+    for outer in np.argsort(-size, kind="stable")[:MAX_OUTER_WALL_CANDIDATES]:
         within = (low >= low[outer]).all(axis=1) & (high <= high[outer]).all(axis=1) & (size < size[outer])
         inside |= within
     return inside

@@ -23,7 +23,7 @@ from skincal.model.errors import InputError
 Mesh = tuple[FloatArray, IntArray]
 """Vertices (nv, 3) in the file's unit, triangles (nt, 3)."""
 
-_STL_HEADER = 84
+_STL_HEADER_BYTES = 84
 _STL_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -33,7 +33,7 @@ _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 MAX_TEXT_MESH_BYTES = 64 << 20
 """Largest mesh in text: a word of some bytes takes forty while it is read. A million triangles of OBJ are 60 MB."""
-MAX_NUMBER_CHARS = 64
+NUMBER_TEXT_MAX_CHARS = 64
 """Longest number in text: a double needs 24. An array of words is as wide as the longest of them."""
 
 
@@ -80,11 +80,11 @@ def triangulate(corners: Sequence[int], sizes: Sequence[int]) -> IntArray:
 
 
 def _read_stl(data: bytes) -> Mesh:
-    count = int.from_bytes(data[80:_STL_HEADER], "little") if len(data) >= _STL_HEADER else -1
-    size = _STL_HEADER + count * _STL_RECORD.itemsize
+    count = int.from_bytes(data[80:_STL_HEADER_BYTES], "little") if len(data) >= _STL_HEADER_BYTES else -1
+    size = _STL_HEADER_BYTES + count * _STL_RECORD.itemsize
     # By the size and not by the first word: there are binary files that begin with "solid".
     if count >= 0 and len(data) == size:
-        corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER)["corners"].astype(float).reshape(-1, 3)
+        corners = np.frombuffer(data, _STL_RECORD, count, _STL_HEADER_BYTES)["corners"].astype(float).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
         words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", _check_text_size(data))
         corners = _numbers([word for point in words for word in point]).reshape(-1, 3)
@@ -105,7 +105,7 @@ def _check_text_size(data: bytes) -> bytes:
 
 def _numbers(words: list[bytes]) -> FloatArray:
     longest = max(map(len, words), default=0)
-    if longest > MAX_NUMBER_CHARS:
+    if longest > NUMBER_TEXT_MAX_CHARS:
         raise ValueError(f"a number of {longest} letters")
     return np.array(words, dtype="S").astype(float)
 

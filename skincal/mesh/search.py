@@ -21,16 +21,16 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.surface import Surface, cached_per_surface
 from skincal.solver.machine import INTEGER, Machine
 
-GRAZING = 1e-12
+PUSHED_FACE_MIN_COSINE = 1e-12
 """A triangle faces a push if push . normal is below minus this (both unit); the solver's own value."""
-MAX_LEVELS = 16
+SEARCH_TREE_MAX_DEPTH = 16
 """Largest depth of a tree: with eight children a node it is enough for any mesh."""
-_HALVINGS = 3
-WIDTH = 1 << _HALVINGS
+_HALVINGS_PER_TREE_LEVEL = 3
+WIDTH = 1 << _HALVINGS_PER_TREE_LEVEL
 """Children of a node: fewer take more steps, more take more numbers."""
-RADIUS_MARGIN = 1e-6
+NODE_RADIUS_MARGIN_SHARE = 1e-6
 """Share by which radii are enlarged: ten times the rounding of single precision."""
-_CONE_SLACK = 1e-6
+_NORMAL_CONE_MARGIN_SIN = 1e-6
 """Sine of the angle by which a cone of normals is enlarged: ten times the rounding of its numbers."""
 _EMPTY_RADIUS_M = -1e15
 """Of a node without triangles: its lower bound exceeds every distance."""
@@ -98,8 +98,8 @@ class SurfaceTable(ctypes.Structure):
     _fields_ = (
         ("triangle_count", ctypes.c_uint32),
         ("level_count", ctypes.c_uint32),
-        ("levels", ctypes.c_uint32 * MAX_LEVELS),
-        ("node_counts", ctypes.c_uint32 * MAX_LEVELS),
+        ("levels", ctypes.c_uint32 * SEARCH_TREE_MAX_DEPTH),
+        ("node_counts", ctypes.c_uint32 * SEARCH_TREE_MAX_DEPTH),
         ("order", ctypes.c_uint32),
         ("places", ctypes.c_uint32),
         ("corners", ctypes.c_uint32),
@@ -234,7 +234,10 @@ def _packed(nodes: _Nodes) -> Level:
     filled = np.minimum(np.arange(groups * WIDTH), count - 1)
     table = np.empty((8, groups * WIDTH))
     table[:3], table[4:7] = nodes.centres.take(filled, axis=1), nodes.middles.take(filled, axis=1)
-    table[3], table[7] = nodes.radii.take(filled) * (1 + RADIUS_MARGIN), nodes.sines.take(filled) + _CONE_SLACK
+    table[3], table[7] = (
+        nodes.radii.take(filled) * (1 + NODE_RADIUS_MARGIN_SHARE),
+        nodes.sines.take(filled) + _NORMAL_CONE_MARGIN_SIN,
+    )
     table[3, count:] = _EMPTY_RADIUS_M
     single = table.astype(np.float32)
     return np.ascontiguousarray(single.reshape(8, groups, WIDTH).transpose(1, 0, 2)).reshape(groups, 8 * WIDTH)
@@ -265,8 +268,8 @@ def _halved(centres: FloatArray) -> IntArray:
 def _first_half(sizes: IntArray) -> IntArray:
     """Compute about half of each of `sizes` such that all blocks of 8, 64, 512 ... but the last are whole."""
     exponent = np.frexp(np.maximum(sizes - 1, 1).astype(float))[1] - 1
-    whole = 1 << (exponent // _HALVINGS * _HALVINGS)
-    return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS))
+    whole = 1 << (exponent // _HALVINGS_PER_TREE_LEVEL * _HALVINGS_PER_TREE_LEVEL)
+    return np.where(sizes > 2 * whole, -(-(sizes // 2) // whole) * whole, whole << (exponent % _HALVINGS_PER_TREE_LEVEL))
 
 
 def find_fans(surface: Surface) -> tuple[IntArray, IntArray]:

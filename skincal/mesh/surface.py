@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError
 
-SLIVER_RATIO = 100.0
+SLIVER_MIN_LENGTH_OVER_HEIGHT = 100.0
 """Longest side over height of a triangle that is reported as a sliver: its smallest angle is below 0.6 degrees."""
 _SWEEP_DIRECTION = np.array([0.4472135954999579, 0.5773502691896258, 0.6831300510639733])
 """Unit direction with which no CAD grid is aligned, so that few points coincide when projected on it."""
@@ -59,9 +59,9 @@ class Surface:
 
     @cached_property
     def is_sliver(self) -> NDArray[np.bool_]:
-        """(nt,) whether a triangle is over `SLIVER_RATIO` times as long as high."""
+        """(nt,) whether a triangle is over `SLIVER_MIN_LENGTH_OVER_HEIGHT` times as long as high."""
         height, longest = triangle_heights(self.corners)
-        return longest > SLIVER_RATIO * height
+        return longest > SLIVER_MIN_LENGTH_OVER_HEIGHT * height
 
 
 def make_surface(vertices: FloatArray, triangles: IntArray, sha256: str = "") -> Surface:

@@ -32,7 +32,7 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import KnownDistance, NoiseSettings
 from skincal.modules.estimate import FittedModule
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesInSpace, join_poses
-from skincal.modules.pose_fit import FULL_TRUST_SDS, RANK_RATIO
+from skincal.modules.pose_fit import FULL_TRUST_SDS, MIN_SINGULAR_VALUE_RATIO
 from skincal.taxels.result import Estimate
 from skincal.taxels.shared_errors import add_covariances
 
@@ -247,7 +247,7 @@ class _Pokes:
         others = 1.0 - np.eye(HELD_OUT_FOLDS)
         left, whole = np.tensordot(others, information, 1), information.sum(axis=0)
         values = np.linalg.eigvalsh(left)
-        known = np.asarray(values[..., 0] > RANK_RATIO * values[..., -1])
+        known = np.asarray(values[..., 0] > MIN_SINGULAR_VALUE_RATIO * values[..., -1])
         inverse = np.asarray(np.linalg.inv(np.where(known[..., None, None], left, whole)), dtype=np.float64)
         more = factors[:, None, None] * (inverse - np.asarray(np.linalg.inv(whole), dtype=np.float64))
         # At the minimum the pulls of all pokes cancel but for rounding.

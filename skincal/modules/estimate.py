@@ -27,17 +27,17 @@ from skincal.geometry import FloatArray, IntArray, dots
 from skincal.model.scene import NoiseSettings
 from skincal.modules.off_surface import off_surface_variances
 from skincal.modules.pose import ModuleModel, ModulePoses, ModulesOnSurface
-from skincal.modules.pose_fit import RANK_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
+from skincal.modules.pose_fit import MIN_SINGULAR_VALUE_RATIO, Fitted, Touches, fit_modules_from_pokes, whitened_rows
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
 
-MAX_LAST_STEP_M = 2e-4
+POSE_SEARCH_MAX_LAST_STEP_M = 2e-4
 """A pose whose last step is longer is not known. Over an edge of a mesh a search goes to and fro by micrometres; without a
 surface, from few pokes, by up to centimetres."""
-UNDETERMINED_SHARE = 1e-6
+MIN_UNDETERMINED_MOTION_SHARE = 1e-6
 """Smallest part of an undetermined direction in a pad's motion; below it is rounding."""
-MIN_OTHER_POKES = 2
+MIN_OTHER_POKES_TO_PREDICT = 2
 """Other pokes of its module for a prediction: a single one does not determine the module's turn."""
 
 
@@ -125,8 +125,8 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
         if channel in dead:
             continue
         dark = fitted.blind[module] @ gradients[pad].T
-        unknown = bool((np.sum(dark * dark, axis=1) > UNDETERMINED_SHARE**2).any())
-        known = sds[pad] <= SD_MAX and not unknown
+        unknown = bool((np.sum(dark * dark, axis=1) > MIN_UNDETERMINED_MOTION_SHARE**2).any())
+        known = sds[pad] <= POSITION_MAX_SD_M and not unknown
         reason = troubles[module] or (None if known else _why_blind(touches, module, float(sds[pad]), unknown))
         if reason is not None:
             yield Estimate(
@@ -146,9 +146,9 @@ def _estimates(touches: Touches, fitted: Fitted, counts: Mapping[int, int], dead
 
 def _trouble(touches: Touches, fitted: Fitted, module: int) -> StateReason | None:
     """Find the reason why a module has no pose; `None` if it has one."""
-    if fitted.misses[module] > MISS_MAX:
+    if fitted.misses[module] > FORCE_AXIS_MAX_MISS_M:
         return StateReason(Cause.MODULE_OFF, size=float(fitted.misses[module]))
-    if fitted.moving[module] > MAX_LAST_STEP_M:
+    if fitted.moving[module] > POSE_SEARCH_MAX_LAST_STEP_M:
         return StateReason(Cause.MODULE_MOVING, size=float(fitted.moving[module]))
     own = touches.of == module
     push = np.sum(fitted.trust[own, None] * touches.evidence.directions[touches.rows[own]], axis=0)
@@ -247,7 +247,8 @@ def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at:
 
     Returns
     -------
-    misses : (n, 2) float, metres, along the pairs of the pokes; NaN if the others are too few or predict worse than `SD_MAX`
+    misses : (n, 2) float, metres, along the pairs of the pokes; NaN if the others are few or predict worse than
+        `POSITION_MAX_SD_M`
     covariances : (n, 2, 2) float, m^2, of the misses: the module's and the poke's own
     own : (n, 2, 2) float, m^2, of the poke's own noise
     """
@@ -260,7 +261,9 @@ def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at:
     others = whole[touches.of[at]] - trust * (slopes.transpose(0, 2, 1) @ slopes)
     values, axes = np.linalg.eigh(others)
     # A direction that the others do not determine is rounding of either sign.
-    known = (values[:, 0] > RANK_RATIO * values[:, -1]) & (np.bincount(touches.of)[touches.of[at]] > MIN_OTHER_POKES)
+    known = (values[:, 0] > MIN_SINGULAR_VALUE_RATIO * values[:, -1]) & (
+        np.bincount(touches.of)[touches.of[at]] > MIN_OTHER_POKES_TO_PREDICT
+    )
     values = np.where(known[:, None], values, 1.0)
     roots = axes / np.sqrt(values)[:, None]
     spread = gradients @ roots
@@ -269,7 +272,7 @@ def predicted_misses(touches: Touches, fitted: Fitted, noise: NoiseSettings, at:
     leverage = seen @ seen.transpose(0, 2, 1)
     off = misses[:, :, None] + trust * (leverage @ misses[:, :, None])
     scale = np.asarray(np.linalg.inv(rows.whiten[at]), dtype=np.float64)
-    there = (known & (sds <= SD_MAX))[:, None]
+    there = (known & (sds <= POSITION_MAX_SD_M))[:, None]
     to_metres = scale.transpose(0, 2, 1)
     return (
         np.where(there, (scale @ off)[:, :, 0], np.nan),

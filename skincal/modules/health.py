@@ -29,10 +29,10 @@ from skincal.modules.pose import ModuleModel, module_pads
 from skincal.taxels.differences import places_of
 from skincal.taxels.result import Estimate
 
-MIN_DISTINCT_POSITIONS = 5
+MIN_DISTINCT_TAXEL_POSITIONS = 5
 """Of a module's taxels: those that answered only one poke are all estimated in its place."""
-SAME_POSITION_M = 1e-4
-MIRROR_FIT_RATIO = 0.6
+SAME_POSITION_MAX_DISTANCE_M = 1e-4
+MIRRORED_FIT_MAX_RESIDUAL_RATIO = 0.6
 """The mirrored pads must fit better by it: the paper's modules fit to 2.1 mm straight and 10.4 mm mirrored."""
 MIN_TURN_RAD = float(np.radians(30.0))
 """A module turned by less against most others is placed badly, not mounted wrongly."""
@@ -40,20 +40,20 @@ SYMMETRY_TOLERANCE_RAD = float(np.radians(25.0))
 """A turn this near to a symmetry of the module's outline means that symmetry."""
 TURN_STEP_RAD, TURN_STEP_TOLERANCE_RAD = float(np.radians(30.0)), float(np.radians(8.0))
 """Other mistakes are made in such steps, and are seen this near to them: a module's turn is seen to 3 degrees (sd)."""
-TURN_FIT_RATIO = 0.6
+TURNED_FIT_MAX_RESIDUAL_RATIO = 0.6
 """The turned pads must fit better by it than the planned ones, shifted: few estimates close together fit any turn."""
-SWAP_SHARE = 0.3
+SWAP_MAX_DISTANCE_RATIO = 0.3
 """A module is in another one's place if it is nearer to that than this share of its distance from its own."""
-ROBUST_SCALE_M = 0.008
+ROBUST_RESIDUAL_SCALE_M = 0.008
 """Modules with a larger residual count less for the common motion."""
-NORMAL_LEVER_M = 0.02
+NORMAL_POINT_HEIGHT_M = 0.02
 """A module's normal counts as a point this far above it, so that a flat skin is not turned upside down."""
 REWEIGHTING_STEPS = 5
-SAME_CORNER_M = 1e-3
+SAME_CORNER_MAX_DISTANCE_M = 1e-3
 """Corners of an outline that are nearer are the same."""
-NEIGHBOUR_SPACINGS = 1.3
+NEIGHBOUR_MAX_SPACINGS = 1.3
 """Taxels of one module within this many spacings are neighbours; the next ring is at 1.7."""
-MAX_REPAIRS = 3
+MAX_LAYOUT_REPAIR_ROUNDS = 3
 """Corrections in turn: whether a swapped module is mirrored, too, is seen after the exchange; the third is spare."""
 
 
@@ -148,12 +148,12 @@ def _common(seen: Sequence[_Seen]) -> FloatArray:
     """Fit the rigid motion (4, 4) from plan to estimates that most modules share; a shift for one or two modules."""
     here = np.array([module.planned.mean(axis=0) for module in seen])
     there = np.array([module.places.mean(axis=0) for module in seen])
-    up, outward = (NORMAL_LEVER_M * np.array([module.normals[row] for module in seen]) for row in range(2))
+    up, outward = (NORMAL_POINT_HEIGHT_M * np.array([module.normals[row] for module in seen]) for row in range(2))
     weights, motion = np.ones(len(here)), np.eye(4)
     motion[:3, 3] = np.median(there - here, axis=0)
     for _ in range(REWEIGHTING_STEPS if len(here) > 2 else 0):
         off = there - here @ motion[:3, :3].T - motion[:3, 3]
-        weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / ROBUST_SCALE_M**2)
+        weights = 1.0 / (1.0 + np.sum(off * off, axis=1) / ROBUST_RESIDUAL_SCALE_M**2)
         middle, centre = weights @ here / weights.sum(), weights @ there / weights.sum()
         weighed = weights[:, None]
         turn = fit_rotation((weighed * (there - centre)).T @ (here - middle) + (weighed * outward).T @ up)
@@ -166,9 +166,11 @@ def _known_pads(model: ModuleModel, module: int, estimates: Mapping[int, Estimat
     own = {row: estimates[channel] for row, channel in enumerate(model.channels_of([module])) if channel in estimates}
     known = {row: estimate for row, estimate in own.items() if estimate.position is not None and estimate.normal is not None}
     places = {
-        tuple(np.round(estimate.position / SAME_POSITION_M)) for estimate in known.values() if estimate.position is not None
+        tuple(np.round(estimate.position / SAME_POSITION_MAX_DISTANCE_M))
+        for estimate in known.values()
+        if estimate.position is not None
     }
-    return None if len(places) < MIN_DISTINCT_POSITIONS or model.plan(module) is None else known
+    return None if len(places) < MIN_DISTINCT_TAXEL_POSITIONS or model.plan(module) is None else known
 
 
 def _fit_known_module(model: ModuleModel, module: int, estimates: Mapping[int, Estimate]) -> _Seen | None:
@@ -219,11 +221,11 @@ def _misfit(
         return MisplacedModule(module.id, MisplacementKind.SWAPPED, before, after, other=model.layout.modules[other].id)
     beside = _distance(seen.places.mean(axis=0), seen.planned.mean(axis=0))
     turn = float(np.angle(np.exp(1j * (seen.turn - usual))))
-    if seen.mirrored < MIRROR_FIT_RATIO * seen.straight:
+    if seen.mirrored < MIRRORED_FIT_MAX_RESIDUAL_RATIO * seen.straight:
         turn = _intended_turn(turn, module, mirrored=True)
         return MisplacedModule(module.id, MisplacementKind.MIRRORED, before, float(np.hypot(beside, seen.mirrored)), turn=turn)
     unturned = _rms((seen.places - seen.places.mean(axis=0)) - (seen.planned - seen.planned.mean(axis=0)))
-    if abs(turn) > MIN_TURN_RAD and seen.straight < TURN_FIT_RATIO * unturned:
+    if abs(turn) > MIN_TURN_RAD and seen.straight < TURNED_FIT_MAX_RESIDUAL_RATIO * unturned:
         turn = _intended_turn(turn, module, mirrored=False)
         return MisplacedModule(module.id, MisplacementKind.TURNED, before, float(np.hypot(beside, seen.straight)), turn=turn)
     return None
@@ -246,7 +248,11 @@ def _in_place_of(model: ModuleModel, seen: Mapping[int, _Seen], motion: FloatArr
         }
     nearest = {index: _nearest(place, there) for index, place in here.items()} if far else {}
     displaced = {index: place for index, place in nearest.items() if place[0] != index}
-    found = {index: place for index, place in displaced.items() if place[1] < SWAP_SHARE * _distance(here[index], there[index])}
+    found = {
+        index: place
+        for index, place in displaced.items()
+        if place[1] < SWAP_MAX_DISTANCE_RATIO * _distance(here[index], there[index])
+    }
     # A module with another in its place is in the place of one that is off, too, if less surely.
     while more := [other for other, _ in found.values() if other in displaced and other not in found]:
         found |= {index: _nearest(here[index], {k: there[k] for k in displaced if k != index}) for index in more}
@@ -275,7 +281,7 @@ def _intended_turn(turn: float, module: Module, *, mirrored: bool) -> float:
     after = -before.conj() if mirrored else before
     for angle in np.radians([0.0, 60.0, 90.0, 120.0, 180.0, -60.0, -90.0, -120.0]).tolist():
         gap = np.abs(after[:, None] * np.exp(1j * angle) - before[None]).min(axis=1).max()
-        if gap < SAME_CORNER_M and abs(np.angle(np.exp(1j * (angle - turn)))) < SYMMETRY_TOLERANCE_RAD:
+        if gap < SAME_CORNER_MAX_DISTANCE_M and abs(np.angle(np.exp(1j * (angle - turn)))) < SYMMETRY_TOLERANCE_RAD:
             return float(angle)
     if abs(turn) < MIN_TURN_RAD:
         return 0.0
@@ -340,7 +346,7 @@ class LayoutRepair:
 def repair_layout(model: ModuleModel, estimates: Mapping[int, Estimate]) -> LayoutRepair:
     """Correct the layout of a model until `find_misplaced_modules` finds nothing more; parameters as there."""
     given, first, left = model.layout, None, ()
-    for more in reversed(range(MAX_REPAIRS + 1)):
+    for more in reversed(range(MAX_LAYOUT_REPAIR_ROUNDS + 1)):
         misfits = find_misplaced_modules(model, estimates)
         first = misfits if first is None else first
         layout, left = correct_layout(model.layout, misfits)
@@ -471,7 +477,7 @@ def neighbours_of(layout: Layout) -> PlannedNeighbours:
     for index, module in enumerate(layout.modules):
         pads = module_pads(module)
         apart = np.sqrt(np.sum((pads[:, None] - pads[None]) ** 2, axis=2))
-        first, second = np.nonzero(np.triu(apart <= NEIGHBOUR_SPACINGS * layout.spacing, 1))
+        first, second = np.nonzero(np.triu(apart <= NEIGHBOUR_MAX_SPACINGS * layout.spacing, 1))
         pairs.append(module.channels[np.stack([first, second], axis=1)])
         modules.append(np.full(len(first), index, dtype=np.int64))
         planned.append(apart[first, second])

@@ -21,13 +21,13 @@ from skincal.geometry import FloatArray, dots
 from skincal.modules.pose_fit import ModuleRows
 from skincal.taxels.shared_errors import NormalEquations
 
-MAX_THICKNESS_SDS = 1.0
+SUBTRACTED_SKIN_THICKNESS_SDS = 1.0
 """Thickness of the skin that is subtracted, in its standard deviations."""
-MIN_HEIGHT_SDS = 2.0
+SIGNIFICANT_HEIGHT_MIN_SDS = 2.0
 """A lower height, in its standard deviations, may be chance."""
-MAX_HEIGHT_SD_M = 0.0015
+HEIGHT_MAX_SD_M = 0.0015
 """A height with a larger sd by the noise of its pokes is ignored: meshes are not wrong by much more."""
-MIN_HEIGHT_INFORMATION = 1e-6
+MIN_HEIGHT_INFORMATION_SHARE = 1e-6
 """Share of h'T h below which the information on the height is rounding."""
 
 
@@ -55,15 +55,15 @@ def off_surface_variances(
     along = (equations.inverse() @ pull[:, :, None])[:, :, 0]
     alone = trust[:, None] * (rise - dots(rows.slopes, along[of][:, None]))
     known, most = (np.add.reduceat(dots(each, rise), equations.starts) for each in (alone, trust[:, None] * rise))
-    tells = known > MIN_HEIGHT_INFORMATION * most
+    tells = known > MIN_HEIGHT_INFORMATION_SHARE * most
     known = np.where(tells, known, 1.0)
     heights = np.add.reduceat(dots(alone, rows.misses), equations.starts) / known
     lifted = replace(equations, row_weights=(alone[:, None] @ rows.whiten), information=known[:, None, None])
-    heights = np.minimum(heights, np.maximum(heights - MAX_THICKNESS_SDS * skin, 0.0))
+    heights = np.minimum(heights, np.maximum(heights - SUBTRACTED_SKIN_THICKNESS_SDS * skin, 0.0))
     white = factors / known
     variances = white + lifted.covariances(0.0)[:, 0, 0]
     if errors is not None:
         moves, of_poses = lifted.moves(*errors)
         variances += np.sum(moves[:, 0] ** 2, axis=1) + of_poses[:, 0, 0]
-    seen = tells & (white < MAX_HEIGHT_SD_M**2) & (heights**2 > MIN_HEIGHT_SDS**2 * variances)
+    seen = tells & (white < HEIGHT_MAX_SD_M**2) & (heights**2 > SIGNIFICANT_HEIGHT_MIN_SDS**2 * variances)
     return np.where(seen, heights**2 - variances, 0.0)

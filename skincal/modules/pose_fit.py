@@ -17,7 +17,7 @@ normal n. Written as sums, so that nothing cancels for a long lever or a grazing
 and its determinant is q^2 + q (|p|^2 + |r|^2) + (p x r)^2. The rows are L^-1 r with D = L L'.
 
 **The start** of the search is the pose that fits the estimates of the module's taxels by other methods. With q_j the estimates,
-b_j the pads in the module's plane and w_j = 1/(rms_j^2 + MIN_ESTIMATE_ERROR_M^2), the turn that minimises
+b_j the pads in the module's plane and w_j = 1/(rms_j^2 + MIN_TAXEL_ESTIMATE_ERROR_M^2), the turn that minimises
 sum w |q - R b - t|^2 in the plane across the mean normal is that of the complex number sum w conj(b - mean b)(q - mean q). If
 its uncertainty, 1/sqrt(sum w |b - mean b|^2), is too large, the plan's turn is taken.
 
@@ -45,17 +45,17 @@ import numpy as np
 
 from skincal.geometry import FloatArray, IntArray, orthonormal_pair
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose import LEVER_M, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, join_poses
+from skincal.modules.pose import MODULE_TURN_LEVER_M, ModuleGround, ModuleModel, ModulePoses, ModulesOnSurface, Pads, join_poses
 from skincal.solver.machine import INTEGER, Call, Machine, shared
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate
 
-CENTRE_OFFSET_FACTOR = 1.6
+CONTACT_TO_PAD_CENTRE_SD_FACTOR = 1.6
 """sd of the offset of the centre of n pads from the contact, in units of `NoiseSettings.contact` / n, each direction: on the
 simulated forearm 2.4, 1.5, 0.8 and 0.5 mm for one to four pads."""
-TWO_MODULES_SD_M = 0.001
+EXTRA_SD_IF_TWO_MODULES_ANSWER_M = 0.001
 """More offset if another module answers too: the tip is on both."""
-MIN_ANSWER_SHARE = 0.5
+MODULE_MIN_SHARE_OF_ANSWERS = 0.5
 """A poke counts for a module with a larger share of the answers."""
 
 
@@ -106,8 +106,8 @@ def offset_variances(answering: IntArray, across: FloatArray, noise: NoiseSettin
     answering : (m,) number of the module's pads that answered
     across : (m,) float, 0 to 1: other modules' share of the answers
     """
-    own = (CENTRE_OFFSET_FACTOR * noise.contact / answering) ** 2
-    return np.asarray(own + np.where(across > 1e-9, TWO_MODULES_SD_M**2, 0.0))
+    own = (CONTACT_TO_PAD_CENTRE_SD_FACTOR * noise.contact / answering) ** 2
+    return np.asarray(own + np.where(across > 1e-9, EXTRA_SD_IF_TWO_MODULES_ANSWER_M**2, 0.0))
 
 
 def assign_pokes(
@@ -131,7 +131,7 @@ def assign_pokes(
     sums = np.add.reduceat(evidence.weights[order], firsts) if len(firsts) else np.empty(0)
     share = sums / totals[order[firsts]]
     sizes = np.diff(np.append(firsts, len(order)))
-    kept = (share > MIN_ANSWER_SHARE) & np.isin(ordered[firsts], list(wanted))
+    kept = (share > MODULE_MIN_SHARE_OF_ANSWERS) & np.isin(ordered[firsts], list(wanted))
     answers = order[np.repeat(kept, sizes)]
     rows, sizes, sums, share = order[firsts[kept]], sizes[kept], sums[kept], share[kept]
     modules = np.unique(owners[rows])
@@ -186,9 +186,10 @@ def _write_touches(call: Call, touches: Touches, noise: NoiseSettings, unknowns:
     """Write the begin of `Touches` in `skincal/solver/source/modules.h`, up to the pads."""
     evidence, at = touches.evidence, touches.rows
     rules = (
-        LEVER_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_POKES_FOR_TRUST, MIN_POKES_PER_POSE, MIN_TRUST_SUM, ROBUST_SDS,
-        ROBUST_STEPS, SMALL_SAMPLE, CHI2_2DOF_MEDIAN, CHI2_1DOF_MEDIAN, STEP_MAX_M, ROUNDING_STEP_M, LAST_STEP_M,
-        MIN_CURVATURE_RATIO, REVERSAL_SHARE, MAX_STEPS, RANK_RATIO,
+        MODULE_TURN_LEVER_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_MODULE_POKES_FOR_TRUST, MIN_POKES_PER_ARM_POSE,
+        MIN_SUM_OF_POKE_TRUSTS, FULL_WEIGHT_MAX_MISS_SDS, ROBUST_SEARCH_STEPS, SMALL_SAMPLE_SPREAD_CORRECTION, CHI2_2DOF_MEDIAN,
+        CHI2_1DOF_MEDIAN, POSE_SEARCH_MAX_STEP_M, ROUNDING_MAX_STEP_M, POSE_SEARCH_CONVERGED_STEP_M,
+        MIN_CURVATURE_OVER_GAUSS_NEWTON, HALVED_STEP_MIN_REVERSAL_SHARE, POSE_SEARCH_MAX_STEPS, MIN_SINGULAR_VALUE_RATIO,
     )  # fmt: skip
     return [
         len(at),
@@ -204,11 +205,11 @@ def _write_touches(call: Call, touches: Touches, noise: NoiseSettings, unknowns:
     ]
 
 
-MIN_ESTIMATE_ERROR_M = 0.002
+MIN_TAXEL_ESTIMATE_ERROR_M = 0.002
 """No estimate counts as more precise, so that one does not outvote the rest."""
-TURN_SD_MAX_RAD = 0.35
+MODULE_TURN_MAX_SD_RAD = 0.35
 """If the estimates determine the turn worse, the plan's is taken; a search finds its way back from 60 degrees."""
-ROBUST_SCALE_M = 0.004
+ROBUST_RESIDUAL_SCALE_M = 0.004
 """Estimates with a larger residual count less."""
 REWEIGHTING_STEPS = 3
 
@@ -235,7 +236,7 @@ def _fit_estimates(
         return None
     pads = model.pads[module][[pad for pad, _ in known]]
     places = np.array([estimate.position for _, estimate in known])
-    weights = np.array([1.0 / ((estimate.rms or 0.0) ** 2 + MIN_ESTIMATE_ERROR_M**2) for _, estimate in known])
+    weights = np.array([1.0 / ((estimate.rms or 0.0) ** 2 + MIN_TAXEL_ESTIMATE_ERROR_M**2) for _, estimate in known])
     normal = np.sum(weights[:, None] * np.array([estimate.normal for _, estimate in known]), axis=0)
     if plan is not None and (not np.any(normal) or not isinstance(model.ground, ModulesOnSurface)):
         # Without a surface the mean push gives the normal worse than the plan does.
@@ -254,12 +255,12 @@ def _fit_estimates(
     for _ in range(REWEIGHTING_STEPS):
         middle, centre = counts @ own / counts.sum(), counts @ flat / counts.sum()
         product = np.sum(counts * np.conj(own - middle) * (flat - centre))
-        known = np.sum(counts * np.abs(own - middle) ** 2) * TURN_SD_MAX_RAD**2 > 1.0 and abs(product) > 0
+        known = np.sum(counts * np.abs(own - middle) ** 2) * MODULE_TURN_MAX_SD_RAD**2 > 1.0 and abs(product) > 0
         if not known and plan is None:
             return None
         turn = product / abs(product) if known else 1.0 + 0.0j
         shift = centre - turn * middle
-        counts = weights / (1.0 + np.abs(flat - turn * own - shift) ** 2 / ROBUST_SCALE_M**2)
+        counts = weights / (1.0 + np.abs(flat - turn * own - shift) ** 2 / ROBUST_RESIDUAL_SCALE_M**2)
     height = float(counts @ (places @ normal) / counts.sum())
     origin = shift.real * x + shift.imag * y + height * normal
     return _move_to_ground(model.ground, origin, turn.real * x + turn.imag * y, normal)
@@ -283,33 +284,33 @@ def _move_to_ground(ground: ModuleGround, origin: FloatArray, x: FloatArray, nor
 
 FULL_TRUST_SDS, ZERO_TRUST_SDS = 2.8, 3.8
 """Miss below which a poke counts fully, and above which not at all, as in `trust.h`."""
-MIN_POKES_FOR_TRUST = 4
+MIN_MODULE_POKES_FOR_TRUST = 4
 """With fewer pokes of a module all count fully."""
-MIN_POKES_PER_POSE = 8
+MIN_POKES_PER_ARM_POSE = 8
 """From this number of pokes on, those of one arm pose are compared with each other."""
-MIN_TRUST_SUM = 2.0
+MIN_SUM_OF_POKE_TRUSTS = 2.0
 """Below it all pokes count fully: nothing says which one is right."""
-ROBUST_SDS = 2.0
+FULL_WEIGHT_MAX_MISS_SDS = 2.0
 """Misses up to which all pokes have the same weight while the pose is sought; beyond, it falls with the square."""
-ROBUST_STEPS = 4
+ROBUST_SEARCH_STEPS = 4
 """Steps of that search before trust is given."""
-SMALL_SAMPLE = 6.0
+SMALL_SAMPLE_SPREAD_CORRECTION = 6.0
 """A spread from few misses is raised by this over its 2 n - 3 degrees of freedom."""
 CHI2_2DOF_MEDIAN, CHI2_1DOF_MEDIAN = 1.3863, 0.4549
-STEP_MAX_M = 0.015
+POSE_SEARCH_MAX_STEP_M = 0.015
 """Half a module, in each direction: farther off, the rows say little about the minimum."""
-ROUNDING_STEP_M = 1e-7
+ROUNDING_MAX_STEP_M = 1e-7
 """Steps below it that no longer shrink to half are rounding."""
-LAST_STEP_M = 2e-17
+POSE_SEARCH_CONVERGED_STEP_M = 2e-17
 """The search ends if the next step would be smaller: the last digit of a position 0.2 m away."""
-MIN_CURVATURE_RATIO = 0.25
+MIN_CURVATURE_OVER_GAUSS_NEWTON = 0.25
 """Least curvature, over that of the rows alone, at which B is used: below, a saddle is near."""
-REVERSAL_SHARE = 0.25
+HALVED_STEP_MIN_REVERSAL_SHARE = 0.25
 """A step that reverses this share of the one before is halved: both go too far."""
-MAX_STEPS = 20
+POSE_SEARCH_MAX_STEPS = 20
 """A pose that still moves goes to and fro over an edge of the surface, by micrometres; or, without a surface, runs off because
 few pokes hardly determine the module's tilt."""
-RANK_RATIO = 1e-9
+MIN_SINGULAR_VALUE_RATIO = 1e-9
 """Directions with smaller singular values, relative to the largest, are not determined by the pokes."""
 
 
@@ -329,7 +330,7 @@ class Fitted:
     of: IntArray
     """(n,) the module of each pad, 0 to b - 1."""
     covariances: FloatArray
-    """(b, d, d) float, m^2, of the unknowns (turns at `LEVER_M`); without meaning along `blind`."""
+    """(b, d, d) float, m^2, of the unknowns (turns at `MODULE_TURN_LEVER_M`); without meaning along `blind`."""
     blind: FloatArray
     """(b, d, d) float: rows of each are the directions of its unknowns that the pokes do not determine, the others zero."""
     misses: FloatArray

@@ -23,16 +23,16 @@ VIEW_NAMES = ("front", "right", "back", "left")
 """The front is the side that most of the skin faces."""
 ERROR_COLOUR_MAP = "viridis_r"
 """Bright for small errors, dark for large ones; it works in grey and for colour-blind readers."""
-DOTS_PER_INCH = 160
+PICTURE_DOTS_PER_INCH = 160
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction to the light in the frame of a view: x right, y up, z to the viewer."""
-MIN_FACING_COSINE = 0.0
+DRAWN_TAXEL_MIN_FACING_COSINE = 0.0
 """A taxel is drawn in a view if the cosine between its normal and the direction to the viewer is larger."""
 
 
-MAP_SIZE_POINTS = 330.0
+MAP_SIZE_PT = 330.0
 """Approximate length of the map's longer side on paper."""
-MIN_SIDEWAYS_SHARE = 0.1
+MIN_HORIZONTAL_SHARE_OF_NORMALS = 0.1
 """The normals define the front if at least this share of their sum is horizontal."""
 
 
@@ -47,7 +47,7 @@ def draw_sides(facts: SessionFacts) -> bytes:
         _same_box(panels)
         _colour_bar(figure, panels, facts)
 
-    return render(draw, (11.0, 4.2), ("png",), DOTS_PER_INCH)[0]
+    return render(draw, (11.0, 4.2), ("png",), PICTURE_DOTS_PER_INCH)[0]
 
 
 def side_frames(facts: SessionFacts) -> tuple[FloatArray, ...]:
@@ -63,7 +63,9 @@ def side_frames(facts: SessionFacts) -> tuple[FloatArray, ...]:
     out = _normals(facts).sum(axis=0)
     flat = out - (out @ up) * up
     # Where skin looks up all along, or nothing is known of it, the thinnest side is as good.
-    front = flat / np.linalg.norm(flat) if np.linalg.norm(flat) > MIN_SIDEWAYS_SHARE * np.linalg.norm(out) else aside
+    front = (
+        flat / np.linalg.norm(flat) if np.linalg.norm(flat) > MIN_HORIZONTAL_SHARE_OF_NORMALS * np.linalg.norm(out) else aside
+    )
     right = np.cross(up, front)
     return tuple(
         np.stack([np.cross(up, towards), up, towards])
@@ -81,7 +83,7 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
         outlines: list[FloatArray] = [module.outline * 1e3 for module in layout.modules]
         axes.add_collection(PolyCollection(outlines, facecolors="#F4F4F4", edgecolors=GREY, linewidths=0.7))
         places = layout.places * 1e3
-        scale = MAP_SIZE_POINTS / np.ptp(np.concatenate(outlines), axis=0).max()
+        scale = MAP_SIZE_PT / np.ptp(np.concatenate(outlines), axis=0).max()
         # A dot is half as wide as the way to the next, a number a sixth of its module.
         size = float(np.clip((0.5 * layout.spacing * 1e3 * scale) ** 2, 2.5, 45.0))
         _dots(axes, facts, {channel: places[channel] for channel in layout.channels.tolist()}, size)
@@ -93,7 +95,7 @@ def draw_map(facts: SessionFacts, layout: Layout) -> bytes:
         axes.set(xlabel="mm, in the layout's plane", ylabel="mm")
         _colour_bar(figure, [axes], facts)
 
-    return render(draw, (9.0, 5.5), ("svg",), DOTS_PER_INCH)[0]
+    return render(draw, (9.0, 5.5), ("svg",), PICTURE_DOTS_PER_INCH)[0]
 
 
 def draw_course(facts: SessionFacts) -> bytes:
@@ -120,7 +122,7 @@ def draw_course(facts: SessionFacts) -> bytes:
         handles, names = by_poke.get_legend_handles_labels()
         figure.legend(handles, [f"{name}: mean, dotted 95 % below" for name in names], loc="outside upper center", ncols=3)
 
-    return render(draw, (11.0, 3.9), ("svg",), DOTS_PER_INCH)[0]
+    return render(draw, (11.0, 3.9), ("svg",), PICTURE_DOTS_PER_INCH)[0]
 
 
 def error_name(facts: SessionFacts) -> str:
@@ -151,7 +153,7 @@ def _draw_side(axes: Axes, facts: SessionFacts, frame: FloatArray) -> None:
     """Draw the part as it is seen along a view: near triangles over far ones, then the taxels of this side."""
     if facts.results.part.surface is not None:
         _draw_surface(axes, facts.results.part.surface, frame)
-    seen = _normals(facts) @ frame[2] > MIN_FACING_COSINE
+    seen = _normals(facts) @ frame[2] > DRAWN_TAXEL_MIN_FACING_COSINE
     positions = _positions(facts) @ frame[:2].T * 1e3
     channels = [estimate.channel for estimate in facts.estimates if estimate.position is not None]
     _dots(axes, facts, {c: place for c, place, there in zip(channels, positions, seen, strict=True) if there}, 12.0)

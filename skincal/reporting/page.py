@@ -38,7 +38,7 @@ AGREES, AGAINST, OPEN = "agrees", "contradicts", "not checked"
 """Results of a check of the verdict; the template colours the first two."""
 CHECKS = ("Test pokes", "Landmarks", "Final check")
 """Figures of the verdict that are rows of its evidence."""
-RANGES_MOST = 40
+MAX_LISTED_CHANNEL_RANGES = 40
 """More ranges of channels in a cell are counted."""
 GUIDE_UNITS = {
     "wanted": "m", "module_wanted": "m", "diversity": "rad", "balance": "m", "settled": "m", "usable_tilt": "rad",
@@ -156,7 +156,7 @@ def _group_channels(pairs: Iterable[tuple[str, int]]) -> list[tuple[str, str, st
     of: dict[str, list[int]] = {}
     for words, channel in pairs:
         of.setdefault(words, []).append(channel)
-    return [(words, str(len(some)), list_channels(some, RANGES_MOST)) for words, some in of.items()]
+    return [(words, str(len(some)), list_channels(some, MAX_LISTED_CHANNEL_RANGES)) for words, some in of.items()]
 
 
 def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:

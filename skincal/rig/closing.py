@@ -10,7 +10,7 @@ and n the noise of sensor and hand,
 x, q and n have known spreads, so r has a known covariance C. Generalized least squares gives s, and s' S^-1 s with S = (X'
 C^-1 X)^-1 is chi-square with three degrees of freedom if nothing moved. A constant error of the rig is no movement: x is the
 same in all pokes. A push shows no movement along itself. If all pushes are nearly parallel, as on a flat patch, only the
-directions known to `OBSERVABLE_SD_M` are tested, with as many degrees of freedom.
+directions known to `TESTED_DIRECTION_MAX_SD_M` are tested, with as many degrees of freedom.
 
 A single poke that slips may decide alone, so each poke is left out in turn: a movement counts only if the others show it, too.
 Leaving poke i out means giving its two numbers a shift of their own. With K = C^-1, X the columns of s, y the misses and K_i
@@ -37,18 +37,18 @@ from skincal.rig.correction import RigPrior
 from skincal.rig.correction_fit import LandmarkPoke, readings_of
 from skincal.rig.expected_gain import rows_in_metres
 
-CHECKED_PLACES = 3
+CLOSING_CHECK_PLACES = 3
 """Places that are repeated: one may be missed, and two still tell."""
-MIN_PLACES = 2
+CLOSING_CHECK_MIN_PLACES = 2
 """With fewer places there is no result: a single poke may have been anywhere."""
-MOVED_MAX_CHANCE = 0.01
+MOVEMENT_MAX_P_VALUE = 0.01
 """A movement is reported if its chance without one is smaller."""
-MAX_CHANCE_WITHOUT_ONE = 0.05
+MOVEMENT_MAX_P_VALUE_WITHOUT_ONE_POKE = 0.05
 """The same with any one poke left out. It is less strict, since the chance with all pokes is small already. With 0.01 movements
 of 8 mm are reported on 53 to 67 of 100 rigs, with 0.05 on 68 to 81."""
 CHI2_QUANTILES = (0.0, 6.635, 9.210, 11.345)
-"""Chi-square with none to three degrees of freedom, exceeded with `MOVED_MAX_CHANCE`."""
-OBSERVABLE_SD_M = 0.010
+"""Chi-square with none to three degrees of freedom, exceeded with `MOVEMENT_MAX_P_VALUE`."""
+TESTED_DIRECTION_MAX_SD_M = 0.010
 """m. A direction is tested if the sd of a movement along it is smaller: a movement that matters shows at half a finger's
 width."""
 
@@ -100,12 +100,12 @@ class Closing:
     @property
     def has_moved(self) -> bool:
         """Whether something moved, by more than one poke."""
-        return self.chance < MOVED_MAX_CHANCE and self.chance_without_worst < MAX_CHANCE_WITHOUT_ONE
+        return self.chance < MOVEMENT_MAX_P_VALUE and self.chance_without_worst < MOVEMENT_MAX_P_VALUE_WITHOUT_ONE_POKE
 
     @property
     def single_poke_decides(self) -> bool:
         """Whether only one poke shows a movement."""
-        return self.chance < MOVED_MAX_CHANCE and self.chance_without_worst >= MAX_CHANCE_WITHOUT_ONE
+        return self.chance < MOVEMENT_MAX_P_VALUE and self.chance_without_worst >= MOVEMENT_MAX_P_VALUE_WITHOUT_ONE_POKE
 
 
 def closing_check(
@@ -119,7 +119,7 @@ def closing_check(
     """
     names = sorted({poke.name for poke in after} & {poke.name for poke in before})
     after = [poke for poke in after if poke.name in names]
-    if len(names) < MIN_PLACES:
+    if len(names) < CLOSING_CHECK_MIN_PLACES:
         return None
     pokes = [*before, *after]
     across, miss, covariance = _passings(pokes, at, noise)
@@ -147,7 +147,7 @@ def _movement(precision: FloatArray, sums: FloatArray) -> _Movement | None:
     """Solve for the movement s from S^-1 (3, 3), 1/m^2, and S^-1 s (3,), 1/m; `None` without an observable direction."""
     # Along each of these axes the movement is known independently of the others.
     weights, axes = np.linalg.eigh(precision)
-    seen = weights >= OBSERVABLE_SD_M**-2
+    seen = weights >= TESTED_DIRECTION_MAX_SD_M**-2
     if not seen.any():
         return None
     along = np.asarray((axes.T @ sums)[seen] / weights[seen], dtype=np.float64)

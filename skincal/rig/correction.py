@@ -42,8 +42,8 @@ class Correction:
     """...and in some arm poses, by name, @ motion, (4, 4) float, metres."""
     root: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     """(n, n) float, SI, upper triangular: root root' is the covariance of the unknowns: the matrix with the quadratic's columns
-    row by row, then rotation and shift of each of `motions` by name (of none with more than `MAX_KEPT_POSES`). (0, 0) if the
-    correction counts as exact."""
+    row by row, then rotation and shift of each of `motions` by name (of none with more than `MAX_ARM_POSES_WITH_UNCERTAINTY`).
+    (0, 0) if the correction counts as exact."""
     quadratic: FloatArray = field(default_factory=lambda: np.empty((6, 0)))
     """(6, 21) float, SI: the true wrench has in addition quadratic @ `products`; (6, 0) for a linear sensor."""
 
@@ -77,10 +77,10 @@ class Correction:
         return replace(poke, force=force, moment=moment, link_from_sensor=self.pose(poke.link_from_sensor, poke.pose))
 
 
-MAX_KEPT_POSES = 24
+MAX_ARM_POSES_WITH_UNCERTAINTY = 24
 """With more arm poses than this their uncertainty is not kept. Streamed joints make hundreds of poses with a few pokes each,
 which hardly tell more than the prior: 2 million numbers for 315 of them."""
-HAND_LOAD_N = 10.0
+TYPICAL_PRESS_FORCE_N = 10.0
 """N. At this force a nonlinear sensor errs by the share `RigPrior.quadratic`; hands press with 6 to 13 N."""
 _FIRST, _SECOND = np.triu_indices(6)
 
@@ -127,7 +127,7 @@ class RigPrior:
     pose_shift: float = 0.002
     """m, sd of the shift of each arm pose along each axis."""
     quadratic: float = 0.0
-    """sd of each product's part in each component, as a share of that at `HAND_LOAD_N`; 0 for a linear sensor."""
+    """sd of each product's part in each component, as a share of that at `TYPICAL_PRESS_FORCE_N`; 0 for a linear sensor."""
     landmark: float = 0.0007
     """m, sd of the contact from the landmark in each direction: a tip on a screw head, by hand."""
 
@@ -138,7 +138,7 @@ class RigPrior:
 
     def scales(self, poses: int) -> FloatArray:
         """Compute the sd (6 columns + 6 poses,) of the unknowns: C row by row, then rotation and shift of each pose."""
-        units = HAND_LOAD_N * np.repeat([1.0, self.arm], 3)
+        units = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, self.arm], 3)
         matrix = self.matrix * units[:, None] / units[None, :]
         if self.quadratic:
             matrix = np.concatenate([matrix, self.quadratic * units[:, None] / products(units[None])], axis=1)

@@ -28,7 +28,7 @@ from skincal.model.scene import NoiseSettings, Scene
 from skincal.modules.pose import ModuleModel, ModulePoses
 from skincal.modules.pose_fit import Touches, fit_modules_from_pokes, trust_from_squares
 from skincal.rig.correction import (
-    MAX_KEPT_POSES,
+    MAX_ARM_POSES_WITH_UNCERTAINTY,
     Correction,
     RigPrior,
     RigReadings,
@@ -46,42 +46,42 @@ if TYPE_CHECKING:
 
 GAUSS_NEWTON_STEPS = 4
 """The rows are nearly linear in the unknowns: the fourth step moves no taxel by a micrometre."""
-TRUST_ROUNDS = 4
+TRUST_UPDATES_PER_FIT_STEP = 4
 """Updates of the landmark pokes' trust within a step."""
-SKIN_POKE_WEIGHT = 0.1
+SKIN_POKE_WEIGHT_IN_RIG_FIT = 0.1
 """Weight of a skin poke for the rig: pokes near one place share their error, so ten of them are not ten times the evidence. On
 the paper's rig with 1,200 skin pokes and 21 at landmarks the modules' error is 2.1 mm with 1, 1.0 with 0.3, 0.65 with 0.1 and
 0.65 with 0.03."""
-HELD_OUT_PARTS = 4
+LANDMARK_HELD_OUT_FOLDS = 4
 """One landmark in this many is held out, with all its pokes: a wrong place of a landmark would predict its own miss."""
 MIN_LANDMARKS = 4
 """With fewer landmarks nothing is corrected: the rest would tell too little while one is held out. With three that are 4 mm
 off, holding out pokes instead of landmarks made a good rig five times worse."""
-REQUIRED_GAIN = 0.5
+MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT = 0.5
 """A correction must lower the held-out mean square to below this share. With six pokes at six landmarks in one pose, good rigs
 with landmarks 4 to 6 mm off had 0.53 or more by chance, rigs like the paper's 0.01 to 0.43 in 19 of 20."""
-MAX_MISS_RATIO = 1.5
+LANDMARKS_AGREE_MAX_MISS_RATIO = 1.5
 """Landmarks agree up to this ratio of misses to their prediction. On rigs with modelled errors 21 pokes at six landmarks have
 0.7 to 1.1."""
-MAX_NOISE_FACTOR = 2.0
+WARN_FROM_LANDMARK_NOISE_FACTOR = 2.0
 """From this factor on the scene's noise, agreeing landmarks say little and the operator reads that: their prediction was
 widened by their own misses."""
-REPORT_TRUST_BELOW = 0.9
+REPORT_LANDMARK_POKES_WITH_TRUST_BELOW = 0.9
 """A landmark poke with less trust is named to the operator."""
 LANDMARK_OFFSETS_M = (0.0, 0.0005, 0.001, 0.002, 0.004)
 """m: candidate sds of a landmark's place in each direction, shared by all its pokes; the likeliest is used."""
 NOISE_FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
 """Candidate factors on the scene's noise for landmark pokes: an arm that wanders, a sensor that drifts."""
-QUADRATIC_SHARE = 0.03
+NONLINEAR_SENSOR_QUADRATIC_SHARE = 0.03
 """`RigPrior.quadratic` of the nonlinear sensor that is fitted as an alternative."""
-NONLINEAR_STEPS = 2
+NONLINEAR_FIT_STEPS = 2
 """Steps of the nonlinear fit, which starts from the linear one's end."""
-MODEL_LOG_ODDS = 5.0
+SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO = 5.0
 """From this log likelihood ratio on (150 times) the likelier sensor model, linear or not, is used alone. The other would add
 less than a tenth of the predicted error."""
-LINEAR_COLUMNS = 6
+LINEAR_SENSOR_MATRIX_COLUMNS = 6
 """Columns of C for a linear sensor."""
-MIN_TRUSTED_SHARE = 0.5
+MIN_MEAN_LANDMARK_POKE_TRUST = 0.5
 """If the mean trust of landmark pokes falls below this, all count fully: with most in doubt, nobody can say which are right."""
 MIN_LANDMARK_POKES = 6
 """With fewer landmark pokes nothing is corrected: none would be left to test a correction on."""
@@ -279,12 +279,12 @@ class LandmarkAgreement:
     @property
     def agrees(self) -> bool:
         """Whether the misses are as predicted."""
-        return self.ratio <= MAX_MISS_RATIO
+        return self.ratio <= LANDMARKS_AGREE_MAX_MISS_RATIO
 
     @property
     def by_noise(self) -> bool:
         """Whether the prediction is so wide that agreement says little."""
-        return self.noisier >= MAX_NOISE_FACTOR
+        return self.noisier >= WARN_FROM_LANDMARK_NOISE_FACTOR
 
 
 def landmark_agreement(rig: RigAnswer | None, used: UsedCorrection | None) -> LandmarkAgreement | None:
@@ -322,8 +322,8 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
     for _ in range(GAUSS_NEWTON_STEPS):
         between()
         fit.do_step()
-    other = _Fit(request, names, replace(request.prior, quadratic=QUADRATIC_SHARE), fit)
-    for _ in range(NONLINEAR_STEPS):
+    other = _Fit(request, names, replace(request.prior, quadratic=NONLINEAR_SENSOR_QUADRATIC_SHARE), fit)
+    for _ in range(NONLINEAR_FIT_STEPS):
         between()
         other.do_step()
     between()
@@ -340,7 +340,7 @@ def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
     counts = np.minimum(linear.trust, bent.trust)
     gap = bent.likelihood(counts) - linear.likelihood(counts)
     answer = (bent if gap > 0.0 else linear).answer(names)
-    if abs(gap) > MODEL_LOG_ODDS:
+    if abs(gap) > SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO:
         return answer
     chance = 1.0 / (1.0 + float(np.exp(-gap)))
     (one, root), (two, other) = linear.posterior(bent.columns), bent.posterior(bent.columns)
@@ -373,7 +373,7 @@ class _Fit:
         self.state = RigState.at_prior(len(names), self.columns)
         self.trust = np.ones(len(self.landmarks))
         if begin is not None:
-            added = np.zeros((LINEAR_COLUMNS, self.columns - begin.columns))
+            added = np.zeros((LINEAR_SENSOR_MATRIX_COLUMNS, self.columns - begin.columns))
             self.state = replace(begin.state, matrix=np.concatenate([begin.state.matrix, added], axis=1))
             self.trust = begin.trust
         points = sorted({poke.name for poke in self.landmarks})
@@ -385,7 +385,7 @@ class _Fit:
         """Do one Gauss-Newton step of the rig and the groups."""
         base, tops = self._without_groups(self.state.unknowns(self.scales))
         rows = self._landmark_rows(self.state)
-        for _ in range(TRUST_ROUNDS):
+        for _ in range(TRUST_UPDATES_PER_FIT_STEP):
             self.trust = _trusted(rows, self._shared, *_solve_rows(base, rows, self._shared, self.trust), self.trust)
         self._shared, self._noisier, _ = self._likeliest(base, rows, self.trust)
         step, _ = _solve_rows(base, rows, self._shared, self.trust)
@@ -425,7 +425,7 @@ class _Fit:
         if self.groups is not None and self._skin is not None:
             placed = self.groups.placed()
             rows = rig_rows(self._skin, self.state, placed.places, placed.spread, self.noise, self.scales)
-            root = np.sqrt(SKIN_POKE_WEIGHT * self.groups.trust)[:, None, None]
+            root = np.sqrt(SKIN_POKE_WEIGHT_IN_RIG_FIT * self.groups.trust)[:, None, None]
             own = rows.of_place @ placed.gradients
             every = root * np.concatenate([own, rows.of_rig, rows.misses[:, :, None]], axis=2)
             for group in range(self.groups.count):
@@ -449,7 +449,7 @@ class _Fit:
         pokes = [poke.poke for poke in self.landmarks]
         return RigAnswer(
             correction=self.correction(unknowns, max(1.0, ratio) * spread, names),
-            used=bool(after < REQUIRED_GAIN * before),
+            used=bool(after < MAX_HELD_OUT_ERROR_RATIO_TO_CORRECT * before),
             before=float(metre * np.sqrt(before)),
             after=float(metre * np.sqrt(after)),
             ratio=ratio,
@@ -492,11 +492,11 @@ class _Fit:
         """Make the correction from unknowns (n,), SI, whose covariance has the root `spread` (n, m)."""
         of_matrix = 6 * self.columns
         matrix, poses = unknowns[:of_matrix].reshape(6, -1), unknowns[of_matrix:].reshape(-1, 2, 3)
-        kept = len(unknowns) if len(names) <= MAX_KEPT_POSES else of_matrix
+        kept = len(unknowns) if len(names) <= MAX_ARM_POSES_WITH_UNCERTAINTY else of_matrix
         return Correction(
-            np.eye(6) + matrix[:, :LINEAR_COLUMNS],
+            np.eye(6) + matrix[:, :LINEAR_SENSOR_MATRIX_COLUMNS],
             motions={name: rigid_motion(*pose) for name, pose in zip(names, poses, strict=True)},
-            quadratic=matrix[:, LINEAR_COLUMNS:],
+            quadratic=matrix[:, LINEAR_SENSOR_MATRIX_COLUMNS:],
             root=spread if spread.shape == (kept, kept) else _first_rows(spread, kept),
         )
 
@@ -504,8 +504,8 @@ class _Fit:
         """Misses (m, 2) of landmark pokes, each with a correction made without its quarter, and their covariances (m, 2, 2)."""
         held, predicted = np.empty_like(rows.misses), np.empty((len(rows.misses), 2, 2))
         names = sorted({poke.name for poke in self.landmarks})
-        quarter = np.array([names.index(poke.name) % HELD_OUT_PARTS for poke in self.landmarks])
-        for out in range(HELD_OUT_PARTS):
+        quarter = np.array([names.index(poke.name) % LANDMARK_HELD_OUT_FOLDS for poke in self.landmarks])
+        for out in range(LANDMARK_HELD_OUT_FOLDS):
             own = quarter == out
             step, root = _solve_rows(base, rows, self._shared, np.where(own, 0.0, self.trust))
             held[own] = rows.misses[own] + rows.of_rig[own] @ step
@@ -606,7 +606,7 @@ def _trusted(rows: RigRows, shared: FloatArray, step: FloatArray, root: FloatArr
     total = _own_blocks(shared) + np.where(counts, -trust[:, None, None] * leverage, leverage)
     # Rounding may leave a square below zero.
     found = trust_from_squares(np.maximum(_squares(rows.misses + rows.of_rig @ step, total), 0.0))
-    return found if found.sum() >= MIN_TRUSTED_SHARE * len(found) else np.ones(len(found))
+    return found if found.sum() >= MIN_MEAN_LANDMARK_POKE_TRUST * len(found) else np.ones(len(found))
 
 
 def _leverage(of_rig: FloatArray, root: FloatArray) -> FloatArray:

@@ -35,11 +35,11 @@ from skincal.rig.correction_fit import (
 )
 from skincal.taxels.result import Estimate
 
-MAX_POSES = 7
+MAX_PREDICTED_ARM_POSES = 7
 """Arm poses of a prediction, those with most contacts: streamed joints make more."""
-PLANNED_FORCE_N = 10.0
+EXPECTED_LANDMARK_PRESS_FORCE_N = 10.0
 """N: hands press with 8 to 13 N on metal."""
-MAX_TAXELS = 40
+MAX_PREDICTED_TAXELS = 40
 """Of more taxels only every n-th is used: neighbours move alike. On the forearm the mean over 28 is within a thousandth of that
 over all 84."""
 NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
@@ -47,7 +47,7 @@ NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedPoke:
-    """A landmark poke that is only planned: `PLANNED_FORCE_N` straight into the part."""
+    """A landmark poke that is only planned: `EXPECTED_LANDMARK_PRESS_FORCE_N` straight into the part."""
 
     place: FloatArray
     """(3,) float, metres, link frame: of the landmark."""
@@ -147,7 +147,7 @@ def unchecked_of(
         return None
     known = [(estimate.position, estimate.normal) for estimate in estimates if estimate.position is not None]
     pairs = [(place, normal) for place, normal in known if normal is not None]
-    often = {name for name, _ in Counter(contact.pose for contact in contacts).most_common(MAX_POSES)}
+    often = {name for name, _ in Counter(contact.pose for contact in contacts).most_common(MAX_PREDICTED_ARM_POSES)}
     poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
     if not pairs or not poses:
         return None
@@ -172,7 +172,7 @@ def _taxel_moves(
     scales: FloatArray,
 ) -> FloatArray:
     """Compute (n, 3, k) metres: movement of places along the skin by each unknown of the rig, mean of the poses."""
-    step = -(-len(places) // MAX_TAXELS)
+    step = -(-len(places) // MAX_PREDICTED_TAXELS)
     some, out, many = places[::step], normals[::step], len(poses)
     count = len(some)
     reported = np.repeat(np.array(list(poses.values())), count, axis=0)
@@ -186,7 +186,7 @@ def _taxel_moves(
 def _pushed(places: FloatArray, normals: FloatArray, reported: FloatArray, of: IntArray) -> RigReadings:
     """Make the readings of straight pushes at places (m, 3), in arm poses (m, 4, 4), of an exact rig."""
     turns = reported[:, :3, :3].transpose(0, 2, 1)
-    force = (turns @ (-PLANNED_FORCE_N * normals)[:, :, None])[:, :, 0]
+    force = (turns @ (-EXPECTED_LANDMARK_PRESS_FORCE_N * normals)[:, :, None])[:, :, 0]
     here = (turns @ (places - reported[:, :3, 3])[:, :, None])[:, :, 0]
     return RigReadings(np.concatenate([force, np.cross(here, force)], axis=1), of, reported)
 

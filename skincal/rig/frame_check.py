@@ -2,10 +2,10 @@
 
 Each common mistake is a hypothesis: an order of the axes with signs (48, with the right one and the reaction in place of the
 action), moments or forces in another unit, and a sensor that sits elsewhere on the arm than reported. Under each hypothesis
-the pokes' axes pass their landmarks at some distance. Hand and landmark contribute `LANDMARK_SD_M` in each direction and poke.
-The usual errors of a rig (`RigPrior`: its matrix for all pokes, the arm pose for those in it) contribute to all pokes
-together. In units of `LANDMARK_SD_M` the misses r have the covariance V = I + J S J', with J of `skincal.rig.correction` and S
-the prior, and a hypothesis costs
+the pokes' axes pass their landmarks at some distance. Hand and landmark contribute `POKE_TO_LANDMARK_SD_M` in each direction
+and poke. The usual errors of a rig (`RigPrior`: its matrix for all pokes, the arm pose for those in it) contribute to all pokes
+together. In units of `POKE_TO_LANDMARK_SD_M` the misses r have the covariance V = I + J S J', with J of
+`skincal.rig.correction` and S the prior, and a hypothesis costs
 
     r' V^-1 r + log det V.
 
@@ -14,8 +14,8 @@ deviations. A sensor that sits elsewhere by a rotation w and a shift t, with kno
 `MOUNT_SHIFT_SD_M`), has the same likelihood averaged over all w and t: V + M M', with M the change of r with them.
 
 One poke may have been at another point than its landmark. So each hypothesis is also tried with each poke k at another point:
-V + s^2 E E', with E the two rows of k and s `WRONG_POINT_SD_M`, at the cost `WRONG_POINT_COST` and without a cost for the side
-of k. By Woodbury's identity that takes the two by two blocks of V^-1 alone.
+V + s^2 E E', with E the two rows of k and s `WRONG_POINT_POKED_SD_M`, at the cost `WRONG_POINT_COST` and without a cost for the
+side of k. By Woodbury's identity that takes the two by two blocks of V^-1 alone.
 
 The result is an offer; nothing is changed. A small error of the mounting looks like one of the F/T matrix: the rig's correction
 is for both (`skincal.rig.correction_fit`).
@@ -36,32 +36,32 @@ from skincal.model.scene import NoiseSettings
 from skincal.rig.correction import Correction, RigPrior, RigReadings, RigState, rig_rows, rigid_motion
 from skincal.rig.correction_fit import LandmarkPoke
 
-LANDMARK_SD_M = 0.003
+POKE_TO_LANDMARK_SD_M = 0.003
 """m, sd of an axis from its landmark, each direction, on a right rig: hand, sensor noise, a landmark off by 4 mm in space."""
 MOUNT_TURN_SD, MOUNT_SHIFT_SD_M = float(np.radians(15.0)), 0.030
 """rad and m, sd of a wrong mounting, each axis: a turned bracket, a wrong length."""
-INSIDE_PUSH_COST = 9.0
+PUSH_FROM_INSIDE_COST = 9.0
 """Cost of a push from inside the part, as a sum of squares: three standard deviations."""
-RIGHT_FRAME_BONUS = 2.0
+RIGHT_FRAME_COST_BONUS = 2.0
 """Prior of a right frame against any mistake, as a difference of twice the log likelihood: one session in four has a mistake.
 From three pokes on rigs with the paper's errors 99 of 100 right frames lie below 1, and 96 of 100 mountings that are off by
 25 degrees and 40 mm above 2."""
-SURE_COST_GAP = 6.0
+MIN_COST_GAP_TO_BE_SURE = 6.0
 """The best hypothesis must be 20 times likelier than the next: twice the logarithm of that."""
-WRONG_POINT_SD_M = 0.050
+WRONG_POINT_POKED_SD_M = 0.050
 """m, sd of a wrong point in each direction across the push: the spacing of landmarks on a forearm."""
 WRONG_POINT_COST = 2.0 * math.log(20.0)
 """Prior cost of a poke at another point: a hand at half a dozen landmarks, or a list of pokes, errs about once in twenty."""
-MAX_EXPLAINED_MISS_M = 0.017
+EXPLAINED_POKES_MAX_RMS_MISS_M = 0.017
 """m. A hypothesis explains the pokes if their rms miss under it is below this, or below half of the reported miss. In the right
 frame, on rigs with the paper's errors, it is 11 mm in the median, and below this in 19 of 20."""
 GAUSS_NEWTON_STEPS = 3
 """Steps until a wrong mounting is found."""
-MIN_POKES = 3
-MAX_POKES = 12
+FRAME_CHECK_MIN_POKES = 3
+FRAME_CHECK_MAX_POKES = 12
 """Pokes of a check: more take longer and add little about a mistake that is the same in all."""
 NO_NOISE = NoiseSettings(force=0.0, moment=0.0)
-"""The sensor's noise is part of `LANDMARK_SD_M`."""
+"""The sensor's noise is part of `POKE_TO_LANDMARK_SD_M`."""
 HAND_FORCE_RANGE_N = (3.0, 25.0)
 """N: range of a hand's pokes."""
 STANDARD_GRAVITY = 9.80665
@@ -136,33 +136,36 @@ def _miss(distances: FloatArray, beside: int | None) -> float:
 def diagnose(
     pokes: Sequence[LandmarkPoke], normals: Sequence[FloatArray | None], prior: RigPrior | None = None
 ) -> FrameDiagnosis | None:
-    """Tell a wrong sensor frame from a right one; `None` with fewer than `MIN_POKES` pokes.
+    """Tell a wrong sensor frame from a right one; `None` with fewer than `FRAME_CHECK_MIN_POKES` pokes.
 
     Parameters
     ----------
-    pokes : at landmarks that are not all on one line; of any arm poses. Of more than `MAX_POKES` an even selection is used
+    pokes : at landmarks that are not all on one line; of any arm poses. Of more than `FRAME_CHECK_MAX_POKES` an even choice is
+        used
     normals : (3,) float, outward, at each of them; `None` if unknown, and then no side is wrong
     prior : usual errors of a rig; `RigPrior()` for `None`
     """
-    if len(pokes) < MIN_POKES:
+    if len(pokes) < FRAME_CHECK_MIN_POKES:
         return None
-    count = min(len(pokes), MAX_POKES)
+    count = min(len(pokes), FRAME_CHECK_MAX_POKES)
     some = [len(pokes) * i // count for i in range(count)]
     used = [pokes[i] for i in some]
     asked = _Asked.from_pokes(used, [normals[i] for i in some], prior or RigPrior())
     reported, *wrong = _discrete(asked)
     wrong = sorted([*wrong, _elsewhere(asked)], key=lambda hypothesis: hypothesis.cost)
-    best = reported if reported.cost - RIGHT_FRAME_BONUS <= wrong[0].cost else wrong[0]
-    first, second = sorted([reported.cost - RIGHT_FRAME_BONUS, *(hypothesis.cost for hypothesis in wrong)])[:2]
+    best = reported if reported.cost - RIGHT_FRAME_COST_BONUS <= wrong[0].cost else wrong[0]
+    first, second = sorted([reported.cost - RIGHT_FRAME_COST_BONUS, *(hypothesis.cost for hypothesis in wrong)])[:2]
     # Both of the same pokes, else leaving out one poke would look like an explanation.
-    explained = best is reported or best.miss <= max(MAX_EXPLAINED_MISS_M, 0.5 * _miss(reported.distances, best.beside))
+    explained = best is reported or best.miss <= max(
+        EXPLAINED_POKES_MAX_RMS_MISS_M, 0.5 * _miss(reported.distances, best.beside)
+    )
     slip = None
     if best.beside is not None:
         poke = used[best.beside]
         slip = Slip(poke.poke, poke.name, float(best.distances[best.beside]))
     return FrameDiagnosis(
         right=best is reported,
-        sure=second - first >= SURE_COST_GAP and (best.beside is None or count > MIN_POKES),
+        sure=second - first >= MIN_COST_GAP_TO_BE_SURE and (best.beside is None or count > FRAME_CHECK_MIN_POKES),
         explained=explained,
         miss=_miss(reported.distances, None),
         corrected_miss=best.miss,
@@ -222,7 +225,7 @@ class _Asked:
         many, count = len(force), len(self.places)
         wrenches = np.concatenate([force, moment], axis=2).reshape(-1, 6)
         readings = RigReadings(wrenches, np.zeros(len(wrenches), dtype=np.int64), np.tile(self.reported, (many, 1, 1)))
-        spread = np.broadcast_to(LANDMARK_SD_M**2 * np.eye(3), (len(wrenches), 3, 3))
+        spread = np.broadcast_to(POKE_TO_LANDMARK_SD_M**2 * np.eye(3), (len(wrenches), 3, 3))
         rows = rig_rows(readings, state, np.tile(self.places, (many, 1)), spread, NO_NOISE, np.ones(42))
         slopes, scales = rows.of_rig.reshape(many, 2 * count, -1), self.prior.scales(1)
         matrix, motion = slopes[:, :, :36] * scales[:36], slopes[:, :, 36:] * scales[36:]
@@ -233,14 +236,15 @@ class _Asked:
     def cost_of_sides(self, force: FloatArray, turns: FloatArray) -> FloatArray:
         """Cost (h, n) of pushes from inside the part, by force (h, n, 3), N, and link_from_sensor's rotations (n, 3, 3)."""
         out = np.sum((turns.transpose(0, 2, 1) @ self.normals[:, :, None])[:, :, 0] * force, axis=2) > 0
-        return INSIDE_PUSH_COST * out
+        return PUSH_FROM_INSIDE_COST * out
 
 
 def _cost_of_size(force: FloatArray) -> FloatArray:
     """Cost (h,) of forces (h, n, 3), N, that no hand makes."""
     sizes = np.sqrt(np.sum(force * force, axis=2))
     return np.asarray(
-        INSIDE_PUSH_COST * np.sum((sizes < HAND_FORCE_RANGE_N[0]) | (sizes > HAND_FORCE_RANGE_N[1]), axis=1), dtype=np.float64
+        PUSH_FROM_INSIDE_COST * np.sum((sizes < HAND_FORCE_RANGE_N[0]) | (sizes > HAND_FORCE_RANGE_N[1]), axis=1),
+        dtype=np.float64,
     )
 
 
@@ -249,7 +253,7 @@ class _Rows:
     """Distances of n pokes from their landmarks (residuals) under each of h hypotheses on the sensor frame."""
 
     misses: FloatArray
-    """(h, 2 n) float, across the push, in units of `LANDMARK_SD_M`."""
+    """(h, 2 n) float, across the push, in units of `POKE_TO_LANDMARK_SD_M`."""
     covariances: FloatArray
     """(h, 2 n, 2 n) float: of these, by hand, landmark and the usual errors of a rig."""
     slopes: FloatArray
@@ -281,11 +285,13 @@ def _costs(misses: FloatArray, covariances: FloatArray) -> FloatArray:
     # For each poke its two columns: V^-1 r, and its block of V^-1 plus 1 / s^2.
     columns = whitening.reshape(many, size, -1, 2)
     pulls = np.sum(columns * whitened[:, :, :, None], axis=1)
-    a, d = np.moveaxis(np.sum(columns * columns, axis=1) + (LANDMARK_SD_M / WRONG_POINT_SD_M) ** 2, 2, 0)
+    a, d = np.moveaxis(np.sum(columns * columns, axis=1) + (POKE_TO_LANDMARK_SD_M / WRONG_POINT_POKED_SD_M) ** 2, 2, 0)
     b = np.sum(columns[..., 0] * columns[..., 1], axis=1)
     size_of, (x, y) = a * d - b * b, np.moveaxis(pulls, 2, 0)
     freed = (
-        np.log(size_of) + 4.0 * math.log(WRONG_POINT_SD_M / LANDMARK_SD_M) - (d * x * x - 2.0 * b * x * y + a * y * y) / size_of
+        np.log(size_of)
+        + 4.0 * math.log(WRONG_POINT_POKED_SD_M / POKE_TO_LANDMARK_SD_M)
+        - (d * x * x - 2.0 * b * x * y + a * y * y) / size_of
     )
     return np.asarray(plain[:, None] + np.column_stack([np.zeros(many), WRONG_POINT_COST + freed]), dtype=np.float64)
 
@@ -311,7 +317,9 @@ def _elsewhere(asked: _Asked, beside: int | None = None) -> _Hypothesis:
         # Linearized here, with the prior's zero as the origin.
         misses = rows.misses[0] - slopes @ step
         total = (
-            rows.covariances[0] + slopes @ slopes.T + np.diag(np.repeat(slipped, 2) * (WRONG_POINT_SD_M / LANDMARK_SD_M) ** 2)
+            rows.covariances[0]
+            + slopes @ slopes.T
+            + np.diag(np.repeat(slipped, 2) * (WRONG_POINT_POKED_SD_M / POKE_TO_LANDMARK_SD_M) ** 2)
         )
         cost = _costs(misses[None], total[None])
         step = -slopes.T @ np.asarray(np.linalg.solve(total, misses), dtype=np.float64)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from skincal.contacts.outcome import Contact
 from skincal.model.scene import NoiseSettings
-from skincal.rig.closing import CHECKED_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
+from skincal.rig.closing import CLOSING_CHECK_PLACES, Closing, ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_pokes
@@ -78,11 +78,13 @@ def _progress(
     known = {place for poke, place in places if poke <= begun.after}
     since = [(poke, place) for poke, place in places if poke > begun.after]
     again, size, is_complete = set[ClosingPlace | None](), 0, False
-    while not is_complete and size < min(len(since), MAX_POKES_PER_PLACE * CHECKED_PLACES):
+    while not is_complete and size < min(len(since), MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES):
         again |= (known & {since[size][1]}) - {None}
         size += 1
-        is_complete = max(sum(each is not None and each.at is at for each in again) for at in ClosingPlaces) == CHECKED_PLACES
-    tried = size == MAX_POKES_PER_PLACE * CHECKED_PLACES
+        is_complete = (
+            max(sum(each is not None and each.at is at for each in again) for at in ClosingPlaces) == CLOSING_CHECK_PLACES
+        )
+    tried = size == MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES
     while True:
         pokes = frozenset(poke for poke, _ in since[:size])
         found = _result(begun, pokes, earlier, every, noise)
@@ -124,7 +126,7 @@ def _place_to_repeat(
         return None
     place = ClosingPlace(found.at, found.place)
     again = sum(poke.poke in pokes and poke.name in found.names for poke in every[found.at])
-    asked = again - min(len(found.names), CHECKED_PLACES)
+    asked = again - min(len(found.names), CLOSING_CHECK_PLACES)
     return place if asked < MAX_REPEATS and place not in begun.skipped else None
 
 

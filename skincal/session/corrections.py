@@ -16,7 +16,7 @@ from skincal.contacts.outcome import Progress
 from skincal.geometry import FloatArray, axis_point, move_wrench
 from skincal.model.actions import Correct, Uncorrect
 from skincal.model.errors import InputError
-from skincal.rig.correction import FRAME, MAX_KEPT_POSES, RIG, Correction, UsedCorrection
+from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, UsedCorrection
 from skincal.rig.frame_check import frame_correction
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def correction_of(action: Correct) -> Correction:
         raise InputError(
             f"A correction of {action.of!r} with {sizes} numbers; expected {' or '.join(CORRECTED_THINGS)}, with {wanted}."
         )
-    of_poses = 6 * len(action.poses) if len(action.poses) <= MAX_KEPT_POSES else 0
+    of_poses = 6 * len(action.poses) if len(action.poses) <= MAX_ARM_POSES_WITH_UNCERTAINTY else 0
     size = 36 + len(action.quadratic) + of_poses if action.spread else 0
     if len(action.quadratic) not in (0, 126) or len(action.spread) != size * (size + 1) // 2:
         numbers = f"{len(action.quadratic)} numbers of what is not linear and {len(action.spread)} of its uncertainty"

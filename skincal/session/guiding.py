@@ -13,7 +13,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.geometry import FloatArray
-from skincal.guide.believed_positions import DEFAULT_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
+from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import Guide
 from skincal.guide.progress import AxisDiversity, ContactFacts, GuideSettings, Need, count_pokes_from_start, find_needs
@@ -21,10 +21,10 @@ from skincal.guide.verdict import Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
-from skincal.rig.closing import CHECKED_PLACES, MIN_PLACES, ClosingPlace, ClosingPlaces
+from skincal.rig.closing import CLOSING_CHECK_MIN_PLACES, CLOSING_CHECK_PLACES, ClosingPlace, ClosingPlaces
 from skincal.rig.correction import RIG, RigPrior
 from skincal.rig.correction_fit import RigAnswer, landmark_agreement
-from skincal.rig.expected_gain import MAX_POSES, Gain, PlannedPoke, expected_error, unchecked_of
+from skincal.rig.expected_gain import MAX_PREDICTED_ARM_POSES, Gain, PlannedPoke, expected_error, unchecked_of
 from skincal.session.arm_poses import CurrentPose
 from skincal.session.closing_pokes import (
     ClosingProgress,
@@ -190,7 +190,7 @@ class SessionGuide:
     def _guide_of(self, method: Method) -> Guide:
         if method not in self._guides:
             layout, noise, cover = self._scene.skin.layout, self._scene.noise, self._part.cover
-            spacing, on_surface = DEFAULT_SPACING_M if layout is None else layout.spacing, self._surface is not None
+            spacing, on_surface = DEFAULT_TAXEL_SPACING_M if layout is None else layout.spacing, self._surface is not None
             self._guides[method] = Guide(self.plan, noise, method, spacing, search=cover, on_surface=on_surface)
         return self._guides[method]
 
@@ -269,7 +269,7 @@ class LandmarkGuide:
         if here is None or not len(self._taxels):
             return None
         contacts = snapshot.contacts
-        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(MAX_POSES)]
+        often = [each for each, _ in Counter(contact.pose for contact in contacts).most_common(MAX_PREDICTED_ARM_POSES)]
         poses = {contact.pose: contact.link_from_sensor for contact in contacts if contact.pose in often}
         poses[name] = here
         planned = [PlannedPoke(target.landmark.place, self.normal(target.landmark), here, name) for target in self._targets]
@@ -343,8 +343,10 @@ class ClosingGuide:
             (ClosingPlaces.TAXELS, taxel_pokes(snapshot), _taxel_targets(guidance, snapshot)),
         ):
             first = [poke for poke in pokes if poke.poke <= begun.after and poke.poke not in earlier and poke.pose == pose]
-            names = [name for name in list(dict.fromkeys(poke.name for poke in first))[:CHECKED_PLACES] if name in targets]
-            if len(names) < MIN_PLACES:
+            names = [
+                name for name in list(dict.fromkeys(poke.name for poke in first))[:CLOSING_CHECK_PLACES] if name in targets
+            ]
+            if len(names) < CLOSING_CHECK_MIN_PLACES:
                 continue
             again = {poke.name for poke in pokes if poke.poke in now.pokes}
             places = [] if now.is_complete else [ClosingPlace(at, name) for name in names if name not in again]

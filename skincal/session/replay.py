@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from skincal.journal.documents import FORMAT_WITH_GROUPED_POSES, DetectorResult, SegmentHeader, SessionClosed, Totals
+from skincal.journal.documents import FIRST_FORMAT_WITH_GROUPED_POSES, DetectorResult, SegmentHeader, SessionClosed, Totals
 from skincal.journal.lock import SessionLock
 from skincal.journal.reader import LogItem, LogState, SessionLog, recover_session
 from skincal.journal.writer import open_segment
@@ -111,7 +111,7 @@ def apply_item(pipeline: Pipeline, item: LogItem) -> None:
     if isinstance(item, SegmentHeader):
         if item.number > 1:
             pipeline.begin_segment(item.links)
-        pipeline.poses.are_grouped = item.format >= FORMAT_WITH_GROUPED_POSES
+        pipeline.poses.are_grouped = item.format >= FIRST_FORMAT_WITH_GROUPED_POSES
         pipeline.session.set_clock(item.clock)
     elif isinstance(item, TimedAction):
         # These follow again from bytes and requests.

@@ -28,7 +28,7 @@ FLOAT, INTEGER, WORD = np.dtype(np.float64), np.dtype(np.int32), np.dtype(np.uin
 """The kinds of numbers that the solver reads."""
 _PAGE_BYTES = 1 << 16
 """The memory grows by whole pages."""
-_ALIGNMENT_BYTES = 16
+_MEMORY_ALIGNMENT_BYTES = 16
 
 
 @cache
@@ -54,7 +54,7 @@ class Machine:
         self._memory: wasmtime.Memory = self._exports["memory"]
         self._functions: dict[str, Any] = {}
         self._arguments_at, heap = self.value("asked_at"), self.value("heap")
-        self._permanent_from = self._permanent_until = heap + -heap % _ALIGNMENT_BYTES
+        self._permanent_from = self._permanent_until = heap + -heap % _MEMORY_ALIGNMENT_BYTES
         self._clone: Machine | None = None
         self._clone_until = 0
         self._bytes: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
@@ -161,7 +161,7 @@ class Call:
 
 def _next_address(address: int, size: int) -> int:
     """Return the first aligned address after `size` bytes. An empty array has an address of its own."""
-    return address + (max(size, 1) + _ALIGNMENT_BYTES - 1) // _ALIGNMENT_BYTES * _ALIGNMENT_BYTES
+    return address + (max(size, 1) + _MEMORY_ALIGNMENT_BYTES - 1) // _MEMORY_ALIGNMENT_BYTES * _MEMORY_ALIGNMENT_BYTES
 
 
 @cache

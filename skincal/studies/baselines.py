@@ -21,7 +21,7 @@ import numpy as np
 
 from skincal.contacts.outcome import Contact
 from skincal.geometry import FloatArray, IntArray, cross_matrix, move_wrench
-from skincal.mesh.search import GRAZING, nearest_in_metric
+from skincal.mesh.search import PUSHED_FACE_MIN_COSINE, nearest_in_metric
 from skincal.mesh.surface import Surface
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, ModulePoses, Pads
@@ -59,7 +59,7 @@ def taxel_problems(contacts: Sequence[Contact], channels: Iterable[int], noise: 
 
 def facing_triangles(surface: Surface, push: FloatArray) -> IntArray:
     """List the triangles that `push` (3,) can act on."""
-    return np.flatnonzero(surface.normals @ (push / np.linalg.norm(push)) < -GRAZING)
+    return np.flatnonzero(surface.normals @ (push / np.linalg.norm(push)) < -PUSHED_FACE_MIN_COSINE)
 
 
 def by_every_triangle(surface: Surface, problem: TaxelProblem) -> FloatArray:

@@ -82,9 +82,9 @@ def usable_cores() -> int:
 
 Result = TypeVar("Result")
 
-CLOCK_STEP_MAX_S = 1e-6
+MAX_CLOCK_RESOLUTION_S = 1e-6
 """s. A coarser clock cannot time the pieces that are measured."""
-CPU_TIME = time.get_clock_info("process_time").resolution <= CLOCK_STEP_MAX_S
+CPU_TIME = time.get_clock_info("process_time").resolution <= MAX_CLOCK_RESOLUTION_S
 clock: Callable[[], float] = time.process_time if CPU_TIME else time.perf_counter
 CLOCK_NAME = ("time.process_time, the CPU time of all threads" if CPU_TIME else "time.perf_counter") + "; garbage collector off"
 

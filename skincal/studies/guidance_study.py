@@ -29,17 +29,17 @@ POKES_TO_5_MM_MAX, POKES_TO_3_MM_MAX = 87.0, 200.0
 """Pokes of the guide until the free method's mean error is 5 and 3 mm."""
 RANDOM_RATIO_MIN, RECIPE_RATIO_MIN = 4.0, 1.3
 """Unguided pokes, and those of the recipe, over the guide's, to 5 mm."""
-SURFACE_RATIO_MAX = 1.1
+MAX_GUIDED_OVER_ROUND_ROBIN_ERROR = 1.1
 """Error of the surface method over round-robin's, at any count of pokes from one a taxel on."""
-DRIFT_RATIO_MAX = 1.15
+MAX_ERROR_RATIO_WITH_DRIFT = 1.15
 """Error with 0.25 N of drift over that without."""
-FALSELY_DONE_MAX = 0.02
+MAX_FALSELY_FINISHED_SHARE = 0.02
 """Share of the taxels that are called finished and are not."""
 COMPARED_COURSES = (
     ("guided", Method.FREE), ("tilt_recipe", Method.FREE), ("guided", Method.SURFACE), ("round_robin", Method.SURFACE),
 )  # fmt: skip
 """In all conditions but the standard one: the guide, and the best strategy without measurements."""
-TAXEL_COUNT = 84
+SIMULATED_TAXEL_COUNT = 84
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def _row(task: CourseTask, courses: Sequence[ErrorCourse]) -> dict[str, Any]:
         "pokes_to_enough": _interval([course.enough for course in courses]),
         "given_up": float(np.mean([course.given_up for course in courses])),
         "done": float(np.mean([course.done for course in courses])),
-        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * TAXEL_COUNT)),
+        "falsely_done_share": float(np.sum([course.falsely for course in courses]) / (len(courses) * SIMULATED_TAXEL_COUNT)),
     }  # fmt: skip
 
 
@@ -196,7 +196,7 @@ def _bars(
     # A strategy that does not get there takes more than its limit.
     times = {way: (to[way] or free[way]["limit"]) / guided for way in ("random", "round_robin", "tilt_recipe")}
     ours, theirs = (kept[STANDARD_CASE, "surface", way] for way in ("guided", "round_robin"))
-    late = ours[0].pokes >= TAXEL_COUNT
+    late = ours[0].pokes >= SIMULATED_TAXEL_COUNT
     surface = float((_mean_over_seeds(ours, "mean")[late] / _mean_over_seeds(theirs, "mean")[late]).max())
     # At the last poke with drift, over the seeds that both cases have.
     drifting = kept["drift 0.25 N", "free", "guided"]
@@ -207,9 +207,11 @@ def _bars(
         "random_over_guided": (times["random"], ">=", RANDOM_RATIO_MIN),
         "round_robin_over_guided": (times["round_robin"], ">=", RANDOM_RATIO_MIN),
         "tilt_recipe_over_guided": (times["tilt_recipe"], ">=", RECIPE_RATIO_MIN),
-        "surface_over_round_robin": (surface, "<=", SURFACE_RATIO_MAX),
-        "drift_over_none": (float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", DRIFT_RATIO_MAX),
-        "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", FALSELY_DONE_MAX),
+        "surface_over_round_robin": (surface, "<=", MAX_GUIDED_OVER_ROUND_ROBIN_ERROR),
+        "drift_over_none": (
+            float(np.mean([course.mean[-1] for course in drifting]) / np.mean(still)), "<=", MAX_ERROR_RATIO_WITH_DRIFT
+        ),
+        "falsely_done_share": (max(row["falsely_done_share"] for row in rows), "<=", MAX_FALSELY_FINISHED_SHARE),
     })  # fmt: skip
 
 

@@ -33,43 +33,43 @@ if TYPE_CHECKING:
 
 MM, DEGREE = 1e-3, float(np.radians(1.0))
 
-MARCH_STEPS = 50
+SURFACE_PATH_STEPS = 50
 """Steps of a straight way on the part. A way of 40 mm on a radius of 25 mm errs by 0.01 mm."""
-NEAREST_TRIANGLES = 12
+TRIANGLES_CHECKED_FOR_NEAREST_POINT = 12
 """Triangles looked at for the nearest point: those that meet at a corner, and their neighbours."""
-TYPICAL_FORCE = 10.0
+TYPICAL_PRESS_FORCE_N = 10.0
 """N: an operator presses with 6 to 12 N; errors of the sensor that grow with the load are given at this."""
-TYPICAL_LEVER = 0.2
-"""m, from the forearm's sensor to its skin (0.1 to 0.25 m): the typical moment is `TYPICAL_FORCE` times this."""
+TYPICAL_LEVER_ARM_M = 0.2
+"""m, from the forearm's sensor to its skin (0.1 to 0.25 m): the typical moment is `TYPICAL_PRESS_FORCE_N` times this."""
 SKIN_FORCES = (6.0, 12.0)
 """N: between the gates of 4 and 15 N, as operators are asked to press."""
 LANDMARK_FORCES = (8.0, 13.0)
 """N: a tip on a screw head is pressed harder than one on foam."""
 LANDMARK_CONE = 28 * DEGREE
 """Pushes at a landmark lean at most this far from its normal."""
-FOAM_STIFFNESS = 3e8
+FOAM_STIFFNESS_PA_PER_M = 3e8
 """Pa/m: of the foam's columns, K. Foam of 0.75 MPa, 2.5 mm thick: 8 N on a tip of 3 mm press it in by 1.7 mm."""
-PAD_RADIUS = 0.002
+TAXEL_ELECTRODE_RADIUS_M = 0.002
 """m: radius of a taxel's electrode (Maiolino et al. 2013: about 4 mm across)."""
-FOAM_SPREAD = 0.0013
+FOAM_PRESSURE_SPREAD_M = 0.0013
 """m: the foam spreads pressure by about half its thickness, as an elastic layer on hard ground does."""
-RESPONSE_SCALE_N = 2.5
-"""Load on a pad for 63 % of `RESPONSE_MAX`: foam stiffens. On average three taxels answer a poke."""
-RESPONSE_MAX = 180.0
+LOAD_FOR_63_PERCENT_RESPONSE_N = 2.5
+"""Load on a pad for 63 % of `MAX_TAXEL_RESPONSE_COUNTS`: foam stiffens. On average three taxels answer a poke."""
+MAX_TAXEL_RESPONSE_COUNTS = 180.0
 """Counts of 255 that a taxel falls at most: from about 240 at rest to some 60 (iCub)."""
 FRAME_VARIANCE_SHARE = 1 / 15 + 1 / 10
 """A still window of 0.3 s has 15 frames, a quiet one 10, at 50 Hz: the variance of their difference is this share."""
 COUNT_VARIANCE = 1.0 + 1 / 12
 """Counts^2, variance of one frame: one count of noise and the rounding to whole counts, which that noise blurs."""
-MOMENT_OF_FORCE = 0.1
+MOMENT_OVER_FORCE_NOISE_M = 0.1
 """m: noise of a moment over noise of a force, 0.010 N m and 0.10 N as in the scene's `[noise]`."""
-MATRIX_ARM = 0.35
+FORCE_MOMENT_CROSSTALK_ARM_M = 0.35
 """m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
-SLOW_NOISE_POKES = 30.0
+SLOW_NOISE_CORRELATION_POKES = 30.0
 """Pokes over which slow noise remembers: about a minute, as a sensor that warms up in a moving room."""
-BUMP_LENGTH = 0.020
+MESH_BUMP_LENGTH_M = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
-FINGER_WIDTH = 0.008
+FINGER_WIDTH_M = 0.008
 """m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
 GUIDED_LANDMARK_POKES = (6, 3, 3, 3, 2, 2, 2)
 """Landmark pokes in each arm pose that the guide asks for: 21 in seven poses."""
@@ -86,14 +86,15 @@ class RigModel:
     matrix: float = 0.02
     """sd of each entry of E, cross-talk included."""
     quadratic: float = 0.0
-    """Rms of Q(w, w) over w, both as vectors in units of `TYPICAL_FORCE` and its moment, where |w| is these."""
+    """Rms of Q(w, w) over w, both as vectors in units of `TYPICAL_PRESS_FORCE_N` and its moment, where |w| is these."""
     hysteresis: float = 0.0
     """Share of its load that the sensor keeps after a poke: the tares before and after each see a part of it."""
     force_noise: float = 0.10
-    """N, white, of a poke's tared mean; moments `MOMENT_OF_FORCE` times as much. FT45: 0.25 N a reading, and slow noise."""
+    """N, white, of a poke's tared mean; moments `MOMENT_OVER_FORCE_NOISE_M` times as much. FT45: 0.25 N a reading, and slow
+    noise."""
     slow_force: float = 0.0
-    """N rms, noise that successive pokes share (`SLOW_NOISE_POKES`); moments as above. It is creep of the strain gauges under
-    load, which a tare around every poke does not remove."""
+    """N rms, noise that successive pokes share (`SLOW_NOISE_CORRELATION_POKES`); moments as above. It is creep of the strain
+    gauges under load, which a tare around every poke does not remove."""
     # ---- arm
     pose_turn: float = DEGREE
     """sd about each axis through the sensor, of each arm pose."""
@@ -117,7 +118,7 @@ class RigModel:
     mesh_inflate: float = 0.0
     """m, outward."""
     mesh_bumps: float = 0.0
-    """m rms along the normal, smooth over `BUMP_LENGTH`."""
+    """m rms along the normal, smooth over `MESH_BUMP_LENGTH_M`."""
     # ---- skin
     mount_shift: float = 3 * MM
     """sd in each direction of the skin's offset from its plan: the calibration has to find it, it is no error."""
@@ -132,7 +133,7 @@ class RigModel:
     shear: float = 0.0
     """m/N: how far the outer face moves aside under a tangential force. Foam of 0.1 mm/N: 30 mm^2 of 0.8 MPa, 2.5 mm thick."""
     spread: float = 1.0
-    """How many times wider than `FOAM_SPREAD` the foam spreads pressure."""
+    """How many times wider than `FOAM_PRESSURE_SPREAD_M` the foam spreads pressure."""
     tip: float = 3 * MM
     """Radius of the tip: a pen's end or a finger nail."""
     scatter: float = 0.7 * MM
@@ -149,7 +150,7 @@ class RigModel:
     friction: float = 0.75
     """Tangential over normal force at which the tip slides: rubber or plastic on fabric, 0.6 to 0.9. Pushes stay below it."""
     two: float = 0.0
-    """Share of the pokes that touch two places at once (`FINGER_WIDTH`)."""
+    """Share of the pokes that touch two places at once (`FINGER_WIDTH_M`)."""
 
 
 NOISY_RIG = RigModel(matrix=0.0, pose_turn=0.0, pose_shift=0.0)
@@ -302,7 +303,7 @@ class SmoothSurface:
 
     def nearest(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the nearest points (n, 3) of points (n, 3), and the unit normals there, smooth across triangles."""
-        rows: IntArray = self._tree.query(points, k=NEAREST_TRIANGLES)[1]
+        rows: IntArray = self._tree.query(points, k=TRIANGLES_CHECKED_FOR_NEAREST_POINT)[1]
         corners = self.triangles[rows]
         a, b, c = np.moveaxis(self.vertices[corners], 2, 0)
         u, v, w = b - a, c - a, points[:, None] - a
@@ -329,9 +330,9 @@ class SmoothSurface:
         (n, 3) the ends, (n, 3) the ways as they arrive there, as long as before, and (n, 3) the normals there
         """
         points, normals = self.nearest(starts)
-        for _ in range(MARCH_STEPS):
+        for _ in range(SURFACE_PATH_STEPS):
             before = normals
-            points, normals = self.nearest(points + ways / MARCH_STEPS)
+            points, normals = self.nearest(points + ways / SURFACE_PATH_STEPS)
             # The shortest turn that takes the one normal to the other.
             ways = ways - dot(ways, normals) / (1.0 + dot(before, normals)) * (before + normals)
         return points, ways, normals
@@ -339,8 +340,8 @@ class SmoothSurface:
     def wrong(self, world: RigModel, rng: np.random.Generator) -> FloatArray:
         """Draw the vertices (nv, 3) of the mesh that the program gets."""
         shift = world.mesh_shift * unit(rng.standard_normal(3))
-        waves, phases = rng.standard_normal((200, 3)) / BUMP_LENGTH, rng.uniform(0, 2 * np.pi, 200)
-        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 BUMP_LENGTH^2).
+        waves, phases = rng.standard_normal((200, 3)) / MESH_BUMP_LENGTH_M, rng.uniform(0, 2 * np.pi, 200)
+        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 MESH_BUMP_LENGTH_M^2).
         bumps = np.cos(self.vertices @ waves.T + phases).sum(axis=1) * np.sqrt(2 / len(waves))
         return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
 
@@ -431,7 +432,7 @@ class Operator:
         load = rng.uniform(*SKIN_FORCES, count)
         both = rng.uniform(size=count) < world.two
         share = np.where(both, rng.uniform(0.3, 0.7, count), 1.0)
-        apart = np.where(both, FINGER_WIDTH / 2, 0.0)[:, None] * unit(sideways(normals, rng))
+        apart = np.where(both, FINGER_WIDTH_M / 2, 0.0)[:, None] * unit(sideways(normals, rng))
         touches = [
             self._touch(part, meant + way * apart, push, load * bears, rng) for way, bears in ((1, share), (-1, 1.0 - share))
         ]
@@ -465,12 +466,12 @@ def taxel_responses(
     """Compute the responses (n, taxels) of the taxels at `places`, in counts of 255 above their baseline."""
     total = np.zeros((presses.feet.shape[1], len(places)))
     for feet, load in zip(presses.feet, presses.normal_loads, strict=True):
-        depth = np.sqrt(load / (np.pi * world.tip * FOAM_STIFFNESS))
+        depth = np.sqrt(load / (np.pi * world.tip * FOAM_STIFFNESS_PA_PER_M))
         # The variance in each direction of a paraboloid over a disc of radius a is a^2/6, of a flat one over the pad a^2/4.
-        spread = 2 * world.tip * depth / 6 + PAD_RADIUS**2 / 4 + (world.spread * FOAM_SPREAD) ** 2
+        spread = 2 * world.tip * depth / 6 + TAXEL_ELECTRODE_RADIUS_M**2 / 4 + (world.spread * FOAM_PRESSURE_SPREAD_M) ** 2
         away = np.sum((places[None] - feet[:, None]) ** 2, axis=2)
-        total += (load * PAD_RADIUS**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
-    clean = RESPONSE_MAX * (1.0 - np.exp(-gains * total / RESPONSE_SCALE_N))
+        total += (load * TAXEL_ELECTRODE_RADIUS_M**2 / (2 * spread))[:, None] * np.exp(-away / (2 * spread[:, None]))
+    clean = MAX_TAXEL_RESPONSE_COUNTS * (1.0 - np.exp(-gains * total / LOAD_FOR_63_PERCENT_RESPONSE_N))
     return clean + np.sqrt(COUNT_VARIANCE * FRAME_VARIANCE_SHARE) * rng.standard_normal(clean.shape)
 
 
@@ -478,8 +479,8 @@ def taxel_responses(
 
 
 def slow_noise(count: int, width: int, rng: np.random.Generator) -> FloatArray:
-    """Draw noise (count, width) of variance one whose correlation falls to 1/e over `SLOW_NOISE_POKES` pokes."""
-    kept = np.exp(-1.0 / SLOW_NOISE_POKES)
+    """Draw noise (count, width) of variance one whose correlation falls to 1/e over `SLOW_NOISE_CORRELATION_POKES` pokes."""
+    kept = np.exp(-1.0 / SLOW_NOISE_CORRELATION_POKES)
     fresh = rng.standard_normal((count, width))
     fresh[1:] *= np.sqrt(1.0 - kept**2)
     for i in range(1, count):
@@ -498,9 +499,9 @@ class Sensor:
 
     def __init__(self, world: RigModel, rng: np.random.Generator) -> None:
         self.world = world
-        arm = np.repeat([1.0, MATRIX_ARM], 3)
+        arm = np.repeat([1.0, FORCE_MOMENT_CROSSTALK_ARM_M], 3)
         self.matrix = np.eye(6) + world.matrix * rng.standard_normal((6, 6)) * arm[:, None] / arm
-        self.scale = np.repeat([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER], 3)
+        self.scale = np.repeat([TYPICAL_PRESS_FORCE_N, TYPICAL_PRESS_FORCE_N * TYPICAL_LEVER_ARM_M], 3)
         # Of unit numbers Q has a variance of |u|^4 in each of six components; force and moment together make |u|^2 = 2.
         self.quadratic = world.quadratic * np.sqrt(2 / 6) / 2 * rng.standard_normal((6, 6, 6))
         self.keeps = world.hysteresis * rng.uniform(0.5, 1.5, 6)
@@ -517,7 +518,7 @@ class Sensor:
         bent = self.scale * np.einsum("ijk,nj,nk->ni", self.quadratic, units, units)
         # Half of what the last poke left, and of what this one leaves, is taken for the sensor's zero.
         left = self.keeps * (wrenches + np.concatenate([np.zeros((1, 6)), wrenches[:-1]])) / 2
-        of_force = np.repeat([1.0, MOMENT_OF_FORCE], 3)
+        of_force = np.repeat([1.0, MOMENT_OVER_FORCE_NOISE_M], 3)
         noise = world.force_noise * rng.standard_normal((count, 6)) + world.slow_force * slow_noise(count, 6, rng)
         return wrenches @ self.matrix.T + bent - left + of_force * noise
 
@@ -541,9 +542,9 @@ def sensor_wrenches(poses: FloatArray, points: FloatArray, forces: FloatArray, f
 
 # ---- a session
 
-CYCLE_S = 2.5
+POKE_CYCLE_S = 2.5
 """From one poke to the next."""
-ATTEMPTS_MAX = 4
+MAX_ATTEMPTS_PER_TARGET = 4
 """Attempts at a target that no taxel taxel_responses, or too many."""
 
 
@@ -556,11 +557,11 @@ def _skin_pokes(
     targets: IntArray,
     rng: np.random.Generator,
 ) -> tuple[Presses, FloatArray]:
-    """Poke at `targets` (n,), each up to `ATTEMPTS_MAX` times. Return the pokes that count and their responses (n, taxels)."""
-    presses = who.press(part, places[np.tile(targets, ATTEMPTS_MAX)], rng)
+    """Poke at `targets` (n,), each up to `MAX_ATTEMPTS_PER_TARGET` times. Return counted pokes, responses (n, taxels)."""
+    presses = who.press(part, places[np.tile(targets, MAX_ATTEMPTS_PER_TARGET)], rng)
     responses = taxel_responses(who.world, places, gains, presses, rng)
     count = (responses > scene.contacts.response_min).sum(axis=1)
-    good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(ATTEMPTS_MAX, -1)
+    good = ((count > 0) & (count <= scene.contacts.taxels_max)).reshape(MAX_ATTEMPTS_PER_TARGET, -1)
     rows = (good.argmax(axis=0) * len(targets) + np.arange(len(targets)))[good.any(axis=0)]
     return presses.select(rows), responses[rows]
 
@@ -618,8 +619,8 @@ def simulate_session(
         own = np.flatnonzero(responses[i] > scene.contacts.response_min)
         session.contacts.append(
             Contact(
-                poke=i + 1, start_s=CYCLE_S * i, end_s=CYCLE_S * i + scene.contacts.still_s, force=force, moment=moment,
-                channels=channels[own], responses=responses[i, own], link_from_sensor=reported[name], pose=name,
+                poke=i + 1, start_s=POKE_CYCLE_S * i, end_s=POKE_CYCLE_S * i + scene.contacts.still_s, force=force,
+                moment=moment, channels=channels[own], responses=responses[i, own], link_from_sensor=reported[name], pose=name,
                 tare_change=0.0, final=True,
             )
         )  # fmt: skip

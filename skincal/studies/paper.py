@@ -22,7 +22,7 @@ from skincal.methods import estimate_taxels
 from skincal.palette import BLACK
 from skincal.palette import METHODS as METHOD_HUES
 from skincal.plotting import GREY, Axes, Figure, set_log_scales, tick_labels
-from skincal.rig.correction_fit import REPORT_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
+from skincal.rig.correction_fit import REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, LandmarkPoke, RigRequest, correct_rig
 from skincal.simulate.contacts import poke_landmarks
 from skincal.simulate.example_parts import ExamplePart
 from skincal.simulate.poking_strategies import TABLE_I, poke_rounds, poke_table
@@ -37,10 +37,10 @@ METHODS = tuple(Method)
 NAMES = tuple(method.value for method in Method)
 LANDMARKS_PER_POSE = (3, 10)
 """Landmark pokes in each of the seven arm poses: 21 and 70."""
-WRONG_LANDMARK_M = 0.010
+WRONG_LANDMARK_POKE_OFFSET_M = 0.010
 """Distance of the wrong landmark poke from its landmark."""
-FIRST_LANDMARK_NUMBER = 100_001
-GOOD_POKES = 252
+FIRST_LANDMARK_POKE_NUMBER = 100_001
+POKES_ON_GOOD_RIG = 252
 """Of a good rig: three a taxel."""
 CORRECTED_NAME = "modules_21"
 """Name of the modules method on a rig that 21 landmark pokes correct."""
@@ -55,9 +55,9 @@ PUBLISHED_ERRORS: dict[str, Any] = {
 """From the paper's text; its figures 4 and 5 give no numbers."""
 PUBLISHED_RANGE_MM = {"free": (8.0, 19.0), "surface": (5.0, 20.0)}
 """Errors of most poses, as published."""
-MAJORITY_SHARE = 0.5
+MAJORITY_SHARE_OF_POSES = 0.5
 """Share of the poses of all seeds that counts as most."""
-NO_HARM_SHARE_MIN = 0.95
+MIN_SHARE_OF_RIGS_NOT_WORSENED = 0.95
 """Share of the rigs whose error is no larger with a correction."""
 
 
@@ -113,7 +113,7 @@ def run(quick: bool, progress: Callable[[str], None], sizes: PaperSizes | None =
         "pokes": trials[0]["pokes"],
         "minutes": dict(TABLE_I),
         "mean_mm": {name: _mean(errors["mean"]) for name, errors in pooled.items()},
-        "good_rig_mm": {name: _mean(good["course"][GOOD_POKES][name]["mean"]) for name in NAMES},
+        "good_rig_mm": {name: _mean(good["course"][POKES_ON_GOOD_RIG][name]["mean"]) for name in NAMES},
         "per_pose_mm": {name: {pose: _mean_errors(errors) for pose, errors in of.items()} for name, of in rig["alone"].items()},
         "averaged_mm": {name: [_mean_errors(errors) for errors in steps] for name, steps in rig["averaged"].items()},
         "landmarks": [_landmarks(some) for some in rig["landmarks"]],
@@ -177,7 +177,7 @@ def _make_rig(seed: int, stream: int, errors: RigErrors) -> tuple[Rig, np.random
 def _poke_landmarks(
     rig: Rig, rng: np.random.Generator, each: int = LANDMARKS_PER_POSE[0], off: FloatArray | None = None
 ) -> list[LandmarkPoke]:
-    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK_NUMBER, off)
+    return poke_landmarks(rig, bench().scene.landmarks, each, rng, FIRST_LANDMARK_POKE_NUMBER, off)
 
 
 def _poke_all_poses(rig: Rig, each: int, rng: np.random.Generator) -> list[Contact]:
@@ -202,7 +202,7 @@ def corrected(
         right = [answer.correction.corrected(contact) for contact in contacts]
     return {
         "landmarks": len(known), "used": answer.used, "held_before": 1e3 * answer.before, "held_after": 1e3 * answer.after,
-        "doubted": tuple(poke for poke, trust in answer.trust.items() if trust < REPORT_TRUST_BELOW),
+        "doubted": tuple(poke for poke, trust in answer.trust.items() if trust < REPORT_LANDMARK_POKES_WITH_TRUST_BELOW),
         "errors": _errors(right, rig, methods), "seconds": seconds,
     }  # fmt: skip
 
@@ -276,15 +276,15 @@ def run_safety(seed: int, pokes: int = 84) -> dict[str, float]:
     contacts = _poke_all_poses(rig, pokes, rng)
     wrong = np.zeros(len(TABLE_I) * LANDMARKS_PER_POSE[0])
     bad = int(rng.integers(len(wrong)))
-    wrong[bad] = WRONG_LANDMARK_M
+    wrong[bad] = WRONG_LANDMARK_POKE_OFFSET_M
     before = _modules_error_mm(contacts, rig)
     clean, mixed = (corrected(rig, contacts, _poke_landmarks(rig, rng, off=off), [Method.MODULES]) for off in (None, wrong))
     after, after_wrong = (answer["errors"]["modules"]["mean"] for answer in (clean, mixed))
-    others = len(clean["doubted"]) + len(set(mixed["doubted"]) - {FIRST_LANDMARK_NUMBER + bad})
+    others = len(clean["doubted"]) + len(set(mixed["doubted"]) - {FIRST_LANDMARK_POKE_NUMBER + bad})
     return {
         "before_mm": before, "after_mm": after, "after_wrong_mm": after_wrong,
         "no_worse_share": float(after <= before), "no_worse_wrong_share": float(after_wrong <= before),
-        "wrong_told_share": float(FIRST_LANDMARK_NUMBER + bad in mixed["doubted"]), "right_told_mean": others / 2,
+        "wrong_told_share": float(FIRST_LANDMARK_POKE_NUMBER + bad in mixed["doubted"]), "right_told_mean": others / 2,
     }  # fmt: skip
 
 
@@ -296,9 +296,9 @@ def run_good(seed: int, counts: Sequence[int]) -> Measured:
     `course`, the errors after so many pokes; the modules' mean errors, mm, over all arm poses `before` and `after` a correction
     """
     rig, rng = _make_rig(seed, 13, RigErrors.noise())
-    contacts = poke_rounds(rig, "2", max(*counts, GOOD_POKES), rng, 1)
+    contacts = poke_rounds(rig, "2", max(*counts, POKES_ON_GOOD_RIG), rng, 1)
     course = {count: _errors(contacts[:count], rig) for count in counts}
-    every = _poke_all_poses(rig, GOOD_POKES // len(TABLE_I), rng)
+    every = _poke_all_poses(rig, POKES_ON_GOOD_RIG // len(TABLE_I), rng)
     before = _modules_error_mm(every, rig)
     after = corrected(rig, every, _poke_landmarks(rig, rng), [Method.MODULES])["errors"]["modules"]["mean"]
     return {"course": course, "before": before, "after": after}
@@ -360,14 +360,14 @@ def _bars(result: Measured, alone: Measured) -> Measured:
         for name, (low, high) in PUBLISHED_RANGE_MM.items()
     }
     return check_limits({
-        "free_within_published_share": (within["free"], ">=", MAJORITY_SHARE),
-        "surface_within_published_share": (within["surface"], ">=", MAJORITY_SHARE),
+        "free_within_published_share": (within["free"], ">=", MAJORITY_SHARE_OF_POSES),
+        "surface_within_published_share": (within["surface"], ">=", MAJORITY_SHARE_OF_POSES),
         "modules_over_surface": (mean["modules"] / mean["surface"], "<=", 1.0),
         "good_modules_over_surface": (good["modules"] / good["surface"], "<=", 0.5),
         "modules_21_mm": (mean["modules_21"], "<=", 3.3),
         "modules_70_mm": (mean["modules_70"], "<=", 1.6),
-        "no_worse_share": (safety["no_worse_share"], ">=", NO_HARM_SHARE_MIN),
-        "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", NO_HARM_SHARE_MIN),
+        "no_worse_share": (safety["no_worse_share"], ">=", MIN_SHARE_OF_RIGS_NOT_WORSENED),
+        "no_worse_wrong_share": (safety["no_worse_wrong_share"], ">=", MIN_SHARE_OF_RIGS_NOT_WORSENED),
         "no_error_ratio": (result["no_error"]["ratio"], "<=", 1.1),
     })  # fmt: skip
 

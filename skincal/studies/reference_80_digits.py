@@ -28,18 +28,18 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from skincal.geometry import FloatArray, IntArray
-from skincal.mesh.search import GRAZING
+from skincal.mesh.search import PUSHED_FACE_MIN_COSINE
 from skincal.model.scene import NoiseSettings
-from skincal.modules.pose_fit import CENTRE_OFFSET_FACTOR, TWO_MODULES_SD_M
+from skincal.modules.pose_fit import CONTACT_TO_PAD_CENTRE_SD_FACTOR, EXTRA_SD_IF_TWO_MODULES_ANSWER_M
 from skincal.studies.stability_cases import Case, ModuleCase, RawMesh, Readings, perturbed
-from skincal.taxels.result import MISS_MAX, SD_MAX
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M
 
 PRECISION_DIGITS = 80
 _mpmath: Any = import_module("mpmath")
 MP: Any = _mpmath.mp.clone()
 """Arithmetic with its own precision."""
 MP.dps = PRECISION_DIGITS
-FAILED_ERROR_M = 1e300
+ERROR_OF_FAILED_SOLVER_M = 1e300
 """Error of a solver that gave no number: JSON has no infinity."""
 Exact: TypeAlias = Any
 """An array of numbers of `MP`; numpy has no type for it."""
@@ -79,8 +79,8 @@ def distance(p: Exact, q: Any = 0) -> float:
 
 
 def error_of(found: FloatArray, answer: Exact) -> float:
-    """Return |found - answer|, or `FAILED_ERROR_M` if a solver gave no finite numbers."""
-    return distance(to_mp(found), answer) if np.isfinite(found).all() else FAILED_ERROR_M
+    """Return |found - answer|, or `ERROR_OF_FAILED_SOLVER_M` if a solver gave no finite numbers."""
+    return distance(to_mp(found), answer) if np.isfinite(found).all() else ERROR_OF_FAILED_SOLVER_M
 
 
 def solve_positive(matrix: Exact, right: Exact) -> tuple[Exact, Any]:
@@ -128,7 +128,7 @@ class Truth:
     observable: tuple[bool, ...]
     """Whether the position is defined by the contacts. Undefined positions are not compared."""
     must_be_blind: tuple[bool, ...]
-    """Pads known worse than `SD_MAX`, or missed by the axes by more than `MISS_MAX`."""
+    """Pads known worse than `POSITION_MAX_SD_M`, or missed by the axes by more than `FORCE_AXIS_MAX_MISS_M`."""
 
 
 class NormalEquations(NamedTuple):
@@ -243,8 +243,8 @@ def _candidates(readings: Readings, mesh: RawMesh) -> IntArray:
     """Select the triangles (t, 3) that face the push and can be the best one in a perturbation."""
     push, corners = mean_push(readings), to_mp(mesh.corners)
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # As the program defines it: push . normal < -`GRAZING`, both unit. A triangle without area is not pushed.
-    facing = np.flatnonzero(normals @ push < -GRAZING * np.sqrt(dot(normals, normals) * dot(push, push)))
+    # As the program defines it: push . normal < -`PUSHED_FACE_MIN_COSINE`, both unit. A triangle without area is not pushed.
+    facing = np.flatnonzero(normals @ push < -PUSHED_FACE_MIN_COSINE * np.sqrt(dot(normals, normals) * dot(push, push)))
     roots = np.sqrt(np.maximum(nearest(normal_equations(readings), corners[facing])[0], MP.zero))
     levers = np.linalg.norm(readings.moments, axis=1) / np.linalg.norm(readings.forces, axis=1)
     reach = float(np.abs(mesh.vertices).max() + np.abs(readings.poses[:, :3, 3]).max() + levers.max())
@@ -312,7 +312,7 @@ class ExactMesh:
         return None if there is None else (there, self.mesh.triangles[there].tolist().index(corners[(side + 1) % 3]))
 
 
-CROSSINGS_MAX = 1000
+MAX_EDGE_CROSSINGS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -356,7 +356,7 @@ class OnMesh:
         if not left:
             return at, point, x
         ahead = (x * way[0] + cross(self.mesh.triangle(at)[1], x) * way[1]) / left
-        for _ in range(CROSSINGS_MAX):
+        for _ in range(MAX_EDGE_CROSSINGS):
             corners, _, out = self.mesh.triangle(at)
             rates, room = out @ ahead, dot(out, corners - point)
             far, side = min((room[i] / rates[i], i) for i in range(3) if i != came and rates[i] > 0)
@@ -406,8 +406,8 @@ STEP_JACOBIAN_OK_M = MP.mpf("1e-6")
 """From there on the matrix is exact enough: each step gains six digits."""
 STEP_MAX = MP.mpf("0.02")
 """m or rad."""
-NEWTON_STEPS_MAX = 60
-SD_OBSERVABLE_M = 1e5
+MAX_NEWTON_STEPS = 60
+DETERMINED_PAD_MAX_SD_M = 1e5
 """A pad known worse than this is not determined at all."""
 
 
@@ -446,8 +446,8 @@ def pokes_of(readings: Readings, noise: NoiseSettings) -> ExactPokes:
     # The pads that answered first, in their order.
     answered = np.argsort(~answering, axis=1, kind="stable")[:, : answering.sum(axis=1).max()]
     answers = to_mp(np.take_along_axis(readings.responses, answered, axis=1))
-    missed = (to_mp(CENTRE_OFFSET_FACTOR) * to_mp(noise.contact)) / to_mp(answering.sum(axis=1))
-    other = _np.where(readings.other_response > 0, to_mp(TWO_MODULES_SD_M), MP.zero)
+    missed = (to_mp(CONTACT_TO_PAD_CENTRE_SD_FACTOR) * to_mp(noise.contact)) / to_mp(answering.sum(axis=1))
+    other = _np.where(readings.other_response > 0, to_mp(EXTRA_SD_IF_TWO_MODULES_ANSWER_M), MP.zero)
     return ExactPokes(
         answered, answers / answers.sum(axis=1, keepdims=True), u, cross(u, m) / size[:, None], two_across(u),
         to_mp(readings.poses[readings.pose_of, :3, 3]), (to_mp(noise.moment) / size) ** 2,
@@ -490,7 +490,7 @@ def find_pose(pokes: ExactPokes, pose: ExactPose) -> tuple[ExactPose, Exact]:
     """Find the pose with g = 0 by Newton's method from `pose`. Return it, and the inverse of -dg/dp there."""
     pads, last = pose.pads(), MP.one
     back, slope = pseudo_inverse(normal_matrix(pokes, pads)), gradient(pokes, pads)
-    for _ in range(NEWTON_STEPS_MAX):
+    for _ in range(MAX_NEWTON_STEPS):
         step = back @ slope
         size = abs(step).max()
         pose = pose.displaced(step * min(MP.one, STEP_MAX / size) if size else step)
@@ -520,10 +520,11 @@ def _module_truth(case: ModuleCase, draws: int, rng: np.random.Generator) -> Tru
     sds = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1]).tolist()
     away = pokes.a - pokes.contact_centres(pads)[0]
     off = away - dot(away, pokes.u)[:, None] * pokes.u
-    missed = bool(MP.sqrt(dot(off, off).mean()) > MISS_MAX)
+    missed = bool(MP.sqrt(dot(off, off).mean()) > FORCE_AXIS_MAX_MISS_M)
     return Truth(
         pads.points, tuple(np.max(changes, axis=0).tolist()),
-        tuple(sd < SD_OBSERVABLE_M and not case.out_of_reach for sd in sds), tuple(missed or sd > SD_MAX for sd in sds),
+        tuple(sd < DETERMINED_PAD_MAX_SD_M and not case.out_of_reach for sd in sds),
+        tuple(missed or sd > POSITION_MAX_SD_M for sd in sds),
     )  # fmt: skip
 
 

@@ -42,19 +42,19 @@ WARMUP_TAXELS = 50
 """Contacts and taxels that are solved before the clock runs."""
 LM_TOLERANCES = {"xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-12}
 """Unknowns are metres: the last step is at most a hundredth of a micrometre of a pose some centimetres away."""
-TAXELS_PER_POKE = 7
+TAXELS_ANSWERING_A_POKE = 7
 """Largest reach of a tip of 4 mm between pads 5 mm apart."""
-REFERENCE_MATRICES = 20_000
+REFERENCE_EIGENVECTOR_MATRICES = 20_000
 """numpy finds the eigenvectors of these 3 x 3 matrices in about 17 ms, which measures the machine's current pace."""
-ONE_SEED_FROM_POKES = 30
+ONE_SEED_FROM_POKES_PER_TAXEL = 30
 """Pokes a taxel from which on one seed suffices: the simulation takes longer than the measurement."""
 AS_SHIPPED = (
     "As shipped: with uncertainty, trust and other places that fit, which the other methods do not give. Trust finds pokes "
     "that touched two places, and adds 1 to 2 % to the error where there are none."
 )
-RESOLVE_WHOLE_MAX_MS = 125.0
+SOLVE_ALL_TAXELS_MAX_MS = 125.0
 """ms of both threads: 105 to 111 were measured. The limit for one thread was 70 ms, its time 59 to 64."""
-NUMPY_MS = 16.7
+NUMPY_TIME_MS = 16.7
 """Time of numpy's part of the comparison on the machine where these limits were set."""
 Say: TypeAlias = Callable[[str], None]
 Positions: TypeAlias = Mapping[int, FloatArray]
@@ -234,7 +234,7 @@ def _growth_rows(main: ProblemSize, part: PartPlan, sizes: RuntimeSizes) -> Iter
         answered = [contact for contact in main.runs[0] if not set(channels).isdisjoint(contact.channels.tolist())]
         yield _shipped_rows(replace(short, channels=channels, runs=[answered]))
     for per_taxel in part.pokes:
-        seeds = part.seeds if per_taxel < ONE_SEED_FROM_POKES else 1
+        seeds = part.seeds if per_taxel < ONE_SEED_FROM_POKES_PER_TAXEL else 1
         runs = [main.bench.contacts(per_taxel, seed) for seed in range(1, seeds + 1)]
         size = replace(short, runs=runs, per_taxel=per_taxel)
         shipped = [Method.SURFACE, Method.MODULES] if sizes.everywhere else list(Method)
@@ -452,16 +452,16 @@ def poke_time(bench: ExamplePart, per_taxel: int, pokes: int) -> dict[str, Any]:
         fresh = [replace(with_neighbours(bench, contact), poke=session.last_poke + 1 + i) for i, contact in enumerate(others)]
         seconds = time_session_pokes(session, fresh)[pokes:]
         times[key] = {**quartiles_ms(seconds), "p95": 1e3 * float(np.percentile(seconds, 95))}
-    return {"pokes_per_taxel": per_taxel, "taxels_touched": TAXELS_PER_POKE, **times}
+    return {"pokes_per_taxel": per_taxel, "taxels_touched": TAXELS_ANSWERING_A_POKE, **times}
 
 
 def with_neighbours(bench: ExamplePart, contact: Contact) -> Contact:
     """Let the seven taxels nearest to the contact's strongest one answer."""
     places = bench.rig.places
     strongest = bench.rig.row_of(contact.strongest_channel)
-    rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TAXELS_PER_POKE]
+    rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TAXELS_ANSWERING_A_POKE]
     order = np.argsort(bench.rig.channels[rows])
-    responses = np.linspace(1.0, 0.2, TAXELS_PER_POKE) * float(contact.responses.max())
+    responses = np.linspace(1.0, 0.2, TAXELS_ANSWERING_A_POKE) * float(contact.responses.max())
     return replace(contact, channels=bench.rig.channels[rows][order], responses=responses[order])
 
 
@@ -471,11 +471,11 @@ def whole_time(bench: ExamplePart, per_taxel: int, repeats: int) -> dict[str, An
     Returns
     -------
     JSON: `time_ms` by the two methods of the paper from a session's table; `modules_ms` from contacts; `numpy_ms` of
-    eigenvectors of `REFERENCE_MATRICES`
+    eigenvectors of `REFERENCE_EIGENVECTOR_MATRICES`
     """
     contacts, noise, surface = bench.contacts(per_taxel, seed=1), bench.scene.noise, bench.surface
     table, model = ContactTable(contacts), bench.modules_on(surface)
-    roots = np.random.default_rng(1).normal(size=(REFERENCE_MATRICES, 3, 3))
+    roots = np.random.default_rng(1).normal(size=(REFERENCE_EIGENVECTOR_MATRICES, 3, 3))
     works: dict[str, Callable[[], object]] = {
         "time_ms": partial(estimate_from, table, bench.channels, PER_TAXEL, noise, surface),
         "modules_ms": partial(estimate_taxels, contacts, bench.channels, [Method.MODULES], noise, surface, model=model),
@@ -535,8 +535,8 @@ def runtime_limits(
         "contacts_over_session": (ratios["contacts_over_session"], "<=", 6.0),
         "modules_over_surface": (ratios["modules_over_surface"], "<=", 5.0),
         # The whole large part, the work of both threads. A machine's pace varies: each also over numpy's time in that minute.
-        "resolve_whole_ms": (whole["time_ms"]["median"], "<=", RESOLVE_WHOLE_MAX_MS),
-        "resolve_whole_over_numpy": (ratios["resolve_whole_over_numpy"], "<=", RESOLVE_WHOLE_MAX_MS / NUMPY_MS),
+        "resolve_whole_ms": (whole["time_ms"]["median"], "<=", SOLVE_ALL_TAXELS_MAX_MS),
+        "resolve_whole_over_numpy": (ratios["resolve_whole_over_numpy"], "<=", SOLVE_ALL_TAXELS_MAX_MS / NUMPY_TIME_MS),
         "modules_whole_s": (whole["modules_ms"]["median"] / 1e3, "<=", 1.0),
         "modules_whole_over_numpy": (ratios["modules_whole_over_numpy"], "<=", 50.0),
     })  # fmt: skip

@@ -30,7 +30,7 @@ from skincal.plotting import Axes, Figure, add_common_legend
 from skincal.studies import reference_80_digits as reference
 from skincal.studies.baselines import ModuleProblem
 from skincal.studies.benchmarking import processes
-from skincal.studies.reference_80_digits import FAILED_ERROR_M, Truth, distance, error_of, find_truth
+from skincal.studies.reference_80_digits import ERROR_OF_FAILED_SOLVER_M, Truth, distance, error_of, find_truth
 from skincal.studies.stability_cases import (
     FULL_SIZES,
     PADS_PER_MODULE,
@@ -50,11 +50,11 @@ from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from skincal.taxels.solve import solve
 
-TOLERANCE_FACTOR = 10.0
+TOLERANCE_OVER_INPUT_ROUNDING = 10.0
 RELATIVE_TOLERANCE = 1e-15
 """Share of the answer's norm: nine roundings of it."""
 SOLVER_NAMES = ("free", "surface", "modules", "added")
-RANDOM_SEED = 20261121
+STUDY_RANDOM_SEED = 20261121
 Record: TypeAlias = dict[str, Any]
 
 
@@ -75,7 +75,8 @@ def run(
     records: list[Record] = []
     alternatives: list[Record] = []
     progress(
-        f"tolerance: {TOLERANCE_FACTOR:g} times the effect of the inputs' last digit, plus {RELATIVE_TOLERANCE:g} of the answer"
+        f"tolerance: {TOLERANCE_OVER_INPUT_ROUNDING:g} times the effect of the inputs' last digit, plus "
+        f"{RELATIVE_TOLERANCE:g} of the answer"
     )
     with processes() as pool:
         for own, others in pool.map(partial(measure, draws=sizes.draws), count(), every):
@@ -84,14 +85,14 @@ def run(
             progress(f"{records[-1]['name']}: {records[-1]['error_over_bound']:.2g} of the tolerance")
     return {
         "study": "stability", "quick": quick, "digits": reference.PRECISION_DIGITS, "draws": sizes.draws,
-        "factor": TOLERANCE_FACTOR, "of_size": RELATIVE_TOLERANCE, "held": sum(case["holds"] for case in records),
+        "factor": TOLERANCE_OVER_INPUT_ROUNDING, "of_size": RELATIVE_TOLERANCE, "held": sum(case["holds"] for case in records),
         "cases": records, "alternatives": alternatives,
     }  # fmt: skip
 
 
 def measure(number: int, case: Case | AddedCase, draws: int) -> tuple[list[Record], list[Record]]:
     """Measure the shipped solver of a case, and its alternatives."""
-    rng = np.random.default_rng([RANDOM_SEED, number])
+    rng = np.random.default_rng([STUDY_RANDOM_SEED, number])
     if isinstance(case, AddedCase):
         found: tuple[list[Record], list[Record]] = evaluate_added(case, draws, rng), []
     else:
@@ -104,7 +105,7 @@ def measure(number: int, case: Case | AddedCase, draws: int) -> tuple[list[Recor
 
 def tolerance(change: float, size: float) -> float:
     """Return the largest accepted error of an answer of norm `size` that perturbations of the inputs move by `change`."""
-    return TOLERANCE_FACTOR * change + RELATIVE_TOLERANCE * size
+    return TOLERANCE_OVER_INPUT_ROUNDING * change + RELATIVE_TOLERANCE * size
 
 
 def _record(name: str, solver: str, error: float, bound: float, size: float, same: bool, readings: int, **more: Any) -> Record:
@@ -115,7 +116,7 @@ def _record(name: str, solver: str, error: float, bound: float, size: float, sam
 
 
 def _over_bound(error: float, bound: float) -> float:
-    return FAILED_ERROR_M if error >= FAILED_ERROR_M else error / bound
+    return ERROR_OF_FAILED_SOLVER_M if error >= ERROR_OF_FAILED_SOLVER_M else error / bound
 
 
 def evaluate_added(case: AddedCase, draws: int, rng: np.random.Generator) -> list[Record]:
@@ -128,7 +129,7 @@ def evaluate_added(case: AddedCase, draws: int, rng: np.random.Generator) -> lis
         size = distance(exact)
         bound = tolerance(max(distance(exact, other[name].ravel()) for other in drawn), size)
         fits = name in shipped and shipped[name].shape == numbers.shape
-        error = error_of(shipped[name].ravel(), exact) if fits else FAILED_ERROR_M
+        error = error_of(shipped[name].ravel(), exact) if fits else ERROR_OF_FAILED_SOLVER_M
         records.append(_record(f"{case.name}: {name}", "added", error, bound, size, True, case.pokes, draws_by="digits"))
     return records
 
@@ -170,7 +171,7 @@ def evaluate(case: Case, truth: Truth, solver: Solver | None = None) -> list[Rec
         right = all(np.array_equal(blind, truth.must_be_blind) for _, blind in found)
         error, bound, size = worst_point(truth, points)
         more = {"draws_by": "step", "blind_right": right, "compared": sum(truth.observable)}
-        error = error if right else FAILED_ERROR_M
+        error = error if right else ERROR_OF_FAILED_SOLVER_M
         return [_record(case.name, case.solver, error, bound, size, same, readings, **more)]
     return [
         _record(case.name + name, case.solver, error, bound, size, same, readings, draws_by="digits")
@@ -378,9 +379,9 @@ def summary(result: dict[str, Any]) -> list[str]:
     """List how many cases stay within the tolerance, the worst case of each solver, each failure, and the other solvers."""
     cases = result["cases"]
     lines = [
-        f"{result['held']} of {len(cases)} cases hold: the error is at most {TOLERANCE_FACTOR:g} times the effect of the "
-        f"inputs' last digit ({result['draws']} draws, {result['digits']} digits) plus {RELATIVE_TOLERANCE:g} of the answer, "
-        "and methods give the same bits in every order."
+        f"{result['held']} of {len(cases)} cases hold: the error is at most {TOLERANCE_OVER_INPUT_ROUNDING:g} times "
+        f"the effect of the inputs' last digit ({result['draws']} draws, {result['digits']} digits) plus "
+        f"{RELATIVE_TOLERANCE:g} of the answer, and methods give the same bits in every order."
     ]
     for solver in SOLVER_NAMES:
         own = [record for record in cases if record["solver"] == solver]
@@ -403,7 +404,7 @@ def summary(result: dict[str, Any]) -> list[str]:
             ]
             if own:
                 worst, misses = _worst(own), sum(record["error_over_bound"] > 1 for record in own)
-                failed = worst["error"] >= FAILED_ERROR_M
+                failed = worst["error"] >= ERROR_OF_FAILED_SOLVER_M
                 far = "no number" if failed else f"{worst['error_over_bound']:.1g} times the tolerance"
                 lines.append(f"{whose}{method}: misses {misses} of {len(own)}, at worst {far} ({worst['name']})")
     return lines
@@ -420,9 +421,9 @@ ALTERNATIVE_LOOKS = {
     "lstsq, three rows a contact": ("s", SKY), "least_squares, differenced": ("v", BLACK),
 }  # fmt: skip
 """Mark and colour of each alternative."""
-SHARE_MAX = 1e15
+MAX_PLOTTED_TOLERANCE_SHARE = 1e15
 """Largest share that the figure tells apart: beyond it no digit is right."""
-SHARE_MIN = 1e-4
+MIN_PLOTTED_TOLERANCE_SHARE = 1e-4
 """Smaller shares of the tolerance are drawn at this one."""
 
 
@@ -443,13 +444,15 @@ def draw(result: dict[str, Any], figure: Figure) -> None:
 
 def _draw_solver(panel: Axes, solver: str, cases: Sequence[Record], others: Sequence[Record]) -> None:
     row = {family: -at for at, family in enumerate(dict.fromkeys(case["family"] for case in cases))}
-    shares = [each["error_over_bound"] for each in (*cases, *others) if each["error"] < FAILED_ERROR_M]
-    right = min(max(10.0, *shares) * 3.0, SHARE_MAX)
+    shares = [each["error_over_bound"] for each in (*cases, *others) if each["error"] < ERROR_OF_FAILED_SOLVER_M]
+    right = min(max(10.0, *shares) * 3.0, MAX_PLOTTED_TOLERANCE_SHARE)
 
     def scatter(records: Sequence[Record], **look: Any) -> None:
         worst: dict[str, float] = {}
         for record in records:
-            worst[record["family"]] = max(worst.get(record["family"], SHARE_MIN), min(record["error_over_bound"], right))
+            worst[record["family"]] = max(
+                worst.get(record["family"], MIN_PLOTTED_TOLERANCE_SHARE), min(record["error_over_bound"], right)
+            )
         panel.scatter(list(worst.values()), [row[family] for family in worst], **look)
 
     for method, (mark, colour) in ALTERNATIVE_LOOKS.items():
@@ -461,6 +464,7 @@ def _draw_solver(panel: Axes, solver: str, cases: Sequence[Record], others: Sequ
     panel.set_yticks(list(row.values()), list(row))
     panel.grid(visible=True)
     panel.set(
-        xscale="log", xlim=(SHARE_MIN / 2, right * 2), ylim=(0.6 - len(row), 0.6), title=f"{solver}: {len(cases)} cases",
-        xlabel=f"error over tolerance (least {SHARE_MIN:g}; no number at the right end)",
+        xscale="log", xlim=(MIN_PLOTTED_TOLERANCE_SHARE / 2, right * 2), ylim=(0.6 - len(row), 0.6),
+        title=f"{solver}: {len(cases)} cases",
+        xlabel=f"error over tolerance (least {MIN_PLOTTED_TOLERANCE_SHARE:g}; no number at the right end)",
     )  # fmt: skip

@@ -33,20 +33,20 @@ from skincal.model.scene import KnownDistance, NoiseSettings, load_scene, resour
 from skincal.modules.distances import GAUSS_NEWTON_STEPS as DISTANCE_STEPS
 from skincal.modules.distances import apply_distances
 from skincal.modules.estimate import FittedModule, estimate_modules
-from skincal.modules.off_surface import MAX_HEIGHT_SD_M, MAX_THICKNESS_SDS, MIN_HEIGHT_SDS
-from skincal.modules.pose import LEVER_M, ModulePoses, ModulesOnSurface
+from skincal.modules.off_surface import HEIGHT_MAX_SD_M, SIGNIFICANT_HEIGHT_MIN_SDS, SUBTRACTED_SKIN_THICKNESS_SDS
+from skincal.modules.pose import MODULE_TURN_LEVER_M, ModulePoses, ModulesOnSurface
 from skincal.modules.pose_fit import trust_from_squares
-from skincal.rig.correction import HAND_LOAD_N, Correction, CorrectionErrors, RigPrior, products
+from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, Correction, CorrectionErrors, RigPrior, products
 from skincal.rig.correction_fit import (
     GAUSS_NEWTON_STEPS,
-    HELD_OUT_PARTS,
+    LANDMARK_HELD_OUT_FOLDS,
     LANDMARK_OFFSETS_M,
-    MIN_TRUSTED_SHARE,
-    MODEL_LOG_ODDS,
+    MIN_MEAN_LANDMARK_POKE_TRUST,
     NOISE_FACTORS,
-    NONLINEAR_STEPS,
-    QUADRATIC_SHARE,
-    TRUST_ROUNDS,
+    NONLINEAR_FIT_STEPS,
+    NONLINEAR_SENSOR_QUADRATIC_SHARE,
+    SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO,
+    TRUST_UPDATES_PER_FIT_STEP,
     LandmarkPoke,
     RigAnswer,
     RigRequest,
@@ -204,7 +204,7 @@ class _Fit:
     """The program's steps from landmark pokes in 80 digits, from the fit `begin` or from zero."""
 
     def __init__(self, pokes: CorrectionInputs, quadratic: float, begin: _Fit | None, steps: int) -> None:
-        units, prior = HAND_LOAD_N * np.repeat([1.0, pokes.prior.arm], 3), pokes.prior
+        units, prior = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, pokes.prior.arm], 3), pokes.prior
         columns = [to_mp(prior.matrix) / to_mp(units)]
         if quadratic:
             columns.append(to_mp(quadratic) / to_mp(products(units[None])[0]))
@@ -281,7 +281,7 @@ class _Fit:
         alike = places @ places.T * (of[:, None] == of).astype(int)
         self._last = _Equations(self._together(self._parts, self._parts), wanted, noise, alike)
         rounded = self._last.rounded()
-        for _ in range(TRUST_ROUNDS):
+        for _ in range(TRUST_UPDATES_PER_FIT_STEP):
             self.trust = self._trusted(rounded)
         self._chosen = self._likeliest(rounded, self.trust)
         # P J' S^-1 (J x0 - r).
@@ -306,7 +306,7 @@ class _Fit:
         left, leverage = rounded.predict_misses(rounded.solve(self.trust, self._chosen))
         counts = np.where(self.trust > 0.5, -self.trust, 1.0)[:, None, None]
         found = trust_from_squares(np.maximum(_squares(left, rounded.own(self._chosen) + counts * leverage), 0.0))
-        return found if found.sum() >= MIN_TRUSTED_SHARE * len(found) else np.ones(len(found))
+        return found if found.sum() >= MIN_MEAN_LANDMARK_POKE_TRUST * len(found) else np.ones(len(found))
 
     def log_likelihood(self, trust: FloatArray) -> Any:
         """Return the log density of the whitened rows, but for a constant; it leaves out their noise."""
@@ -318,8 +318,8 @@ class _Fit:
         """Return the ratio of measured to predicted misses of held-out landmark pokes."""
         named = [str(at) for at in self.pokes.at[self._own].tolist()]
         names, total = sorted(set(named)), MP.zero
-        quarter = np.array([names.index(name) % HELD_OUT_PARTS for name in named])
-        for out in range(HELD_OUT_PARTS):
+        quarter = np.array([names.index(name) % LANDMARK_HELD_OUT_FOLDS for name in named])
+        for out in range(LANDMARK_HELD_OUT_FOLDS):
             own = quarter == out
             left, known = self._last.predict_misses(self._last.solve(np.where(own, 0.0, self.trust), self._chosen))
             total = total + dot(_squares(left[own], (self._last.own(self._chosen) + known)[own]), self.trust[own])
@@ -374,12 +374,12 @@ def _squares(misses: Exact, covariances: Exact) -> Exact:
 def exact_correction(pokes: CorrectionInputs) -> Outputs:
     """Compute the unknowns of a rig's correction, and the covariance that it leaves to the axes of the pokes on the skin."""
     linear = _Fit(pokes, pokes.prior.quadratic, None, GAUSS_NEWTON_STEPS)
-    bent = _Fit(pokes, QUADRATIC_SHARE, linear, NONLINEAR_STEPS)
+    bent = _Fit(pokes, NONLINEAR_SENSOR_QUADRATIC_SHARE, linear, NONLINEAR_FIT_STEPS)
     counts = np.minimum(linear.trust, bent.trust)
     gap = bent.log_likelihood(counts) - linear.log_likelihood(counts)
     likelier = bent if gap > 0 else linear
     more, skin = max(MP.one, likelier.ratio()) ** 2, likelier.on_skin()
-    if abs(gap) > MODEL_LOG_ODDS:
+    if abs(gap) > SENSOR_MODEL_MIN_LOG_LIKELIHOOD_RATIO:
         return {"unknowns": likelier.unknowns(), "uncertainty": more * likelier.spread(skin)}
     chance = 1 / (1 + MP.exp(-gap))
     off = linear.axes(skin) - bent.axes(skin)
@@ -424,7 +424,7 @@ def correct_by_landmarks(pokes: CorrectionInputs) -> RigAnswer:
 
 # ---- covariances, heights and distances of modules ----
 
-POKE_NUMBER_STEP = 100
+POKE_NUMBER_STEP_BETWEEN_CASES = 100
 """Pokes with numbers so far apart share no slow noise."""
 
 
@@ -451,7 +451,7 @@ def shared_errors(shared: CovarianceInputs, contacts: Sequence[Contact]) -> Corr
 
 def renumber(contacts: Sequence[Contact]) -> list[Contact]:
     """Renumber contacts so that they share no slow noise."""
-    return [replace(contact, poke=1 + POKE_NUMBER_STEP * at) for at, contact in enumerate(contacts)]
+    return [replace(contact, poke=1 + POKE_NUMBER_STEP_BETWEEN_CASES * at) for at, contact in enumerate(contacts)]
 
 
 def exact_covariances(shared: CovarianceInputs) -> Outputs:
@@ -479,10 +479,14 @@ def exact_covariances(shared: CovarianceInputs) -> Outputs:
         alone = ((out - (slopes @ along)[:, :, 0])[:, None] @ weight)[:, 0]
         told = dot(alone, out).sum()
         z = dot(alone, misses).sum() / told
-        z = min(z, max(z - MAX_THICKNESS_SDS * skin, MP.zero))
+        z = min(z, max(z - SUBTRACTED_SKIN_THICKNESS_SDS * skin, MP.zero))
         lifts = [(alone[:, None] @ each).sum(axis=0)[0] / told for each in (alike, *of_pose)]
         variance = factor / told + sum(dot(each, each) for each in lifts)
-        height = z**2 - variance if factor / told < MAX_HEIGHT_SD_M**2 and z**2 > MIN_HEIGHT_SDS**2 * variance else MP.zero
+        height = (
+            z**2 - variance
+            if factor / told < HEIGHT_MAX_SD_M**2 and z**2 > SIGNIFICANT_HEIGHT_MIN_SDS**2 * variance
+            else MP.zero
+        )
     changes = pads.changes
     outward = height * pads.normals[:, :, None] * pads.normals[:, None]
     by_shared = changes @ (moves @ moves.T) @ changes.swapaxes(1, 2)
@@ -622,12 +626,12 @@ def _end_of(joined: DistanceInputs, told: KnownDistance, side: int) -> tuple[int
 
 
 def _place_points(joined: DistanceInputs, at: int, x: Exact, flat: FloatArray) -> ExactPads:
-    """Lay points of a module's plane after the move x, whose turns are lengths at `LEVER_M`."""
+    """Lay points of a module's plane after the move x, whose turns are lengths at `MODULE_TURN_LEVER_M`."""
     pose, step = joined.fitted[at].pose, x[6 * at : 6 * at + 6]
-    by = step[3:] / to_mp(LEVER_M)
+    by = step[3:] / to_mp(MODULE_TURN_LEVER_M)
     place = to_mp(pose.points[0]) + step[:3]
     pads = InPlane(place, rotate(to_mp(pose.x[0]), by), rotate(to_mp(pose.normals[0]), by), to_mp(flat)).pads()
-    turns = pads.changes[:, :, 3:] / to_mp(LEVER_M)
+    turns = pads.changes[:, :, 3:] / to_mp(MODULE_TURN_LEVER_M)
     return pads._replace(changes=np.concatenate([pads.changes[:, :, :3], turns], axis=2))
 
 
@@ -689,7 +693,7 @@ def simulate_landmark_pokes(
     force = (pushes[:, None] @ turns)[:, 0] * rng.uniform(6.0, 12.0, (len(at), 1))
     moment = np.cross(((touched - shifts)[:, None] @ turns)[:, 0], force)
     wrenches = np.concatenate([force, moment], axis=1)
-    units = HAND_LOAD_N * np.repeat([1.0, prior.arm], 3)
+    units = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, prior.arm], 3)
     own = wrenches / units
     off = own @ (wrong * rng.normal(size=(6, 6))) + products(own) @ (bent * rng.normal(size=(21, 6)))
     spread = np.repeat([noise.force, noise.moment], 3) * rng.normal(size=wrenches.shape)
@@ -698,7 +702,7 @@ def simulate_landmark_pokes(
 
 def _root(rng: np.random.Generator, columns: int, poses: int, share: float = 0.2) -> FloatArray:
     """Make the root of a correction: a share of the prior's scales, all of it correlated."""
-    quadratic = QUADRATIC_SHARE if columns > LINEAR_COLUMNS else 0.0
+    quadratic = NONLINEAR_SENSOR_QUADRATIC_SHARE if columns > LINEAR_COLUMNS else 0.0
     scales = replace(RigPrior(), quadratic=quadratic).scales(poses)
     return np.triu(scales[:, None] * share * (np.eye(len(scales)) + 0.1 * rng.normal(size=(len(scales),) * 2)))
 

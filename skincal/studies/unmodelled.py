@@ -34,19 +34,19 @@ from skincal.taxels.shared_errors import SharedRows
 
 LANDMARK_COUNTS = (0, 21, 70)
 """Landmark pokes: none, those that the guide asks for, and ten in each arm pose."""
-SEEDS_PER_CASE = 12
+RANDOM_SEEDS_PER_CASE = 12
 EXTRA_SEEDS = {"gaussian": 48, "mesh_inflated": 48}
 """More seeds for cases near their limit: with twelve seeds, chance moves the share inside by 0.8 % and the error by 1.5 %."""
 SPREAD_CASES = tuple(case for case in CASES if "_taxels_aim_" in case)
 """Skins that spread a press over 2 to 5 taxels, aimed at to 1 and to 3 mm."""
-RIGHT_MIN = 0.90
+RIGHT_PREDICTION_MIN_COVERAGE = 0.90
 """Share of the taxels inside their 95 % ellipsoids from which a session's prediction is right: it should be believed."""
 QUICK_SEEDS, QUICK_CASES = 2, ("nothing", "quadratic_2", "moderate", "gaussian")
-RANK_RATIO = 1e-6
+ZERO_VARIANCE_MAX_RATIO = 1e-6
 """Variances below this share of the largest are taken for zero: the estimate lies on a surface."""
 CHI2_95 = {1: 3.841, 2: 5.991, 3: 7.815}
 """95 % quantile of chi-square by degrees of freedom."""
-COVERAGE_MIN = 0.80
+WRONG_PREDICTION_MAX_COVERAGE = 0.80
 """Share of the taxels inside their 95 % ellipsoids below which a prediction is wrong, and belief in it a mistake."""
 MEAN_MAX_MM = {
     "nothing": (0.79, 0.68), "quadratic_2": (1.08, 0.96), "quadratic_5": (2.83, 1.94), "correlated_0.2N": (1.56, 1.23),
@@ -80,7 +80,7 @@ def run(
     -------
     JSON: `seeds` (rigs of most cases), `unmodelled` (a row for each case, see `unmodelled`) and `bars`
     """
-    seeds = seeds or (QUICK_SEEDS if quick else SEEDS_PER_CASE)
+    seeds = seeds or (QUICK_SEEDS if quick else RANDOM_SEEDS_PER_CASE)
     rows: list[dict[str, Any]] = []
     with processes() as pool:
         for case in cases or (QUICK_CASES if quick else tuple(CASES)):
@@ -108,7 +108,7 @@ def part() -> tuple[Scene, Surface]:
 def in_known_directions(off: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Project an error (3,) onto the directions with nonzero variance. Return the components and their variances, (d,)."""
     values, axes = np.linalg.eigh(covariance)
-    known = values > RANK_RATIO * max(values[-1], 0.0)
+    known = values > ZERO_VARIANCE_MAX_RATIO * max(values[-1], 0.0)
     return axes[:, known].T @ off, values[known]
 
 
@@ -171,7 +171,7 @@ def _judge(solved: Solved, landmarks: LandmarkAgreement | None, used: bool) -> B
         believed = is_believed(tried, landmarks)
         found[name] = {
             **errors, "skin_agrees": tried.has_enough and tried.agrees, "ratio": ratio, "believed": believed, "used": used,
-            "noisier": noisier, "wrongly_believed": believed and errors["inside"] < COVERAGE_MIN,
+            "noisier": noisier, "wrongly_believed": believed and errors["inside"] < WRONG_PREDICTION_MAX_COVERAGE,
         }  # fmt: skip
     return found
 
@@ -202,7 +202,7 @@ Each: TypeAlias = Callable[[Callable[[str, int], Session], Iterable[str], Iterab
 
 
 def unmodelled(
-    seeds: int = SEEDS_PER_CASE, cases: Sequence[str] = tuple(CASES), each: Each = map, first: int = 1
+    seeds: int = RANDOM_SEEDS_PER_CASE, cases: Sequence[str] = tuple(CASES), each: Each = map, first: int = 1
 ) -> list[dict[str, Any]]:
     """Try the program on rigs of each case, seeds from `first` on. Its thresholds were found with seeds from 1 on.
 
@@ -211,9 +211,10 @@ def unmodelled(
     JSON, a row for each case: `case`; by the modules method, means over seeds: errors, mm, `uncorrected`, with `21` and `70`
     landmark pokes, and the numbers of `ByMethod` as `inside_21` and so on; `predicted` is that with 21. `methods`: the same for
     each number of landmark pokes and each method. `believed_where_right`: share that is believed of the sessions with at least
-    `RIGHT_MIN` of the taxels inside, over all methods. `sessions`: the modules method's numbers of each seed
+    `RIGHT_PREDICTION_MIN_COVERAGE` of the taxels inside, over all methods. `sessions`: the modules method's numbers of each
+    seed
     """
-    of_case = {case: seeds if seeds < SEEDS_PER_CASE else max(seeds, EXTRA_SEEDS.get(case, 0)) for case in cases}
+    of_case = {case: seeds if seeds < RANDOM_SEEDS_PER_CASE else max(seeds, EXTRA_SEEDS.get(case, 0)) for case in cases}
     jobs = [(case, seed) for case, count in of_case.items() for seed in range(first, first + count)]
     found = iter(each(run_session, [case for case, _ in jobs], [seed for _, seed in jobs]))
     return [_row(case, list(islice(found, count)), first) for case, count in of_case.items()]
@@ -229,7 +230,7 @@ def _row(case: str, found: Sequence[Session], first: int) -> dict[str, Any]:
     for name in ("inside", "predicted", "true_rms", "true_along", "ratio", "believed", "wrongly_believed"):
         row |= {f"{name}_{count}": own[name] for count, own in lead.items()}
     every = [session[count][method.value] for session in found for count in LANDMARK_COUNTS[1:] for method in Method]
-    right = [bool(own["believed"]) for own in every if own["inside"] >= RIGHT_MIN]
+    right = [bool(own["believed"]) for own in every if own["inside"] >= RIGHT_PREDICTION_MIN_COVERAGE]
     return {
         **row, "predicted": row["predicted_21"], "methods": means,
         "believed_where_right": float(np.mean(right)) if right else None,
@@ -276,7 +277,9 @@ def unmodelled_limits(rows: Sequence[Mapping[str, Any]]) -> dict[str, tuple[floa
         return [own["inside"] for case in cases if case in by_case for own in by_case[case]["methods"]["0"].values()]
 
     require("inside_as_modelled", inside_corrected(["nothing"]), ">=", 0.90)
-    require("inside", inside_corrected([case for case in by_case if case not in RELAXED_CASES]), ">=", COVERAGE_MIN)
+    require(
+        "inside", inside_corrected([case for case in by_case if case not in RELAXED_CASES]), ">=", WRONG_PREDICTION_MAX_COVERAGE
+    )
     require("inside_worst", inside_corrected(RELAXED_CASES), ">=", 0.65)
     require("predicted_off_by_factor", [factor for row in rows for factor in off_by_factor(row)], "<=", 1.5)
     audited = [
@@ -316,7 +319,8 @@ def unmodelled_lines(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return [
         f"independent simulator, {of}, modules method without landmarks -> with 21 / 70 pokes at them:",
         *map(_row_text, rows),
-        f"  {believed:.0%} of them are believed, {wrongly:.1%} with fewer than {COVERAGE_MIN:.0%} of the taxels inside",
+        f"  {believed:.0%} of them are believed, {wrongly:.1%} with fewer than "
+        f"{WRONG_PREDICTION_MAX_COVERAGE:.0%} of the taxels inside",
     ]
 
 

@@ -120,9 +120,9 @@ class Evidence:
         )
 
 
-_COLUMNS = 17
+_CONTACT_TABLE_COLUMNS = 17
 """u (3), nearest point of the axis (3), |f|, pitch, sensor's origin (3), e_1 (3), e_2 (3)."""
-_FIRST_ROWS = 64
+_INITIAL_TABLE_ROWS = 64
 """Rows to begin with; doubled when full."""
 _CONTACT = np.dtype([("poke", "i8"), ("pose", "i8"), ("live", "?"), ("total", "f8")])
 _ANSWER = np.dtype([("contact", "i8"), ("weight", "f8")])
@@ -132,9 +132,9 @@ class ContactTable:
     """Contacts, added and dropped by the number of their poke, and their evidence."""
 
     def __init__(self, contacts: Sequence[Contact] = ()) -> None:
-        self._columns = np.empty((_COLUMNS, _FIRST_ROWS))
-        self._contacts = np.zeros(_FIRST_ROWS, dtype=_CONTACT)
-        self._answers = np.zeros(_FIRST_ROWS, dtype=_ANSWER)
+        self._columns = np.empty((_CONTACT_TABLE_COLUMNS, _INITIAL_TABLE_ROWS))
+        self._contacts = np.zeros(_INITIAL_TABLE_ROWS, dtype=_CONTACT)
+        self._answers = np.zeros(_INITIAL_TABLE_ROWS, dtype=_ANSWER)
         self._contact_count = self._answer_count = self._dropped = 0
         self._row_of: dict[int, int] = {}
         self._answers_of: dict[int, array[int]] = {}
@@ -184,7 +184,7 @@ class ContactTable:
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Gather the evidence of those of `channels` that answered in a contact."""
-        if self._dropped > _FIRST_ROWS and 2 * self._dropped > self._contact_count:
+        if self._dropped > _INITIAL_TABLE_ROWS and 2 * self._dropped > self._contact_count:
             self._compact()
         known = sorted(channel for channel in channels if channel in self._answers_of)
         lists = [np.frombuffer(self._answers_of[channel], dtype=np.int64) for channel in known]
@@ -295,7 +295,7 @@ def _carry_to_link(contacts: Sequence[Contact]) -> FloatArray:
         forces = call.put(np.array([contact.force for contact in contacts]))
         moments = call.put(np.array([contact.moment for contact in contacts]))
         poses = call.put(np.concatenate([contact.link_from_sensor for contact in contacts]))
-        place = call.reserve((_COLUMNS, count))
+        place = call.reserve((_CONTACT_TABLE_COLUMNS, count))
         call.run("carry", [count, forces, moments, poses, place])
         columns = call.get(place)
     # A zero force has no direction.

@@ -15,8 +15,8 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray, fit_rotation
 from skincal.taxels.result import Estimate
 
-MIN_TAXELS_FOR_TURN = 3
-COLLINEAR_RATIO = 1e-9
+MIN_TAXELS_TO_FIT_ROTATION = 3
+COLLINEAR_MAX_EXTENT_RATIO = 1e-9
 """Taxels whose extents have a smaller ratio lie on one line, to the last digits."""
 
 
@@ -96,12 +96,12 @@ def repeatability(here: FloatArray, there: FloatArray, owners: IntArray | None =
 def common_motion(here: FloatArray, there: FloatArray) -> CommonMotion | None:
     """Fit the rigid motion from `here` to `there`; arguments and `None` as for `Repeatability.motion`."""
     rows = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    if int(rows.sum()) < MIN_TAXELS_FOR_TURN:
+    if int(rows.sum()) < MIN_TAXELS_TO_FIT_ROTATION:
         return None
     first, second = here[rows].mean(axis=0), there[rows].mean(axis=0)
     a, b = here[rows] - first, there[rows] - second
     sizes = np.linalg.svd(a.T @ b, compute_uv=False)
-    if sizes[1] <= COLLINEAR_RATIO * sizes[0]:
+    if sizes[1] <= COLLINEAR_MAX_EXTENT_RATIO * sizes[0]:
         return None
     turn = fit_rotation(a.T @ b)
     # The cosine has no digits for a small turn, the sine none near a half turn.
@@ -158,7 +158,7 @@ def compare_modules(owners: IntArray, here: FloatArray, there: FloatArray) -> tu
     return tuple(
         ModuleDifference(
             index, int(known[index]), float(mean[index]), float(shift[index]),
-            float(shape[index]) if known[index] >= MIN_TAXELS_FOR_TURN else None,
+            float(shape[index]) if known[index] >= MIN_TAXELS_TO_FIT_ROTATION else None,
         )
         for index in np.flatnonzero(known).tolist()
     )  # fmt: skip

@@ -15,9 +15,9 @@ import numpy as np
 from skincal.contacts.outcome import Contact
 from skincal.taxels.result import Estimate
 
-MIN_POKES_FOR_GAIN = 3
+MIN_POKES_TO_ESTIMATE_GAIN = 3
 """From two pokes a standard deviation says nothing."""
-MIN_LOAD_N = 1.0
+MIN_NORMAL_LOAD_N = 1.0
 """Along the inward normal. A grazing push would divide its answer by nearly zero."""
 
 
@@ -28,7 +28,7 @@ class TaxelGain:
     pokes: int
     """That it answered most."""
     mean: float | None
-    """`None` from fewer than `MIN_POKES_FOR_GAIN` pokes, or without a normal."""
+    """`None` from fewer than `MIN_POKES_TO_ESTIMATE_GAIN` pokes, or without a normal."""
     spread: float | None
     """Standard deviation over the pokes; `None` as `mean`."""
 
@@ -54,9 +54,9 @@ def _gain(contacts: Sequence[Contact], estimate: Estimate) -> TaxelGain:
     forces = np.array([contact.link_from_sensor[:3, :3] @ contact.force for contact in own])
     answers = np.array([contact.responses.max() for contact in own])
     loads = -(forces @ estimate.normal)
-    pressed = loads >= MIN_LOAD_N
+    pressed = loads >= MIN_NORMAL_LOAD_N
     count = int(pressed.sum())
-    if count < MIN_POKES_FOR_GAIN:
+    if count < MIN_POKES_TO_ESTIMATE_GAIN:
         return TaxelGain(count, None, None)
     each = answers[pressed] / loads[pressed]
     return TaxelGain(count, float(each.mean()), float(each.std(ddof=1)))

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     # The commands' help names methods, and numpy takes a quarter of its time.
     from skincal.geometry import FloatArray
 
-SD_MAX = 0.030
+POSITION_MAX_SD_M = 0.030
 """m. Largest standard deviation of a position in its worst direction: the side of a whole module."""
-MISS_MAX = 0.050
+FORCE_AXIS_MAX_MISS_M = 0.050
 """m. Axes at a larger distance (weighted rms) from a taxel are of another part, frame or unit: no rig error is as large."""
 
 

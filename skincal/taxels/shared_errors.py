@@ -26,20 +26,20 @@ from skincal.geometry import FloatArray, IntArray, crossed, dots, orthonormal_pa
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable, Evidence
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import SD_MAX, Cause, Estimate, Method, State, StateReason
+from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State, StateReason
 
 SharedRows: TypeAlias = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Maps pokes by number (m,), the positions (m, 3), metres, that they touch, and the directions E (m, 2, 3) across their pushes
 to B (m, 2, n), metres, for n errors that all pokes share, in their standard deviations, and (m, 2, k) for k errors that the
 pokes in one arm pose share, independent between poses."""
-DRIFT_BLOCK_POKES = 60
+POKES_PER_DRIFT_BLOCK = 60
 """Pokes that share slow changes, about two minutes of work: drift of the sensor, an arm that creeps."""
-MAX_DRIFT_PAIR_GAP = DRIFT_BLOCK_POKES // 4
+MAX_DRIFT_PAIR_GAP = POKES_PER_DRIFT_BLOCK // 4
 """The drift is measured from pairs of pokes with numbers at most this far apart."""
 DRIFT_VARIANCE_FACTOR_IF_CORRECTED = 2.0
 """True drift variance over that of the residuals under a correction. It absorbs the mean drift of each arm pose, which over the
 60 to 80 pokes of a pose has about half of the variance."""
-RANK_TOLERANCE = 1e-9
+RANK_MIN_INFORMATION_RATIO = 1e-9
 """Share of the largest information of a group below which there is none in a direction."""
 
 
@@ -88,7 +88,7 @@ class NormalEquations:
     def covariances(self, skin: float) -> FloatArray:
         """Compute (g, d, d) the covariances that slow errors and the skin's thickness, sd `skin`, m, add to the unknowns."""
         of, moved = self._groups(), self.row_weights @ self.pairs
-        block = (self.pokes - self.pokes[self.starts][of]) // DRIFT_BLOCK_POKES
+        block = (self.pokes - self.pokes[self.starts][of]) // POKES_PER_DRIFT_BLOCK
         new = np.ones(len(of), dtype=bool)
         new[1:] = (of[1:] != of[:-1]) | (self.poses[1:] != self.poses[:-1]) | (block[1:] != block[:-1])
         first = np.flatnonzero(new)
@@ -117,7 +117,7 @@ class NormalEquations:
     def inverse(self) -> FloatArray:
         """Invert the information, (g, d, d); zero along directions that the pokes do not determine."""
         values, axes = np.linalg.eigh(self.information)
-        told = values > RANK_TOLERANCE * np.abs(values).max(axis=1, keepdims=True)
+        told = values > RANK_MIN_INFORMATION_RATIO * np.abs(values).max(axis=1, keepdims=True)
         # As numpy's pinv, which takes twice as long for the few taxels of a poke.
         return (axes * (told / np.where(told, values, 1.0))[:, None]) @ axes.transpose(0, 2, 1)
 
@@ -247,9 +247,9 @@ def _trust_of_answers(evidence: Evidence, estimates: Sequence[Estimate]) -> Floa
 def add_covariances(
     estimates: Sequence[Estimate], factors: FloatArray, added: FloatArray, moves: FloatArray | None
 ) -> list[Estimate]:
-    """Enlarge the covariances of n estimates that have a position; under a correction blind beyond `SD_MAX`.
+    """Enlarge the covariances of n estimates that have a position; under a correction blind beyond `POSITION_MAX_SD_M`.
 
-    Without a correction the points stay the paper's, up to misses of `MISS_MAX`.
+    Without a correction the points stay the paper's, up to misses of `FORCE_AXIS_MAX_MISS_M`.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def add_covariances(
             rms=rms[row],
             moved=None if moves is None else moves[row],
         )
-        if moves is None or sds[row] <= SD_MAX
+        if moves is None or sds[row] <= POSITION_MAX_SD_M
         else Estimate(
             estimate.channel, estimate.method, State.BLIND, estimate.contacts, normal=estimate.normal,
             worst_direction=weakest[row], sd=sds[row], reason=StateReason(Cause.SHARED_ERRORS, size=sds[row]),

@@ -27,14 +27,14 @@ from skincal.geometry import FloatArray, IntArray
 from skincal.model.scene import NoiseSettings
 from skincal.solver.machine import INTEGER, Call, shared
 from skincal.taxels.contact_table import Evidence
-from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, Estimate, Method, Rival, State, StateReason
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, Method, Rival, State, StateReason
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-RIVAL_ODDS = 20.0
+RIVAL_ESTIMATE_MAX_ODDS = 20.0
 """A rival is less than 20 times less likely than the estimate: the usual 95 %."""
-RIVAL_MIN_DISTANCE_M = 0.010
+RIVAL_ESTIMATE_MIN_DISTANCE_M = 0.010
 """A second minimum nearer than this is the same place: facets and bends make many, and taxels are 5 mm apart."""
 _KNOWN = np.dtype([("covariance", "f8", (3, 3)), ("worst_direction", "f8", 3), ("sd", "f8"), ("rms", "f8"), ("miss", "f8")])
 ANSWER = np.dtype(
@@ -118,7 +118,7 @@ def _write_task(call: Call, evidence: Evidence, noise: NoiseSettings) -> list[in
         call.put(evidence.weights),
         call.put(evidence.poses, INTEGER),
         call.put(np.array(sizes)),
-        call.put(np.array([RIVAL_ODDS, RIVAL_MIN_DISTANCE_M])),
+        call.put(np.array([RIVAL_ESTIMATE_MAX_ODDS, RIVAL_ESTIMATE_MIN_DISTANCE_M])),
     ]
 
 
@@ -142,13 +142,13 @@ def estimate_free(solution: Solution) -> list[Estimate]:
     estimates: list[Estimate] = []
     for i, channel, contacts, opposed, rank, sd, rms, miss in _rows(solution, known, "rank"):
         normal, doubted = None if opposed else outward[i], solution.doubted[i]
-        if not sd <= SD_MAX:
+        if not sd <= POSITION_MAX_SD_M:
             estimate = Estimate(
                 channel, Method.FREE, State.BLIND, contacts, normal=normal, worst_direction=worst[i],
                 sd=sd if np.isfinite(sd) else None, reason=_why_blind_free(evidence.part(i, i + 1), worst[i], sd),
                 line_point=points[i] if rank == 2 else None, doubted=doubted,
             )  # fmt: skip
-        elif miss > MISS_MAX:
+        elif miss > FORCE_AXIS_MAX_MISS_M:
             reason = StateReason(Cause.AXES_APART, size=miss)
             estimate = Estimate(channel, Method.FREE, State.BLIND, contacts, normal=normal, reason=reason, doubted=doubted)
         else:
@@ -207,7 +207,7 @@ def _why_blind_on_surface(contacts: int, opposed: bool, triangle: int, miss: flo
         return StateReason(Cause.OPPOSED, contacts)
     if triangle < 0:
         return StateReason(Cause.NO_TRIANGLE)
-    if miss > MISS_MAX:
+    if miss > FORCE_AXIS_MAX_MISS_M:
         return StateReason(Cause.OFF_SURFACE, size=miss)
     # An sd that is not a number is none, either.
-    return None if sd <= SD_MAX else StateReason(Cause.GRAZING)
+    return None if sd <= POSITION_MAX_SD_M else StateReason(Cause.GRAZING)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from skincal.model.errors import MAX_SENTENCE_CHARS, plural
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkVerdict, SideReading, Stream
 
-REST_OF_SENTENCE_LENGTH = 30
+REST_OF_SENTENCE_CHARS = 30
 """Characters kept free for the sentence that follows: `"No session was made."`."""
 
 
@@ -21,7 +21,7 @@ def silent_links(links: Sequence[LinkHealth]) -> str:
         )
         for brief in (False, True)
     ]
-    return said[0] if len(said[0]) < MAX_SENTENCE_CHARS - REST_OF_SENTENCE_LENGTH else said[1]
+    return said[0] if len(said[0]) < MAX_SENTENCE_CHARS - REST_OF_SENTENCE_CHARS else said[1]
 
 
 def _why_silent(link: LinkHealth, *, brief: bool) -> str:

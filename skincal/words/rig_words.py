@@ -8,10 +8,10 @@ import numpy as np
 
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import FRAME, UsedCorrection
-from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT_TRUST_BELOW, RigAnswer
+from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT_LANDMARK_POKES_WITH_TRUST_BELOW, RigAnswer
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis
 
-FRAME_MISS_NOTED_M = 0.005
+MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
 """Above this miss with a right frame the sentence names errors of sensor and arm: noise and hand cause 1 to 3 mm."""
 
 
@@ -78,7 +78,7 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         f"Landmark poke {poke} is {answer.distances[poke] * 1e3:.0f} mm from its landmark and "
         + ("does not count: was it another point?" if trust <= 0 else f"counts {trust:.0%}.")
         for poke, trust in answer.trust.items()
-        if trust < REPORT_TRUST_BELOW
+        if trust < REPORT_LANDMARK_POKES_WITH_TRUST_BELOW
     ]
     return (first, *doubted)
 
@@ -100,7 +100,7 @@ def frame_sentence(found: FrameDiagnosis) -> str:
         # A right frame with a large error reads like a contradiction.
         whose = (
             " This comes from other errors of sensor and arm, not from the frame."
-            if found.corrected_miss > FRAME_MISS_NOTED_M
+            if found.corrected_miss > MENTION_RIG_ERRORS_ABOVE_MISS_M
             else ""
         )
         return f"The sensor frame {'is' if found.sure else 'looks'} right: pokes miss their landmarks by {passes}{whose}"

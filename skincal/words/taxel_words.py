@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from skincal.model.errors import plural
-from skincal.taxels.result import MISS_MAX, SD_MAX, Cause, StateReason
+from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, StateReason
 from skincal.taxels.shared_errors import PredictedError
 
 STATE_SENTENCES = {
@@ -62,12 +62,12 @@ def state_sentence(reason: StateReason | None) -> str:
         mm=0.0 if size is None else size * 1e3,
         degrees=max(float(np.degrees(reason.angle)), 0.1),
         depth="is unknown" if size is None else f"is only known to {coarse}",
-        tell="do not fix its pose" if size is None else f"fix its pose only to worse than {SD_MAX * 1e3:.0f} mm",
+        tell="do not fix its pose" if size is None else f"fix its pose only to worse than {POSITION_MAX_SD_M * 1e3:.0f} mm",
         left_out=f"; {reason.blind} left out as undetermined" if reason.blind else "",
         inner=state_sentence(reason.inner),
         text=reason.text,
-        miss_max=f"{MISS_MAX * 1e3:.0f} mm",
-        sd_max=f"{SD_MAX * 1e3:.0f} mm",
+        miss_max=f"{FORCE_AXIS_MAX_MISS_M * 1e3:.0f} mm",
+        sd_max=f"{POSITION_MAX_SD_M * 1e3:.0f} mm",
     )
 
 

@@ -56,14 +56,14 @@ def test_a_poke_of_seven_taxels_in_a_session(benchmark, forearm, forearm_contact
         return session.snapshot()
 
     snapshot = benchmark.pedantic(poke, rounds=50, warmup_rounds=5)
-    assert len(snapshot.touched) == runtime.TAXELS_PER_POKE
+    assert len(snapshot.touched) == runtime.TAXELS_ANSWERING_A_POKE
 
 
 def test_seven_taxels_solved_by_both_methods(benchmark, forearm, forearm_contacts):
     ledger = ContactTable(forearm_contacts)
     channels = runtime.with_neighbours(forearm, forearm_contacts[0]).channels.tolist()
     found = benchmark(estimate_from, ledger, channels, BOTH, forearm.scene.noise, forearm.surface)
-    assert len(found[Method.SURFACE]) == runtime.TAXELS_PER_POKE
+    assert len(found[Method.SURFACE]) == runtime.TAXELS_ANSWERING_A_POKE
 
 
 @pytest.mark.parametrize("method", BOTH)

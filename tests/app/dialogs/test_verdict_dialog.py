@@ -20,7 +20,7 @@ from skincal.guide.verdict import Check, Left, Verdict
 from skincal.rig.closing import Closing, ClosingPlaces
 from skincal.rig.correction import RIG, Correction, UsedCorrection
 from skincal.rig.correction_fit import (
-    MAX_MISS_RATIO,
+    LANDMARKS_AGREE_MAX_MISS_RATIO,
     MIN_LANDMARK_POKES,
     MIN_LANDMARKS,
     LandmarkAgreement,
@@ -180,8 +180,8 @@ def test_what_landmarks_say_and_what_nobody_checked_is_said():
         (verdict(), True, False),
         (verdict(landmarks=None), False, False),
         (verdict(landmarks=MISSED), False, True),
-        (verdict(landmarks=LandmarkAgreement(21, MAX_MISS_RATIO, corrected=True)), True, False),
-        (verdict(landmarks=LandmarkAgreement(21, MAX_MISS_RATIO + 1e-9, corrected=True)), False, True),
+        (verdict(landmarks=LandmarkAgreement(21, LANDMARKS_AGREE_MAX_MISS_RATIO, corrected=True)), True, False),
+        (verdict(landmarks=LandmarkAgreement(21, LANDMARKS_AGREE_MAX_MISS_RATIO + 1e-9, corrected=True)), False, True),
         (verdict(landmarks=NOISY), False, False),
         (verdict(landmarks=replace(NOISY, noisier=1.4)), True, False),
         (verdict(checked=Check(4, 4)), False, False),

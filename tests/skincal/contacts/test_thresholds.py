@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.contacts.outcome import Contact, Reason, Rejection
-from skincal.contacts.thresholds import NEWEST_POKES, threshold_uses
+from skincal.contacts.thresholds import NEWEST_POKES_COMPARED, threshold_uses
 
 
 def contact(poke, size=8.0, pitch_m=0.002, taxels=2, tare_change=math.nan):
@@ -45,7 +45,7 @@ def test_values_and_rejections_of_the_newest_pokes():
 
 def test_only_the_newest_are_compared():
     old = [rejection(poke, Reason.SLID, 0.003, 0.0015, "m") for poke in range(1, 4)]
-    newest = [contact(poke) for poke in range(4, 4 + NEWEST_POKES)]
+    newest = [contact(poke) for poke in range(4, 4 + NEWEST_POKES_COMPARED)]
     assert threshold_uses([*old, *newest], ("slide_max",))["slide_max"].rejected == 0
     assert threshold_uses([*old, *newest[:-1]], ("slide_max",))["slide_max"].rejected == 1
     assert threshold_uses((), ("slide_max",))["slide_max"].pokes == 0

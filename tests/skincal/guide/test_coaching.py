@@ -8,7 +8,13 @@ import pytest
 from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import axis_point, move_wrench
 from skincal.guide.guidance import Target
-from skincal.guide.press_coaching import LOW_PASS_SHARE, MIN_FORCE_N, PokeError, compare_to_target, smooth_wrench
+from skincal.guide.press_coaching import (
+    LOW_PASS_OLD_VALUE_WEIGHT,
+    MIN_FORCE_FOR_TILT_N,
+    PokeError,
+    compare_to_target,
+    smooth_wrench,
+)
 
 SOME_WAY = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 """A rotation."""
@@ -124,7 +130,7 @@ def test_nothing_is_said_while_nothing_presses(phase):
 @pytest.mark.parametrize(
     "progress",
     [
-        pressing((0, 0, 0), tool(0, 0), newtons=0.95 * MIN_FORCE_N),
+        pressing((0, 0, 0), tool(0, 0), newtons=0.95 * MIN_FORCE_FOR_TILT_N),
         Progress(PressPhase.PRESSING, np.zeros(3), np.zeros(3), np.empty(0, np.int64), np.empty(0), 0.0),
         Progress(PressPhase.PRESSING, np.full(3, np.nan), np.full(3, np.nan), np.empty(0, np.int64), np.empty(0), 0.0),
         pressing((0, 0, 0), tool(80.0, 0.0)),
@@ -165,6 +171,6 @@ def test_what_is_felt_follows_within_a_few_readings_and_a_weak_force_counts_litt
         assert felt is not None
         seen = compare_to_target(felt, strong, target, np.zeros(3))
         assert seen is not None
-        weak = LOW_PASS_SHARE**reading
+        weak = LOW_PASS_OLD_VALUE_WEIGHT**reading
         assert seen.away == pytest.approx(0.004 * weak / (weak + 9.0 * (1.0 - weak)))
     assert smooth_wrench(felt, pressing((0, 0, 0), tool(0, 0), phase=PressPhase.TARING)) is None, "the next poke begins anew"

@@ -7,7 +7,7 @@ import pytest
 from guided_bench import PART, GuidedBench, after, make_guide
 
 from skincal.guide.guidance import GuidePhase
-from skincal.guide.guide import MAX_SKIPS_PER_SIDE
+from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE
 from skincal.guide.progress import GuideSettings
 from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.session.guiding import SessionGuide
@@ -93,7 +93,7 @@ def test_a_side_that_is_skipped_twice_is_left_out_and_worth_nothing():
     first = bench.guidance.target
     open_ = bench.diversity(row_of(first.channel))
     assert (open_.worth > 0).all()
-    for _ in range(MAX_SKIPS_PER_SIDE):
+    for _ in range(MAX_SKIPS_PER_TAXEL_SIDE):
         bench.guide.skip(first)
     axes = bench.diversity(row_of(first.channel))
     np.testing.assert_array_equal(axes.worth == 0.0, axes.tried @ first.push > np.cos(np.radians(25.0)))

@@ -8,7 +8,7 @@ import pytest
 
 from skincal.guide.candidates import next_module_taxel, next_taxel
 from skincal.guide.progress import (
-    MAX_INTERVAL_S,
+    MAX_WORKING_POKE_INTERVAL_S,
     ContactFacts,
     GuideSettings,
     Need,
@@ -24,7 +24,7 @@ from skincal.guide.progress import (
 from skincal.guide.tilt_limit import (
     FRICTION_ANGLES_RAD,
     FRICTION_PRIOR_RAD,
-    HITS_TO_RAISE,
+    HITS_IN_A_ROW_TO_RAISE_LIMIT,
     MIN_TILT_RAD,
     SLIP_PROBABILITIES,
     TILT_MARGIN_RAD,
@@ -138,7 +138,7 @@ def test_a_method_s_pokes_are_predicted_to_a_third(method, took):
 
 
 def test_interval_and_working_time_leave_out_pauses():
-    times = np.array(list(accumulate([0.0, 3.0, 3.0, MAX_INTERVAL_S + 1.0, 4.0, 3.0])))
+    times = np.array(list(accumulate([0.0, 3.0, 3.0, MAX_WORKING_POKE_INTERVAL_S + 1.0, 4.0, 3.0])))
     assert poke_interval(times) == pytest.approx(3.0)
     assert poke_interval(times[:2]) is None
     assert working_time(times, times + 0.5) == pytest.approx(6 * 0.5 + 2.5 + 2.5 + 3.5 + 2.5)
@@ -245,10 +245,10 @@ def test_two_misses_in_a_row_lower_the_limit_and_hits_raise_it():
     tilt.compare_aim(asked, np.radians(14.0))
     lowered = tilt.usable
     assert np.radians(13.0) < lowered < asked
-    for _ in range(HITS_TO_RAISE):
+    for _ in range(HITS_IN_A_ROW_TO_RAISE_LIMIT):
         tilt.compare_aim(lowered, lowered)
     assert lowered < tilt.usable < asked
-    for _ in range(20 * HITS_TO_RAISE):
+    for _ in range(20 * HITS_IN_A_ROW_TO_RAISE_LIMIT):
         tilt.compare_aim(tilt.usable, tilt.usable)
     assert tilt.usable == asked
 

@@ -7,11 +7,11 @@ import pytest
 from guided_bench import PART
 
 from skincal.contacts.outcome import Reason, Rejection
-from skincal.guide.believed_positions import DEFAULT_SPACING_M, plan_without_positions
+from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, plan_without_positions
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import Guide
 from skincal.guide.poke_history import PokeAxis
-from skincal.guide.surface_search import MAX_GAP_M, PLACE_SPACING_M, SurfaceSearch, spread_over
+from skincal.guide.surface_search import MAX_UNPOKED_DISTANCE_M, SEARCH_PLACE_SPACING_M, SurfaceSearch, spread_over
 from skincal.mesh.search import nearest_points
 from skincal.session.session import Session
 from skincal.simulate.poking_strategies import Conditions, MeantPokes, displaced_rig, poke_by_hand
@@ -19,11 +19,11 @@ from skincal.taxels.result import Estimate, Method, State
 
 
 def test_places_are_spread_evenly_without_a_hole():
-    places, triangles = spread_over(PART.surface, PLACE_SPACING_M)
+    places, triangles = spread_over(PART.surface, SEARCH_PLACE_SPACING_M)
     apart = np.linalg.norm(places[:, None] - places[None], axis=2)
     np.fill_diagonal(apart, np.inf)
-    assert apart.min() >= 0.8 * PLACE_SPACING_M
-    assert np.linalg.norm(PART.surface.vertices[:, None] - places[None], axis=2).min(axis=1).max() < PLACE_SPACING_M
+    assert apart.min() >= 0.8 * SEARCH_PLACE_SPACING_M
+    assert np.linalg.norm(PART.surface.vertices[:, None] - places[None], axis=2).min(axis=1).max() < SEARCH_PLACE_SPACING_M
     np.testing.assert_allclose(nearest_points(PART.surface, places)[0], places, atol=1e-9)
     assert triangles.shape == places.shape[:1]
 
@@ -38,9 +38,13 @@ def test_the_search_goes_far_from_all_pokes_and_around_those_that_were_answered(
 
     first = search.next_place(None)
     second = poke(1, first, answered=False)
-    assert np.linalg.norm(search.places[second] - search.places[first]) > MAX_GAP_M
+    assert np.linalg.norm(search.places[second] - search.places[first]) > MAX_UNPOKED_DISTANCE_M
     third = poke(2, second, answered=True)
-    assert PLACE_SPACING_M * 0.8 <= np.linalg.norm(search.places[third] - search.places[second]) < 2.5 * PLACE_SPACING_M
+    assert (
+        SEARCH_PLACE_SPACING_M * 0.8
+        <= np.linalg.norm(search.places[third] - search.places[second])
+        < 2.5 * SEARCH_PLACE_SPACING_M
+    )
     search.skip(search.places[third])
     assert search.next_place(search.places[second]) != third
     search.count_only({1})
@@ -51,7 +55,7 @@ def test_the_search_goes_far_from_all_pokes_and_around_those_that_were_answered(
 def test_without_a_layout_the_taxels_are_found_and_then_poked(method):
     scene = replace(PART.scene, skin=replace(PART.scene.skin, layout=None, anchor=None))
     plan = plan_without_positions(np.arange(scene.skin.channels))
-    guide = Guide(plan, scene.noise, method, DEFAULT_SPACING_M, search=SurfaceSearch(PART.surface))
+    guide = Guide(plan, scene.noise, method, DEFAULT_TAXEL_SPACING_M, search=SurfaceSearch(PART.surface))
     session = Session(scene, PART.surface, (Method.FREE, Method.SURFACE))
     rig, rng = displaced_rig(PART, Conditions(), 1), np.random.default_rng(5)
     contacts, rejections, targets, seen, phases = {}, {}, {}, set(), []

@@ -151,7 +151,7 @@ def test_answering_taxels_are_the_nearest_within_reach():
     apart = np.linalg.norm(plan.places[:, None] - plan.places, axis=2)
     for row in range(25):
         own = found.rows[row][found.weights[row] > 0]
-        near = set(np.flatnonzero((apart[row] <= candidates.MAX_NEIGHBOUR_SPACINGS * 0.005) & (apart[row] > 0)).tolist())
+        near = set(np.flatnonzero((apart[row] <= candidates.NEIGHBOUR_MAX_SPACINGS * 0.005) & (apart[row] > 0)).tolist())
         assert (own[0], set(own[1:].tolist())) == (row, near)
     assert found.weights[12, 1] == pytest.approx(np.exp(-((0.005 / (2 * NOISE.reach)) ** 2)))
 
@@ -184,7 +184,7 @@ def state(information, in_plane=False):
 
 def test_a_gain_is_by_how_much_the_predicted_errors_fall():
     """Each neighbour's information with the poke's rows added, inverted again."""
-    rng, force = np.random.default_rng(3), candidates.PUSH_FORCE_N
+    rng, force = np.random.default_rng(3), candidates.EXPECTED_PUSH_FORCE_N
     information = np.array([a @ a.T + 1e3 * np.eye(3) for a in 400 * rng.normal(size=(25, 3, 3))])
     here, rows = state(information), np.array([6, 12])
     for row, gain in zip(rows, candidates.predict_gains(here, rows, NOISE, 0.3), strict=True):
@@ -210,5 +210,5 @@ def test_an_uncertain_depth_wants_tilt_and_on_a_surface_none():
     information = np.tile(np.diag([1e6, 1e6, 1e4]), (25, 1, 1))
     free, held = (candidates.predict_gains(state(information, flat), np.array([12]), NOISE, 0.0)[0] for flat in (False, True))
     assert free[0] < 0.2 * free.max()
-    assert free.argmax() > candidates.TRIED_AZIMUTHS, "the largest tilt"
+    assert free.argmax() > candidates.PUSH_AZIMUTHS_TRIED, "the largest tilt"
     assert held[0] > 0.95 * held.max()

@@ -10,7 +10,7 @@ from scipy import stats
 from skincal.guide.believed_positions import plan_without_positions
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings, Why
-from skincal.guide.verdict import CHI2_2DOF_95, HELD_OUT_INTERVAL, Check, check, held_out, verdict_of
+from skincal.guide.verdict import CHI2_2DOF_QUANTILE_95, POKES_PER_HELD_OUT_POKE, Check, check, held_out, verdict_of
 from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.actions import MarkDead
 from skincal.model.scene import NoiseSettings
@@ -61,7 +61,9 @@ def checked(method=Method.FREE, surface=None, noise=None, **which):
 def test_every_sixth_poke_is_held_out_with_the_taxel_that_answered_most():
     session, _ = poked_session()
     pairs = held_out(session.contacts)
-    assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][HELD_OUT_INTERVAL - 1 :: HELD_OUT_INTERVAL]
+    assert [poke for poke, _ in pairs] == [each.poke for each in session.contacts][
+        POKES_PER_HELD_OUT_POKE - 1 :: POKES_PER_HELD_OUT_POKE
+    ]
     by_poke = {each.poke: each for each in session.contacts}
     for poke, channel in pairs:
         contact = by_poke[poke]
@@ -98,7 +100,7 @@ def test_it_is_predicted_from_what_all_the_other_pokes_say_and_nothing_else(meth
         turned = np.stack([np.cross(u, e) for e in across])
         total = turned @ estimate.covariance @ turned.T + across @ spread @ across.T
         off = across @ np.cross(u, estimate.position - answers.nearest[0])
-        inside += bool(off @ np.linalg.solve(total, off) <= CHI2_2DOF_95)
+        inside += bool(off @ np.linalg.solve(total, off) <= CHI2_2DOF_QUANTILE_95)
         count += 1
     found = checked(method, pokes=120)
     assert count > 5

@@ -26,7 +26,7 @@ SEGMENT_NS = 700_000_000
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    monkeypatch.setattr(writer, "SEGMENT_NS", SEGMENT_NS)
+    monkeypatch.setattr(writer, "SEGMENT_MAX_DURATION_NS", SEGMENT_NS)
     return write_scene(tmp_path / "source")
 
 

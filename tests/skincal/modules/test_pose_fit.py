@@ -12,7 +12,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules import pose_fit
 from skincal.modules.estimate import estimate_modules
-from skincal.modules.pose import LEVER_M, ModuleModel, ModulesOnSurface, rotations
+from skincal.modules.pose import MODULE_TURN_LEVER_M, ModuleModel, ModulesOnSurface, rotations
 from skincal.modules.pose_fit import assign_pokes, offset_variances, whitened_rows
 from skincal.session.session import Session
 from skincal.simulate.contacts import simulate_contacts, unguided
@@ -36,9 +36,9 @@ def moved_poses(model, rng, shift=0.003, turn=0.1):
     """Every module beside its plan."""
     plans = [model.plan(module) for module in range(len(model.pads))]
     unknowns = model.ground.unknowns
-    sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * LEVER_M)]
+    sizes = np.r_[np.full(unknowns - unknowns // 2, shift), np.full(unknowns // 2, turn * MODULE_TURN_LEVER_M)]
     if unknowns == 3:
-        sizes = np.array([shift, shift, turn * LEVER_M])
+        sizes = np.array([shift, shift, turn * MODULE_TURN_LEVER_M])
     return [model.ground.move(plan, (sizes * rng.standard_normal(unknowns))[None]) for plan in plans]
 
 
@@ -101,7 +101,7 @@ def test_exact_pokes_give_the_exact_places(name, surface, rng):
 def test_a_module_that_is_turned_against_its_plan_is_found_as_it_lies(turn, rng):
     model = model_of()
     poses = [model.plan(module) for module in range(7)]
-    poses[2] = model.ground.move(poses[2], np.array([[0.0, 0.0, np.radians(turn) * LEVER_M]]))
+    poses[2] = model.ground.move(poses[2], np.array([[0.0, 0.0, np.radians(turn) * MODULE_TURN_LEVER_M]]))
     found = modules(press(model, poses, rng, 140), model)
     pads = laid(model, 2, poses[2])
     for channel, point in zip(model.layout.modules[2].channels.tolist(), pads.points, strict=True):
@@ -376,10 +376,10 @@ def test_without_a_surface_a_pose_that_does_not_settle_is_blind_and_more_pokes_m
 def trust_by_hand(slopes, misses, pitches):
     """The trust of pokes judged together, by numpy's `lstsq` on the rows as they stand."""
     count, left = len(misses), misses
-    raised = 1.0 + pose_fit.SMALL_SAMPLE / (2 * count - 3)
+    raised = 1.0 + pose_fit.SMALL_SAMPLE_SPREAD_CORRECTION / (2 * count - 3)
     pitches = pitches / max(1.0, raised * np.median(pitches) / pose_fit.CHI2_1DOF_MEDIAN)
-    for _ in range(pose_fit.ROBUST_STEPS):
-        roots = np.sqrt(1.0 / np.maximum(np.sum(left**2, axis=1) + pitches, pose_fit.ROBUST_SDS**2))[:, None]
+    for _ in range(pose_fit.ROBUST_SEARCH_STEPS):
+        roots = np.sqrt(1.0 / np.maximum(np.sum(left**2, axis=1) + pitches, pose_fit.FULL_WEIGHT_MAX_MISS_SDS**2))[:, None]
         move = np.linalg.lstsq((roots[:, :, None] * slopes).reshape(2 * count, -1), (roots * left).ravel())[0]
         left = left - slopes @ move
     squares = np.sum(left**2, axis=1)

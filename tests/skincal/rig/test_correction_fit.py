@@ -12,7 +12,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import ModuleModel, rotations
 from skincal.rig import correction_fit
-from skincal.rig.correction import HAND_LOAD_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
+from skincal.rig.correction import TYPICAL_PRESS_FORCE_N, CorrectionErrors, RigPrior, RigReadings, RigState, products, rig_rows
 from skincal.rig.correction_fit import MIN_LANDMARK_POKES, LandmarkPoke, RigRequest, _first_rows, correct_rig
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors
@@ -25,7 +25,7 @@ from tests.skincal.sim_support import make_rig, scene_and_surface
 
 POSES = 3
 PRIOR = RigPrior()
-BENT = RigPrior(quadratic=correction_fit.QUADRATIC_SHARE)
+BENT = RigPrior(quadratic=correction_fit.NONLINEAR_SENSOR_QUADRATIC_SHARE)
 
 
 def some_rows(rng):
@@ -233,7 +233,7 @@ def quadratic_rig(seed, share):
     """A request whose sensor reads each component wrong by a share of each product of two, at a hand's load; else right."""
     rig, request, _ = trial(seed, "good", 1, 10)
     rng = np.random.default_rng([seed, 9])
-    units = HAND_LOAD_N * np.repeat([1.0, PRIOR.arm], 3)
+    units = TYPICAL_PRESS_FORCE_N * np.repeat([1.0, PRIOR.arm], 3)
     wrong = share * rng.standard_normal((6, 21)) * units[:, None] / products(units[None])
 
     def read(poke):
@@ -388,7 +388,7 @@ def test_the_root_is_that_of_the_unknowns_and_a_part_of_it_that_of_the_first(rng
 def test_of_more_arm_poses_than_are_kept_the_sensor_alone_is_known(monkeypatch, per_pose, size):
     """Its own spread is the same as with all of them; motions stay."""
     _, request, answer = trial(1, "paper", 1, per_pose)
-    monkeypatch.setattr(correction_fit, "MAX_KEPT_POSES", 6)
+    monkeypatch.setattr(correction_fit, "MAX_ARM_POSES_WITH_UNCERTAINTY", 6)
     found = correct_rig(request).correction
     assert found.root.shape == (size, size)
     assert found.motions.keys() == answer.correction.motions.keys()
@@ -403,8 +403,8 @@ def test_how_much_noisier_landmark_pokes_are_than_the_scene_says_is_told():
     promised = replace(request.scene.noise, force=0.0, moment=request.scene.noise.moment / 6)
     quiet = replace(request, scene=replace(request.scene, noise=promised), prior=replace(PRIOR, landmark=1e-4))
     noisy = correct_rig(quiet)
-    assert noisy.noisier >= correction_fit.MAX_NOISE_FACTOR
-    assert noisy.ratio < correction_fit.MAX_MISS_RATIO
+    assert noisy.noisier >= correction_fit.WARN_FROM_LANDMARK_NOISE_FACTOR
+    assert noisy.ratio < correction_fit.LANDMARKS_AGREE_MAX_MISS_RATIO
 
 
 def test_misses_are_as_predicted_after_a_correction_and_of_a_right_rig():

@@ -16,7 +16,7 @@ from skincal.methods import estimate_taxels
 from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo, action_from_json, action_to_json
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
-from skincal.rig.correction import FRAME, MAX_KEPT_POSES, RIG, Correction, CorrectionErrors
+from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.corrections import correct_action, corrected_progress, used_of
@@ -216,7 +216,7 @@ def test_what_is_no_correction_is_refused(change):
 def some_correction(poses, rng, quadratic=True):
     """A correction with all that one can have."""
     names, size = [f"pose {i}" for i in range(poses)], 36 + (126 if quadratic else 0)
-    size += 6 * poses if poses <= MAX_KEPT_POSES else 0
+    size += 6 * poses if poses <= MAX_ARM_POSES_WITH_UNCERTAINTY else 0
     return Correction(
         np.eye(6) + 0.01 * rng.standard_normal((6, 6)),
         motions={name: np.eye(4) for name in names},
@@ -225,7 +225,7 @@ def some_correction(poses, rng, quadratic=True):
     )
 
 
-@pytest.mark.parametrize("poses", [0, 2, MAX_KEPT_POSES, MAX_KEPT_POSES + 1, 300])
+@pytest.mark.parametrize("poses", [0, 2, MAX_ARM_POSES_WITH_UNCERTAINTY, MAX_ARM_POSES_WITH_UNCERTAINTY + 1, 300])
 @pytest.mark.parametrize("quadratic", [True, False])
 def test_an_action_is_the_correction_again(rng, poses, quadratic):
     """To six digits of what is not known, and to the bit of the rest; as JSON it takes no more with hundreds of poses."""

@@ -13,7 +13,7 @@ import wasmtime
 
 from skincal import methods
 from skincal.mesh import search
-from skincal.mesh.search import GRAZING, nearest_in_metric
+from skincal.mesh.search import PUSHED_FACE_MIN_COSINE, nearest_in_metric
 from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_taxels
 from skincal.modules.pose import ModuleModel
@@ -127,7 +127,12 @@ def number(name):
 
 @pytest.mark.parametrize(
     ("name", "here"),
-    [("GRAZING", GRAZING), ("ROUND", search.RADIUS_MARGIN), ("WIDTH", search.WIDTH), ("LEVELS", search.MAX_LEVELS)],
+    [
+        ("PUSHED_FACE_MIN_COSINE", PUSHED_FACE_MIN_COSINE),
+        ("ROUND", search.NODE_RADIUS_MARGIN_SHARE),
+        ("WIDTH", search.WIDTH),
+        ("LEVELS", search.SEARCH_TREE_MAX_DEPTH),
+    ],
 )
 def test_constants_in_c_and_python_are_equal(name, here):
     assert number(name) == here
@@ -233,7 +238,7 @@ def test_two_threads_find_what_one_does_to_the_last_bit(monkeypatch, surface):
     wanted = [method for method in PER_TAXEL if surface or method is not Method.SURFACE]
 
     def solved(at_once):
-        monkeypatch.setattr(methods, "_AT_ONCE", at_once)
+        monkeypatch.setattr(methods, "_ANSWERS_PER_SOLVER_CALL", at_once)
         found = methods.estimate_from(table, channels, wanted, rig.scene.noise, rig.surface if surface else None)
         return [list(estimate_bytes(found[method])) for method in wanted]
 

@@ -16,13 +16,13 @@ from skincal.modules.pose import ModuleModel
 from skincal.studies.independent_simulator import (
     CASES,
     GUIDED_LANDMARK_POKES,
+    LOAD_FOR_63_PERCENT_RESPONSE_N,
+    MAX_TAXEL_RESPONSE_COUNTS,
     NOISY_RIG,
-    PAD_RADIUS,
-    RESPONSE_MAX,
-    RESPONSE_SCALE_N,
-    SLOW_NOISE_POKES,
-    TYPICAL_FORCE,
-    TYPICAL_LEVER,
+    SLOW_NOISE_CORRELATION_POKES,
+    TAXEL_ELECTRODE_RADIUS_M,
+    TYPICAL_LEVER_ARM_M,
+    TYPICAL_PRESS_FORCE_N,
     Operator,
     Presses,
     RigModel,
@@ -202,9 +202,9 @@ def test_the_pads_of_a_whole_plane_bear_the_whole_load():
     presses = Presses(np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), np.zeros((2, 2, 3)), load)
     for spread in (1.0, 2.0):
         found = taxel_responses(RigModel(spread=spread), places, np.ones(len(places)), presses, rng())
-        on_pads = -RESPONSE_SCALE_N * np.log1p(-found / RESPONSE_MAX)
-        # Each pad covers pi PAD_RADIUS^2 of the plane, and there is one on every square millimetre.
-        np.testing.assert_allclose(on_pads.sum(axis=1) * MM**2 / (np.pi * PAD_RADIUS**2), load[0], rtol=0.02)
+        on_pads = -LOAD_FOR_63_PERCENT_RESPONSE_N * np.log1p(-found / MAX_TAXEL_RESPONSE_COUNTS)
+        # Each pad covers pi TAXEL_ELECTRODE_RADIUS_M^2 of the plane, and there is one on every square millimetre.
+        np.testing.assert_allclose(on_pads.sum(axis=1) * MM**2 / (np.pi * TAXEL_ELECTRODE_RADIUS_M**2), load[0], rtol=0.02)
 
 
 def test_a_wide_foam_lets_more_taxels_answer_and_gains_change_no_wrench():
@@ -249,16 +249,18 @@ def test_an_arm_that_bends_turns_the_part_about_the_sensor_by_its_moment():
 
 
 def drawn_loads(count=400):
-    """Wrenches of `TYPICAL_FORCE` and its moment, in all directions."""
+    """Wrenches of `TYPICAL_PRESS_FORCE_N` and its moment, in all directions."""
     unit = rng(7).normal(size=(count, 2, 3))
     return (
-        unit / np.linalg.norm(unit, axis=2, keepdims=True) * np.array([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER])[:, None]
+        unit
+        / np.linalg.norm(unit, axis=2, keepdims=True)
+        * np.array([TYPICAL_PRESS_FORCE_N, TYPICAL_PRESS_FORCE_N * TYPICAL_LEVER_ARM_M])[:, None]
     ).reshape(-1, 6)
 
 
 def test_each_error_of_the_sensor_has_its_law_and_its_size():
     loads, quiet = drawn_loads(), RigModel(matrix=0.0, force_noise=0.0)
-    scale = np.repeat([TYPICAL_FORCE, TYPICAL_FORCE * TYPICAL_LEVER], 3)
+    scale = np.repeat([TYPICAL_PRESS_FORCE_N, TYPICAL_PRESS_FORCE_N * TYPICAL_LEVER_ARM_M], 3)
 
     def read(wrenches, seed=1, **sizes):
         return Sensor(replace(quiet, **sizes), rng(seed)).read(wrenches, rng(99))
@@ -281,7 +283,9 @@ def test_each_error_of_the_sensor_has_its_law_and_its_size():
 def test_slow_noise_is_as_large_as_told_and_forgets():
     noise = slow_noise(60_000, 1, rng())[:, 0]
     assert noise.std() == pytest.approx(1.0, abs=0.05)
-    assert np.mean(noise[: -int(SLOW_NOISE_POKES)] * noise[int(SLOW_NOISE_POKES) :]) == pytest.approx(np.exp(-1), abs=0.07)
+    assert np.mean(noise[: -int(SLOW_NOISE_CORRELATION_POKES)] * noise[int(SLOW_NOISE_CORRELATION_POKES) :]) == pytest.approx(
+        np.exp(-1), abs=0.07
+    )
     slow = readings(poked(replace(PERFECT, slow_force=0.2))) - readings(poked())
     assert slow[:, :3].std() == pytest.approx(0.2, rel=0.25)
     assert slow[:, 3:].std() == pytest.approx(0.02, rel=0.25)

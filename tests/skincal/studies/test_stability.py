@@ -266,7 +266,7 @@ def test_the_result_is_json_and_agrees_with_itself(result):
 
 def test_the_summary_names_misses_and_the_figure_every_family(result):
     broken = list(result["cases"])
-    broken[3] = {**broken[3], "holds": False, "error_over_bound": reference.FAILED_ERROR_M}
+    broken[3] = {**broken[3], "holds": False, "error_over_bound": reference.ERROR_OF_FAILED_SOLVER_M}
     result = {**result, "cases": broken, "held": len(broken) - 1}
     lines = stability.summary(result)
     assert lines[0].startswith(f"{len(broken) - 1} of {len(broken)} cases hold")

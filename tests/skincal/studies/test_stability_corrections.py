@@ -70,7 +70,7 @@ def test_a_covariance_of_half_the_digits_is_caught(monkeypatch, name, what):
 
 
 def test_a_formula_that_is_another_is_caught(monkeypatch):
-    monkeypatch.setattr(off_surface, "MIN_HEIGHT_SDS", 50.0)
+    monkeypatch.setattr(off_surface, "SIGNIFICANT_HEIGHT_MIN_SDS", 50.0)
     assert not judged(HEIGHT)["height"]["holds"]
     monkeypatch.setattr(correction, "_right_jacobians", lambda turns: np.tile(np.eye(3), (len(turns), 1, 1)))
     assert not judged(FEW)["unknowns"]["holds"]

@@ -210,7 +210,7 @@ def test_a_pad_that_is_called_known_and_is_not_is_caught():
     known = np.zeros(PADS_PER_MODULE, dtype=bool)
     (sure,) = evaluate(CASES[name], truth_of(name), lambda *parts: (shipped_module(*parts)[0], known))
     assert not sure["holds"]
-    assert sure["error"] == reference.FAILED_ERROR_M
+    assert sure["error"] == reference.ERROR_OF_FAILED_SOLVER_M
 
 
 def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
@@ -225,7 +225,7 @@ def test_a_method_that_follows_the_numbers_of_the_pokes_is_caught():
 
 
 def test_a_search_that_ends_at_a_nanometre_is_caught(monkeypatch):
-    monkeypatch.setattr(pose_fit, "LAST_STEP_M", 1e-9)
+    monkeypatch.setattr(pose_fit, "POSE_SEARCH_CONVERGED_STEP_M", 1e-9)
     name = "module, 7 arm poses"
     (record,) = evaluate(CASES[name], truth_of(name))
     assert record["error_over_bound"] > 10

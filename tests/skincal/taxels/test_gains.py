@@ -9,7 +9,7 @@ from skincal.contacts.outcome import Contact
 from skincal.simulate.contacts import simulate_contacts
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import PressedPlaces, answer
-from skincal.taxels.gains import MIN_LOAD_N, MIN_POKES_FOR_GAIN, taxel_gains
+from skincal.taxels.gains import MIN_NORMAL_LOAD_N, MIN_POKES_TO_ESTIMATE_GAIN, taxel_gains
 from skincal.taxels.result import Estimate, Method, State
 from tests.skincal.sim_support import make_rig
 
@@ -54,8 +54,8 @@ def test_the_spread_is_the_standard_deviation_of_the_pokes():
 
 
 def test_too_few_pokes_tell_no_gain():
-    (gain,) = taxel_gains(pokes(12.5, MIN_POKES_FOR_GAIN - 1), [taxel(7)])
-    assert (gain.pokes, gain.mean, gain.spread) == (MIN_POKES_FOR_GAIN - 1, None, None)
+    (gain,) = taxel_gains(pokes(12.5, MIN_POKES_TO_ESTIMATE_GAIN - 1), [taxel(7)])
+    assert (gain.pokes, gain.mean, gain.spread) == (MIN_POKES_TO_ESTIMATE_GAIN - 1, None, None)
 
 
 def test_a_taxel_that_never_answered_most_or_has_no_normal_has_no_gain():
@@ -67,7 +67,7 @@ def test_a_taxel_that_never_answered_most_or_has_no_normal_has_no_gain():
 def test_doubted_pokes_and_pokes_that_graze_do_not_count():
     contacts = pokes(12.5, 9)
     wild, grazing = pokes(90.0, 2, seed=2)
-    aside = grazing.link_from_sensor[:3, :3].T @ (np.cross(NORMAL, [0.0, 1.0, 0.0]) * 9 - 0.5 * MIN_LOAD_N * NORMAL)
+    aside = grazing.link_from_sensor[:3, :3].T @ (np.cross(NORMAL, [0.0, 1.0, 0.0]) * 9 - 0.5 * MIN_NORMAL_LOAD_N * NORMAL)
     contacts += [
         Contact(20, 0, 1, wild.force, wild.moment, wild.channels, wild.responses, wild.link_from_sensor, "", 0.0, final=True),
         Contact(21, 0, 1, aside, wild.moment, wild.channels, wild.responses, grazing.link_from_sensor, "", 0.0, final=True),

@@ -10,7 +10,12 @@ from skincal.methods import estimate_from, estimate_taxels
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Cause, Estimate, Method, State
-from skincal.taxels.shared_errors import DRIFT_BLOCK_POKES, DRIFT_VARIANCE_FACTOR_IF_CORRECTED, PredictedError, predicted_error
+from skincal.taxels.shared_errors import (
+    DRIFT_VARIANCE_FACTOR_IF_CORRECTED,
+    POKES_PER_DRIFT_BLOCK,
+    PredictedError,
+    predicted_error,
+)
 
 EVEN = NoiseSettings(force=1e-4, moment=1e-5, contact=5e-4, reach=1e-6, radius=1e9, skin=0.0)
 TAXEL = np.array([0.03, -0.02, 0.05])
@@ -19,11 +24,11 @@ SENSOR = np.array([0.0, 0.0, -0.10])
 
 def pokes(rng, count, slow=0.0, white=5e-4, first=1, pose="a"):
     """Pokes of one taxel from all sides above it, off by shared errors of each block and by own ones."""
-    together, made = slow * rng.standard_normal((count // DRIFT_BLOCK_POKES + 1, 3)), []
+    together, made = slow * rng.standard_normal((count // POKES_PER_DRIFT_BLOCK + 1, 3)), []
     for number in range(count):
         push = np.array([*(0.5 * rng.standard_normal(2)), -1.0])
         force = 9.0 * push / np.linalg.norm(push)
-        point = TAXEL + together[number // DRIFT_BLOCK_POKES] + white * rng.standard_normal(3)
+        point = TAXEL + together[number // POKES_PER_DRIFT_BLOCK] + white * rng.standard_normal(3)
         pose_of = np.eye(4)
         pose_of[:3, 3] = SENSOR
         made.append(
@@ -48,7 +53,7 @@ def test_what_thirty_pokes_share_is_in_the_spread(first):
     """Whatever the number that the first of them has. Without it, it would be a fourth of the truth or less."""
     squares, predicted, alone = [], [], []
     for seed in range(60):
-        estimate, plain = both(pokes(np.random.default_rng(seed), 6 * DRIFT_BLOCK_POKES, 1e-3, first=first))
+        estimate, plain = both(pokes(np.random.default_rng(seed), 6 * POKES_PER_DRIFT_BLOCK, 1e-3, first=first))
         squares.append(np.sum((estimate.position - TAXEL) ** 2))
         predicted.append(estimate.rms**2)
         alone.append(plain.rms**2)
@@ -57,8 +62,8 @@ def test_what_thirty_pokes_share_is_in_the_spread(first):
 
 
 def drifting(rng, poses, per_pose, size):
-    """Errors (poses, per_pose, 3) whose correlation falls to 1/e over half of `DRIFT_BLOCK_POKES` pokes."""
-    kept, found = np.exp(-2.0 / DRIFT_BLOCK_POKES), rng.standard_normal((poses, per_pose, 3))
+    """Errors (poses, per_pose, 3) whose correlation falls to 1/e over half of `POKES_PER_DRIFT_BLOCK` pokes."""
+    kept, found = np.exp(-2.0 / POKES_PER_DRIFT_BLOCK), rng.standard_normal((poses, per_pose, 3))
     found[:, 1:] *= np.sqrt(1.0 - kept**2)
     for at in range(1, per_pose):
         found[:, at] += kept * found[:, at - 1]
@@ -95,7 +100,7 @@ def nothing_shared(pokes, *_):
 def test_white_noise_adds_almost_nothing():
     added = []
     for seed in range(60):
-        estimate, plain = both(pokes(np.random.default_rng(seed), 6 * DRIFT_BLOCK_POKES))
+        estimate, plain = both(pokes(np.random.default_rng(seed), 6 * POKES_PER_DRIFT_BLOCK))
         assert np.array_equal(estimate.position, plain.position)
         added.append(estimate.rms**2 / plain.rms**2 - 1.0)
     # The pokes of a block share 30 times what each has: a hundredth of a poke's own variance would be a third here.
@@ -105,14 +110,14 @@ def test_white_noise_adds_almost_nothing():
 
 def test_the_order_of_the_list_and_where_numbers_begin_leave_no_trace():
     rng = np.random.default_rng(3)
-    contacts = pokes(rng, 5 * DRIFT_BLOCK_POKES, 1e-3)
+    contacts = pokes(rng, 5 * POKES_PER_DRIFT_BLOCK, 1e-3)
     straight, _ = both(contacts)
     mixed, _ = both([contacts[i] for i in rng.permutation(len(contacts))])
     later, _ = both([replace(contact, poke=contact.poke + 1007) for contact in contacts])
     assert np.array_equal(straight.covariance, mixed.covariance)
     assert np.array_equal(straight.covariance, later.covariance)
     # Drawn apart in time, they share nothing any more.
-    apart, plain = both([replace(contact, poke=DRIFT_BLOCK_POKES * contact.poke) for contact in contacts])
+    apart, plain = both([replace(contact, poke=POKES_PER_DRIFT_BLOCK * contact.poke) for contact in contacts])
     np.testing.assert_allclose(apart.covariance, (apart.rms / plain.rms) ** 2 * plain.covariance, rtol=1e-9, atol=1e-15)
     assert straight.rms > 1.5 * apart.rms
 
@@ -120,7 +125,7 @@ def test_the_order_of_the_list_and_where_numbers_begin_leave_no_trace():
 def test_two_wild_pokes_in_turn_are_not_taken_for_what_all_share():
     """They are doubted, and count as little here."""
     rng = np.random.default_rng(4)
-    contacts = pokes(rng, 4 * DRIFT_BLOCK_POKES, 1e-3)
+    contacts = pokes(rng, 4 * POKES_PER_DRIFT_BLOCK, 1e-3)
     before, _ = both(contacts)
     for at in (40, 41):
         wild = replace(

@@ -7,7 +7,7 @@ from skincal.contacts.outcome import Contact
 from skincal.mesh.surface import make_surface
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.result import Method, State
-from skincal.taxels.solve import RIVAL_ODDS
+from skincal.taxels.solve import RIVAL_ESTIMATE_MAX_ODDS
 from tests.skincal.estimate_support import solve
 
 NOISE = NoiseSettings()
@@ -89,10 +89,10 @@ def test_the_odds_are_those_of_being_wrong():
         if estimate.rival is None:
             alone, missed = alone + 1, missed + is_wrong
             continue
-        assert 1.0 <= estimate.rival.odds < RIVAL_ODDS
+        assert 1.0 <= estimate.rival.odds < RIVAL_ESTIMATE_MAX_ODDS
         share = 1.0 / (1.0 + estimate.rival.odds)
         seen, wrong, expected, variance = seen + 1, wrong + is_wrong, expected + share, variance + share * (1 - share)
     assert seen > 100
     assert abs(wrong - expected) < 3.5 * np.sqrt(variance)
     assert alone > 100
-    assert missed <= alone / (1.0 + RIVAL_ODDS), "no rival means odds above the limit"
+    assert missed <= alone / (1.0 + RIVAL_ESTIMATE_MAX_ODDS), "no rival means odds above the limit"

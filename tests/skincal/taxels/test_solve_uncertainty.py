@@ -11,7 +11,7 @@ from skincal.mesh.surface import make_surface
 from skincal.methods import estimate_from
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import ContactTable
-from skincal.taxels.result import SD_MAX, Method, State
+from skincal.taxels.result import POSITION_MAX_SD_M, Method, State
 from skincal.taxels.solve import solve as solve_evidence
 from tests.skincal.estimate_support import gather, least_squares, solve
 
@@ -231,10 +231,10 @@ def test_beyond_the_limit_the_state_is_blind_and_below_it_is_not():
             )
         estimate = solve(contacts, [0], Method.FREE, NOISE, None)[0]
         sds.append(estimate.sd)
-        assert (estimate.state is State.BLIND) == (estimate.sd > SD_MAX)
+        assert (estimate.state is State.BLIND) == (estimate.sd > POSITION_MAX_SD_M)
         assert abs(estimate.worst_direction[2]) > 0.9
     assert sds == sorted(sds, reverse=True)
-    assert sds[0] > SD_MAX > sds[-1]
+    assert sds[0] > POSITION_MAX_SD_M > sds[-1]
 
 
 def axes_near(rng, point, spread, weights):
