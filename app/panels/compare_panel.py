@@ -66,6 +66,7 @@ from skincal.files.reference import Origin
 from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
 from skincal.modules.health import PlannedNeighbours, neighbours_of
+from skincal.session.robot_places import robot_places
 from skincal.taxels.differences import ModuleDifference, repeatability, worst_rows
 
 if TYPE_CHECKING:
@@ -90,6 +91,8 @@ class ComparePanel(Panel):
         self._others: dict[str, FloatArray] = {}
         self._paths: dict[str, Path | None] = {}
         """Where the other sets were read; `None` for the truth and references."""
+        if (frames := robot_places(context.part.scene)) is not None:
+            self._others[frames.name], self._paths[frames.name] = in_order(self._channels, frames.places), None
         self.modules_check = context.guided.modules
         context.guided.shows_modules = self.isVisible
         self._neighbours: PlannedNeighbours | None = None  # Made when first needed

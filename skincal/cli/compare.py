@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 Places = typer.Argument(
     help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a truth.json. After a colon one "
-    "of free, surface, modules; of a session also plan or truth. Without it the method of the smallest predicted error.",
+    "of free, surface, modules; of a session also plan, truth, or robot (skin frames of its URDF). Without it the method of "
+    "the smallest predicted error.",
     show_default=False,
 )
 

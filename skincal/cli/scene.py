@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from skincal.cli.solve import Json
-from skincal.model.errors import InputError
+from skincal.model.errors import InputError, plural
 
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
@@ -37,6 +37,7 @@ def new_scene(
     link: Annotated[str, typer.Option(help="Link of the part: the frame of every position.")] = "part",
     sensor: Annotated[str, typer.Option(help="Force/torque sensor of the URDF, or a joint or link at it.")] = "",
     joints: Annotated[str, typer.Option(help="Columns of the joint stream, by joint name, separated by commas.")] = "",
+    fixed: Annotated[list[str] | None, typer.Option(help="NAME=DEGREES of a joint that is not streamed; repeatable.")] = None,
     package: Annotated[
         list[str] | None, typer.Option(help="NAME=FOLDER of a ROS package that the URDF names; repeatable.")
     ] = None,
@@ -63,7 +64,8 @@ def new_scene(
         link=link,
         sensor=sensor,
         joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
-        packages=_packages(package or []),
+        fixed_deg={name: _degrees(name, text) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")},
+        packages={name: Path(folder) for name, folder in _pairs(package or [], "--package", "FOLDER")},
         mesh=mesh,
         sign=None if sign is None else int(sign),
         unit=unit,
@@ -154,6 +156,12 @@ def robot_findings(robot: RobotSpec, link: str, wrench_sign: int) -> list[str]:
         findings.append(f"sensor {robot.sensor} is not between the part and the robot's base{hint}: it may not feel the pokes")
     if robot.mesh_link and robot.mesh_link != link:
         findings.append(f"the mesh is that of link {robot.mesh_link}, which is fixed to {link}")
+    others = robot.urdf.meshes[robot.mesh_link].others if robot.mesh_link else 0
+    if others:
+        findings.append(
+            f"link {robot.mesh_link} has {plural(others, 'further visual shape')} without use here: if taxels lie there, merge "
+            "them into one mesh, and name it in [robot] mesh"
+        )
     return findings
 
 
@@ -170,11 +178,11 @@ def _lines(result: dict[str, Any]) -> list[str]:
     return [*lines, f"mesh: {result['mesh'] or 'none'}", *(f"- {finding}" for finding in result["findings"])]
 
 
-def _packages(given: list[str]) -> dict[str, Path]:
+def _pairs(given: list[str], option: str, value: str) -> list[tuple[str, str]]:
     pairs = [text.partition("=") for text in given]
-    if not all(name and folder for name, _, folder in pairs):
-        raise InputError(f"--package {' '.join(given)}: expected NAME=FOLDER.")
-    return {name: Path(folder) for name, _, folder in pairs}
+    if not all(name and after for name, _, after in pairs):
+        raise InputError(f"{option} {' '.join(given)}: expected NAME={value}.")
+    return [(name, after) for name, _, after in pairs]
 
 
 def _numbers(text: str, count: int | None, option: str) -> FloatArray:
@@ -188,3 +196,7 @@ def _numbers(text: str, count: int | None, option: str) -> FloatArray:
         expected = "numbers" if count is None else f"{count} numbers"
         raise InputError(f"{option} is {text}; expected {expected} separated by commas.")
     return values
+
+
+def _degrees(name: str, text: str) -> float:
+    return float(_numbers(text, 1, f"--fixed {name}")[0])

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 
@@ -75,6 +76,8 @@ class LinkMesh:
     """(4, 4) float, metres: pose of the mesh in the link."""
     scales: FloatArray
     """(3,) float: metres per unit of the file, along each axis."""
+    others: int = 0
+    """Further visual shapes of the link, which are not used."""
 
     def scale(self, where: str) -> float:
         """Return the metres per unit; `InputError` if the axes differ or one is mirrored."""
@@ -352,15 +355,10 @@ def read_urdf(path: Path) -> Robot:
     data = read_regular(path, MAX_URDF_BYTES, what="URDF file", advice="name the robot's .urdf file")
     if b"\0" in data:
         raise InputError(f"{path}: is not UTF-8 text; save the URDF as UTF-8.")
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
-        raise InputError(f"{path}: has a document type (<!DOCTYPE); remove it: a URDF needs none.")
-    try:
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not an XML file ({error}); expected a URDF.") from None
+    root = _parse_xml(data, path)
     if root.tag != "robot":
         raise InputError(f"{path}: begins with <{root.tag}>; expected a URDF, which begins with <robot>.")
-    if b"<xacro:" in data and any("xacro" in element.tag or element.tag.endswith("}macro") for element in root.iter()):
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
         raise InputError(f"{path}: is a xacro file; make a URDF of it first: xacro {path.name} > robot.urdf.")
     links = tuple(_attribute(element, "name", path) for element in root.findall("link"))
     joints = [_read_joint(element, path) for element in root.findall("joint")]
@@ -372,6 +370,23 @@ def read_urdf(path: Path) -> Robot:
         if (mesh := _read_mesh(name, element, path)) is not None
     }
     return Robot(path, root.get("name", path.stem), links, by_name, tuple(_read_sensors(root, by_name, path)), meshes)
+
+
+def _parse_xml(data: bytes, path: Path) -> ElementTree.Element:
+    """Parse XML without namespaces: URDFs of other programs use prefixes, such as `drake:`, that no one declares."""
+
+    def refuse_doctype(*_: object) -> None:
+        raise InputError(f"{path}: has a document type (<!DOCTYPE); remove it: a URDF needs none.")
+
+    parser, builder = expat.ParserCreate(), ElementTree.TreeBuilder()
+    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    parser.CharacterDataHandler = builder.data
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise InputError(f"{path}: not an XML file ({error}); expected a URDF.") from None
+    return builder.close()
 
 
 def _read_joint(element: ElementTree.Element, path: Path) -> UrdfJoint:
@@ -406,13 +421,14 @@ def _read_joint(element: ElementTree.Element, path: Path) -> UrdfJoint:
 
 
 def _read_mesh(link: str, element: ElementTree.Element, path: Path) -> LinkMesh | None:
-    for visual in element.findall("visual"):
+    visuals = element.findall("visual")
+    for visual in visuals:
         mesh = visual.find("geometry/mesh")
         if mesh is None:
             continue
         where = f"{path}: link {link}"
         scale = _numbers(mesh.get("scale", "1 1 1"), 3, f"{where}: scale of the mesh")
-        return LinkMesh(link, _attribute(mesh, "filename", path), _read_origin(visual, where), scale)
+        return LinkMesh(link, _attribute(mesh, "filename", path), _read_origin(visual, where), scale, len(visuals) - 1)
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 
 from skincal.files.reference import TRUTH_NAME, TaxelPositions, read_place_sets, read_places, require_same_part
@@ -12,10 +13,11 @@ from skincal.model.skin import Layout
 from skincal.session.part import lay_part
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load
+from skincal.session.robot_places import robot_places
 from skincal.taxels.result import Method
 
-PLAN, TRUTH = "plan", "truth"
-PLACE_WORDS = (*(method.value for method in Method), PLAN, TRUTH)
+PLAN, TRUTH, ROBOT = "plan", "truth", "robot"
+PLACE_WORDS = (*(method.value for method in Method), PLAN, TRUTH, ROBOT)
 """Words that may follow the colon."""
 
 
@@ -24,8 +26,8 @@ def find_places(named: str) -> TaxelPositions:
 
     Parameters
     ----------
-    named : folder of a session or a file (`read_places`); after a colon a method, or for a session `plan` (the laid layout) or
-        `truth` (of a simulated rig). Without a colon the leading method
+    named : folder of a session or a file (`read_places`); after a colon a method, or for a session `plan` (the laid layout),
+        `truth` (of a simulated rig) or `robot` (the URDF's skin frames). Without a colon the leading method
 
     Raises
     ------
@@ -42,7 +44,7 @@ def find_places(named: str) -> TaxelPositions:
         return session_places(path, which)
     if not path.exists():
         raise InputError(f"{named}: there is no such session or file; check the path.")
-    if which in (PLAN, TRUTH):
+    if which in (PLAN, TRUTH, ROBOT):
         raise InputError(f"{named}: only the folder of a session has a {which}; name a folder, or a file without {which!r}.")
     return read_places(path, Method(which) if which else None)
 
@@ -59,6 +61,8 @@ def session_places(folder: Path, which: str = "") -> TaxelPositions:
     pipeline = load(folder)
     if which == PLAN:
         return _plan_of(pipeline, name)
+    if which == ROBOT:
+        return _robot_of(pipeline, name)
     sets = _sets_of(pipeline, folder)
     chosen = next((each for each in sets if not which or each.method is Method(which)), None)
     if chosen is None:
@@ -100,6 +104,16 @@ def _plan_of(pipeline: Pipeline, name: str) -> TaxelPositions:
     if plan is None:
         raise InputError(f"{name}: its scene does not say where the layout lies on the part, so there is no plan.")
     return TaxelPositions(f"{name}, plan", scene.link, plan.places, _modules_of(scene.skin.layout))
+
+
+def _robot_of(pipeline: Pipeline, name: str) -> TaxelPositions:
+    found = robot_places(pipeline.scene)
+    if found is None:
+        raise InputError(
+            f"{name}: its scene has no URDF with skin frames fixed to {pipeline.scene.link}; expected links such as "
+            f"{pipeline.scene.link}_skin_3."
+        )
+    return replace(found, name=f"{name}, {found.name}")
 
 
 def _modules_of(layout: Layout | None) -> dict[int, int]:

@@ -75,6 +75,8 @@ class SceneDraft:
     """Force/torque sensor, joint or link of the URDF."""
     joints: Sequence[str] = ()
     """Columns of the joint stream; empty for the joints of the chain, from sensor to part."""
+    fixed_deg: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Degrees, of joints of the chain that are not streamed."""
     packages: Mapping[str, Path] = field(default_factory=dict[str, Path])
     mesh: Path | None = None
     """In place of the file that the URDF names."""
@@ -142,10 +144,11 @@ def _scene_text(draft: SceneDraft, anchor: str) -> str:
 
 def _robot_lines(draft: SceneDraft, urdf: Path, folder: Path) -> list[str]:
     robot = read_urdf(urdf)
-    every = [joint.name for joint in robot.joints.values() if joint.kind in MOVING and not joint.mimics]
-    chain, _ = robot.chain(draft.link, draft.sensor, every, {}, str(urdf))
+    fixed = {name: math.radians(degrees) for name, degrees in draft.fixed_deg.items()}
+    every = [each.name for each in robot.joints.values() if each.kind in MOVING and not each.mimics and each.name not in fixed]
+    chain, _ = robot.chain(draft.link, draft.sensor, every, fixed, str(urdf))
     names = list(draft.joints) or joints_in_order(chain)
-    _, sign = robot.chain(draft.link, draft.sensor, names, {}, str(urdf))
+    _, sign = robot.chain(draft.link, draft.sensor, names, fixed, str(urdf))
     lines = ["[robot]", f"urdf = {_named(urdf, folder)}", f"sensor = {_quoted(draft.sensor)}"]
     if draft.mesh is not None:
         lines.append(f"mesh = {_named(draft.mesh, folder)}")
@@ -153,6 +156,9 @@ def _robot_lines(draft: SceneDraft, urdf: Path, folder: Path) -> list[str]:
         lines.append(f"joints = {json.dumps(names, ensure_ascii=False)}{'':8}# columns of the joint stream")
         lines += ["# [robot.poses]                # named arm poses, degrees, for an arm that does not stream its joints"]
         lines.append(f"# middle = {_middle_pose(robot, names)}")
+    if fixed:
+        lines.append("[robot.fixed]                  # joints that are not streamed, degrees")
+        lines += [f"{_quoted(name)} = {degrees!r}" for name, degrees in draft.fixed_deg.items()]
     if draft.packages:
         lines.append("[robot.packages]")
         lines += [f"{_quoted(name)} = {_named(path, folder)}" for name, path in draft.packages.items()]

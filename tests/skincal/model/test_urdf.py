@@ -1,5 +1,6 @@
 """URDF files: chains equal to another library's, force/torque sensors, meshes, and a sentence for every bad file."""
 
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -219,6 +220,14 @@ def test_a_bad_file_is_refused_with_a_sentence(tmp_path, text, words):
     assert words in str(refused.value)
 
 
+def test_prefixes_that_no_one_declares_and_a_namespace_are_read(tmp_path):
+    path = tmp_path / "drake.urdf"
+    path.write_text(
+        of("<drake:joint_filter/>").replace("<robot>", '<robot xmlns="http://www.ros.org">').replace('<link name="b"/>', "")
+    )
+    assert read_urdf(path).links == ("a",)
+
+
 def test_utf_16_is_refused(tmp_path):
     path = tmp_path / "wide.urdf"
     path.write_text('<!DOCTYPE r [<!ENTITY a "aaaa">]><robot>&a;</robot>', encoding="utf-16")
@@ -262,36 +271,46 @@ def test_a_chain_that_cannot_be_followed_is_refused(tmp_path, link, sensor, colu
         robot(tmp_path, kind=kind, extra=extra).chain(link, sensor, columns, fixed, "scene")
 
 
-def public_urdfs():
-    models = pytest.importorskip("icub_models")
-    return [Path(models.get_model_file(name)) for name in ("iCubGenova02", "iCubGazeboV2_7", "iCubErzelli02")]
+def public_urdf(package, ending):
+    """A file of an installed package; the robots have three makers."""
+    try:
+        files = metadata.files(package)
+    except metadata.PackageNotFoundError:
+        pytest.skip(f"{package} is not installed here")
+    return Path(next(file for file in files if str(file).endswith(ending)).locate())
 
 
-def test_poses_are_those_of_another_library_on_public_robots():
+@pytest.mark.parametrize(
+    ("package", "ending", "pairs"),
+    [
+        ("icub-models", "iCubGenova03/model.urdf", 3540),
+        ("jvrc-description", "jvrc1.urdf", 2450),
+        ("airo-models", "ur5e.urdf", 110),
+    ],
+)
+def test_poses_of_every_pair_of_links_are_those_of_another_library(package, ending, pairs):
     yourdfpy = pytest.importorskip("yourdfpy")
-    rng = np.random.default_rng(3)
-    for path in public_urdfs():
-        made = read_urdf(path)
-        other = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=True)
-        moving = [name for name, joint in made.joints.items() if joint.kind in ("revolute", "continuous")]
-        angles = dict(zip(moving, rng.uniform(-1.5, 1.5, len(moving)).tolist(), strict=True))
-        other.update_cfg({name: angles[name] for name in other.actuated_joint_names if name in angles})
-        places = {link: other.get_transform(link) for link in made.links}
-        compared = 0
-        for link in made.links:
-            for sensor in rng.choice(made.links, 5, replace=False):
-                try:
-                    chain, _ = made.chain(link, sensor, moving, {}, "test")
-                except InputError:  # a prismatic joint of the eyes or fingers lies between
-                    continue
-                found = chain.link_from_sensor(np.array([angles[moving[k]] for k in chain.joints]))
-                assert np.abs(found - np.linalg.inv(places[link]) @ places[sensor]).max() < 1e-12
-                compared += 1
-        assert compared > 500
+    made = read_urdf(public_urdf(package, ending))
+    other = yourdfpy.URDF.load(str(made.path), load_meshes=False, build_scene_graph=True)
+    moving = [name for name, joint in made.joints.items() if joint.kind in ("revolute", "continuous")]
+    angles = dict(zip(moving, np.random.default_rng(3).uniform(-1.5, 1.5, len(moving)).tolist(), strict=True))
+    other.update_cfg({name: angles[name] for name in other.actuated_joint_names})
+    places = {link: other.get_transform(link) for link in made.links}
+    compared = 0
+    for link in made.links:
+        for sensor in made.links:
+            try:
+                chain, _ = made.chain(link, sensor, moving, {}, "test")
+            except InputError:  # a finger that mimics another lies between
+                continue
+            found = chain.link_from_sensor(np.array([angles[moving[k]] for k in chain.joints]))
+            assert np.abs(found - np.linalg.inv(places[link]) @ places[sensor]).max() < 1e-12
+            compared += link != sensor
+    assert compared == pairs
 
 
 def test_the_public_icub_has_all_that_a_calibration_needs():
-    made = read_urdf(public_urdfs()[0])
+    made = read_urdf(public_urdf("icub-models", "iCubGenova02/model.urdf"))
     chain, sign = made.chain("l_forearm_dh_frame", "l_arm_ft", ["l_elbow", "l_wrist_prosup"], {}, "test")
     assert (chain.joints, sign) == ((0, 1), 1)
     assert chain.limit_warning(np.radians([94.0, 0.0])) is None

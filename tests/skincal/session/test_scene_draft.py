@@ -13,6 +13,7 @@ from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.session.arm_poses import ArmPoses
 from skincal.session.part import load_part
+from skincal.session.robot_places import robot_places
 from skincal.session.scene_draft import SceneDraft, parse_grid, write_scene
 
 ROBOT = """<robot name="arm">
@@ -126,6 +127,74 @@ def test_a_mesh_in_place_of_that_of_the_urdf_and_a_sign_are_options(tmp_path, ur
     assert scene.wrench_sign == -1
     findings = robot_findings(scene.robot, scene.link, scene.wrench_sign)
     assert findings == ["[wrench] sign is -1, and the URDF says +1: check one of them"]
+
+
+def test_a_joint_that_is_not_streamed_is_fixed_by_the_command(tmp_path, urdf, capsys):
+    out = tmp_path / "scene.toml"
+    words = [
+        "scene",
+        "new",
+        "--urdf",
+        str(urdf),
+        "--link",
+        "part",
+        "--sensor",
+        "wrist_ft",
+        "--channels",
+        "4",
+        "--out",
+        str(out),
+    ]
+    assert main([*words, "--fixed", "elbow=ninety"]) == 2
+    assert main([*words, "--fixed", "elbow"]) == 2
+    assert "expected NAME=DEGREES" in capsys.readouterr().err
+    assert main([*words, "--fixed", "elbow=94"]) == 0
+    scene = load_scene(out)
+    assert scene.robot.columns == ("wrist",)
+    both = write_scene(draft(tmp_path, urdf)).arm.arm.link_from_sensor(np.radians([94.0, 20.0]))
+    assert np.allclose(scene.arm.arm.link_from_sensor(np.radians([20.0])), both, atol=1e-15)
+
+
+def test_visual_shapes_that_are_not_used_are_a_finding(tmp_path, urdf):
+    more = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    urdf.write_text(ROBOT.format(direction=DIRECTION).replace('<link name="part">', f'<link name="part">{more}'))
+    scene = write_scene(draft(tmp_path, urdf))
+    assert load_part(scene.path).surface is not None
+    (finding,) = robot_findings(scene.robot, "part", 1)
+    assert "1 further visual shape without use" in finding
+
+
+def skin_frames(names):
+    places = enumerate(names)
+    return "".join(
+        f'<link name="{name}"/><joint name="to_{name}" type="fixed"><parent link="part"/><child link="{name}"/>'
+        f'<origin xyz="0 0.01 {0.1 * (number + 1)}"/></joint>'
+        for number, name in places
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["part_skin_5", "part_skin_2", "part_skin_99", "screw_2"], {20: 0.1, 8: 0.2}),
+        (["taxel_7", "taxel_0", "taxel_3", "part_skin_5", "part_skin_2"], {7: 0.1, 0: 0.2, 3: 0.3}),
+        (["part_skin_5"], None),
+    ],
+)
+def test_skin_frames_of_the_urdf_are_known_places(tmp_path, urdf, names, expected):
+    urdf.write_text(ROBOT.format(direction=DIRECTION).replace("</robot>", skin_frames(names) + "</robot>"))
+    layout = tmp_path / "two.toml"
+    kind = "[kinds.k]\npads_mm = [[0, 0], [4, 0], [0, 4], [4, 4]]\noutline_mm = [[-2, -2], [6, -2], [6, 6]]\ncentre_pad = 0\n"
+    module = '[[modules]]\nid = {}\nkind = "k"\nfirst_channel = {}\nplace_mm = [{}, 0]\n'
+    layout.write_text(
+        kind + module.format(5, 20, 0) + module.format(2, 8, 20) + module.format(1, 0, 40) + module.format(3, 4, 60)
+    )
+    found = robot_places(write_scene(draft(tmp_path, urdf, grid=None, layout=layout)))
+    if expected is None:
+        assert found is None
+        return
+    assert {channel: place[2] for channel, place in found.places.items()} == pytest.approx(expected)
+    assert found.link == "part"
 
 
 def test_a_sensor_of_another_arm_is_a_finding(tmp_path, urdf):
