@@ -1,0 +1,306 @@
+"""A draft worked out: mesh, sensor, joints and placed layout, as far as the draft says, and what is missing or wrong.
+
+`PartPreviewer` keeps what it read, so that a change costs only what depends on it. It is used in one thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skincal.files.layout_sources import parse_layout
+from skincal.geometry import Arm, FloatArray
+from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
+from skincal.mesh.load import load_surface
+from skincal.mesh.readers import read_mesh
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
+from skincal.model.given import MAX_MESH_BYTES, read_regular
+from skincal.model.scene import UNITS, SurfaceSpec, load_scene
+from skincal.model.skin import Layout
+from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
+from skincal.session.layout_placing import LaidFindings, find_laid_problems
+from skincal.session.part_draft import PartDraft, layout_file_of
+from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles
+from skincal.session.scene_draft import joints_in_order
+
+T = TypeVar("T")
+PREFERRED_DIAGONAL_M = (0.04, 2.0)
+"""m. Most parts with skin are between a finger and a torso; the unit of a mesh is guessed by it."""
+UNIT_ORDER = ("mm", "m", "cm", "in")
+CACHE_SIZE = 8
+"""Kept results of each kind of work."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """A moving joint between sensor and part."""
+
+    name: str
+    column: int
+    """Of the joint stream."""
+    angle: float
+    """rad, shown now."""
+    limits: tuple[float, float] | None
+    """rad; `None` if it turns without end, or its limits are unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartPreview:
+    """A draft worked out."""
+
+    draft: PartDraft
+    robot: Robot | None = None
+    shape: RobotShape | None = None
+    link_poses: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    """(4, 4) float, metres: all links in the part's link."""
+    mesh_link: str = ""
+    """Link of the URDF whose mesh the part has."""
+    surface: Surface | None = None
+    size_mm: tuple[float, float, float] | None = None
+    """Sides of the mesh's box."""
+    sensors: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    """(4, 4) float, metres: the URDF's force/torque sensors in the part's link."""
+    sensor_pose: FloatArray | None = None
+    """(4, 4) float, metres: the chosen sensor in the part's link; `None` while it is unknown."""
+    sign: int | None = None
+    """Of the wrench, by the URDF; `None` if it does not say."""
+    joints: tuple[JointState, ...] = ()
+    layout: Layout | None = None
+    laid: PlacedLayout | None = None
+    laid_findings: LaidFindings | None = None
+    problems: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Sentence about what cannot be used, by the step that mends it: part, sensor, joints, skin, place."""
+    findings: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    """Remarks, by step."""
+
+
+def guess_unit(sides: FloatArray) -> str:
+    """Guess the unit of a mesh from the sides of its box, (3,), in its own unit."""
+    diagonal = float(np.linalg.norm(sides))
+    low, high = PREFERRED_DIAGONAL_M
+    return next((unit for unit in UNIT_ORDER if low <= diagonal * UNITS[unit] <= high), "mm")
+
+
+def mesh_sides(path: Path) -> FloatArray:
+    """Measure the box of a mesh file, (3,), in its own unit.
+
+    Raises InputError: it cannot be read, or is empty.
+    """
+    vertices, triangles = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+    if not len(triangles) or not np.isfinite(vertices).all():
+        raise InputError(f"{path}: the mesh is empty or not finite; export the part again.")
+    return np.ptp(vertices[triangles.ravel()], axis=0)
+
+
+class PartPreviewer:
+    """Works out drafts one after another."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Callable[..., Any], dict[Hashable, Any]] = {}
+
+    def preview(self, draft: PartDraft, angles: Mapping[str, float]) -> PartPreview:
+        """Work out a draft.
+
+        Parameters
+        ----------
+        angles : rad, shown angles of joints, by name; others are at 0 or their nearest limit
+        """
+        work = _Work(self, draft, angles)
+        for step in (work.read_part, work.find_sensor, work.lay_skin):
+            step()
+        return PartPreview(draft, problems=work.problems, findings=work.findings, **work.values)
+
+    def once(self, make: Callable[..., T], *key: Hashable) -> T:
+        """Call `make(*key)`, or return the result of an earlier call."""
+        kept = self._kept.setdefault(make, {})
+        if key not in kept:
+            while len(kept) >= CACHE_SIZE:
+                del kept[next(iter(kept))]
+            kept[key] = make(*key)
+        return kept[key]
+
+
+class _Work:
+    """One preview in the making."""
+
+    def __init__(self, previewer: PartPreviewer, draft: PartDraft, angles: Mapping[str, float]) -> None:
+        self.once, self.draft, self.angles = previewer.once, draft, angles
+        self.values: dict[str, Any] = {}
+        self.problems: dict[str, str] = {}
+        self.findings: dict[str, tuple[str, ...]] = {}
+
+    def read_part(self) -> None:
+        """Read the URDF with its shape, and the mesh of the part."""
+        draft = self.draft
+        try:
+            if draft.urdf is not None:
+                self._read_robot(draft.urdf)
+            elif draft.mesh is not None:
+                pose = np.eye(4) if draft.mesh_pose is None else np.array(draft.mesh_pose)
+                self._load_mesh(draft.mesh, UNITS[draft.unit], pose)
+        except InputError as error:
+            self.problems["part"] = str(error)
+
+    def _read_robot(self, path: Path) -> None:
+        draft, packages = self.draft, dict(self.draft.packages)
+        robot = self.once(_read_robot, path)
+        shape = self.once(_load_shape, path, self.draft.packages)
+        self.values |= {"robot": robot, "shape": shape}
+        self._find_joints(robot)
+        angles = {**middle_angles(robot), **self.angles}
+        root = draft.link if draft.link in robot.links else robot.links[0]
+        self.values["link_poses"] = link_poses(robot, angles, root)
+        self.findings["part"] = shape.findings
+        if draft.link not in robot.links:
+            self.problems["part"] = "Choose the link that carries the skin: click it, or choose it in the list."
+            return
+        joint = robot.sensor_named(draft.sensor, "").joint if draft.sensor else ""
+        found = robot.mesh_for(draft.link, joint)
+        if found is None:
+            self.problems["part"] = f"Link {draft.link} has no mesh, nor a link that is fixed to it. Choose another link."
+            return
+        mesh, pose = found
+        self.values["mesh_link"] = mesh.link
+        self._load_mesh(draft.mesh or find_mesh(robot, mesh, packages), mesh.scale(str(path)), pose)
+
+    def _load_mesh(self, path: Path, scale: float, pose: FloatArray) -> None:
+        rows = tuple(tuple(float(value) for value in row) for row in pose)
+        surface, findings = self.once(_load_surface, path, scale, rows)
+        self.values["surface"] = surface
+        self.values["size_mm"] = tuple(float(side) for side in np.ptp(surface.vertices, axis=0) * 1e3)
+        self.findings["part"] = (*self.findings.get("part", ()), *findings)
+
+    def _find_joints(self, robot: Robot) -> None:
+        """Find the chain between part and sensor, and the poses of all sensors."""
+        draft = self.draft
+        if draft.link not in robot.links:
+            return
+        every = [joint.name for joint in robot.joints.values() if joint.kind in MOVING and not joint.mimics]
+        sensors: dict[str, FloatArray] = {}
+        names = [sensor.name for sensor in robot.sensors]
+        for name in [*names, *([draft.sensor] if draft.sensor and draft.sensor not in names else [])]:
+            try:
+                chain, sign = robot.chain(draft.link, name, every, {}, str(draft.urdf))
+            except InputError as error:
+                if name == draft.sensor:
+                    self.problems["sensor"] = str(error)
+                continue
+            angles = np.array([self._angle(robot, joint.name) for joint in chain.moving])
+            sensors[name] = chain.link_from_sensor(angles)
+            if name == draft.sensor:
+                self.values["sign"] = sign
+                self._follow_chain(robot, chain)
+        self.values["sensors"] = sensors
+
+    def _follow_chain(self, robot: Robot, chain: UrdfChain) -> None:
+        draft, fixed = self.draft, dict(self.draft.fixed)
+        needed = [name for name in joints_in_order(chain) if name not in fixed]
+        columns = list(draft.joints) or needed
+        self.values["joints"] = tuple(
+            JointState(
+                name, columns.index(name) if name in columns else -1, self._angle(robot, name), robot.joints[name].limits
+            )
+            for name in needed
+        )
+        missing = [name for name in needed if name not in columns]
+        if missing:
+            self.problems["joints"] = (
+                f"Joint {missing[0]} lies between sensor and part, and no column of the joint stream has its name: add it, "
+                "or give it a fixed angle."
+            )
+
+    def _angle(self, robot: Robot, name: str) -> float:
+        """Angle of a joint, radians: fixed, shown, or in the middle."""
+        fixed = dict(self.draft.fixed)
+        if name in fixed:
+            return float(np.radians(fixed[name]))
+        limits = robot.joints[name].limits
+        return self.angles.get(name, 0.0 if limits is None else float(np.clip(0.0, *limits)))
+
+    def find_sensor(self) -> None:
+        """Compute the pose of the chosen sensor."""
+        draft = self.draft
+        if draft.urdf is not None:
+            self.values["sensor_pose"] = self.values.get("sensors", {}).get(draft.sensor)
+        elif draft.has_dh_arm and draft.source is not None:
+            self._follow_dh_arm(draft.source)
+        elif draft.sensor_pose is not None:
+            self.values["sensor_pose"] = np.array(draft.sensor_pose)
+        if self.values.get("sensor_pose") is None and "sensor" not in self.problems:
+            self.problems["sensor"] = "The program does not know yet where the force/torque sensor is."
+
+    def _follow_dh_arm(self, source: Path) -> None:
+        spec = self.once(load_scene, source).arm
+        if spec is None or not isinstance(spec.arm, Arm):
+            return
+        names = [f"column {column}" for column in spec.arm.joints]
+        first = next(iter(spec.poses.values()), np.zeros(len(names)))
+        angles = np.array([self.angles.get(name, float(angle)) for name, angle in zip(names, first, strict=True)])
+        self.values["sensor_pose"] = spec.arm.link_from_sensor(angles)
+        self.values["joints"] = tuple(
+            JointState(name, column, float(angle), None)
+            for name, column, angle in zip(names, spec.arm.joints, angles, strict=True)
+        )
+
+    def lay_skin(self) -> None:
+        """Read the layout and place it."""
+        draft, surface = self.draft, self.values.get("surface")
+        if not draft.layout_text:
+            if draft.channels is None:
+                self.problems["skin"] = "The program does not know yet how many values a frame of the skin has."
+            return
+        try:
+            layout = self.once(parse_layout, draft.layout_text, layout_file_of(draft))
+        except InputError as error:
+            self.problems["skin"] = str(error)
+            return
+        self.values["layout"] = layout
+        if draft.channels is not None and draft.channels < layout.width:
+            self.problems["skin"] = (
+                f"The layout uses channels up to {layout.width - 1}, and a skin frame has {draft.channels} values; "
+                f"expected at least {layout.width}."
+            )
+        anchor = None if draft.anchor is None else draft.anchor.anchor()
+        laid = None
+        try:
+            laid = place_layout(layout, anchor, surface)
+            remarks = anchor_remarks(layout, anchor, surface)
+        except InputError as error:
+            self.problems["place"] = str(error)
+            return
+        found = find_laid_problems(layout, laid, surface)
+        self.values |= {"laid": laid, "laid_findings": found}
+        if laid is None:
+            self.problems["place"] = found.sentences[0]
+        else:
+            self.findings["place"] = (*found.sentences, *remarks)
+
+
+def _read_robot(path: Path) -> Robot:
+    return read_urdf(path)
+
+
+def _load_shape(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotShape:
+    return load_robot_shape(read_urdf(path), dict(packages))
+
+
+def _load_surface(path: Path, scale: float, pose: tuple[tuple[float, ...], ...]) -> tuple[Surface, tuple[str, ...]]:
+    surface, findings = load_surface(SurfaceSpec(path, scale, np.array(pose)))
+    return surface, tuple(finding.sentence for finding in findings)
+
+
+def completed_draft(preview: PartPreview) -> PartDraft:
+    """Fill in what follows from the rest: the columns of the joint stream, the number of channels, the name."""
+    draft, layout = preview.draft, preview.layout
+    if draft.urdf is not None and not draft.joints:
+        draft = replace(draft, joints=tuple(joint.name for joint in preview.joints))
+    if draft.channels is None and layout is not None:
+        draft = replace(draft, channels=layout.width)
+    if not draft.name:
+        draft = replace(draft, name=draft.link if draft.urdf is not None or draft.mesh is None else draft.mesh.stem)
+    return draft

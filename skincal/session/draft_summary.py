@@ -1,0 +1,118 @@
+"""Summary of a draft: what is complete, what is missing, and what that costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from skincal.model.errors import plural
+from skincal.session.draft_preview import PartPreview
+
+
+class State(Enum):
+    """State of one line of the summary."""
+
+    COMPLETE = "complete"
+    OPTIONAL = "optional"
+    """Missing, and the part can be calibrated without it, at a cost."""
+    NEEDED = "needed"
+    """Missing or wrong, and nothing can start."""
+
+
+@dataclass(frozen=True, slots=True)
+class SummaryLine:
+    """One thing that a scene says."""
+
+    step: str
+    """Name of the step that changes it."""
+    state: State
+    text: str
+
+
+def summarize(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    """Say of each thing whether it is complete, and what it costs if it is missing."""
+    return (_part(preview), _sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), _landmarks(preview))
+
+
+def can_start(preview: PartPreview) -> bool:
+    """Whether a session can start with this draft."""
+    return all(line.state is not State.NEEDED for line in summarize(preview))
+
+
+def _part(preview: PartPreview) -> SummaryLine:
+    problem = preview.problems.get("part")
+    if problem is not None:
+        return SummaryLine("part", State.NEEDED, problem)
+    if preview.size_mm is None:
+        cost = "no mesh: the surface method is not available, and taxels need pokes from several directions"
+        return SummaryLine("part", State.OPTIONAL if preview.draft.source is not None else State.NEEDED, cost)
+    return SummaryLine("part", State.COMPLETE, f"mesh of {size_words(preview.size_mm)}, frame {preview.draft.link}")
+
+
+def size_words(size_mm: tuple[float, float, float]) -> str:
+    """Write the sides of a box, such as `240 x 90 x 88 mm`."""
+    return " x ".join(f"{side:.0f}" if side >= 10.0 else f"{side:.1f}" for side in size_mm) + " mm"
+
+
+def _sensor(preview: PartPreview) -> SummaryLine:
+    problem = preview.problems.get("sensor")
+    if problem is not None:
+        return SummaryLine("sensor", State.NEEDED, problem)
+    draft = preview.draft
+    pose = preview.sensor_pose
+    assert pose is not None
+    where = ", ".join(f"{value * 1e3:.0f}" for value in pose[:3, 3])
+    text = f"sensor {draft.sensor} at {where} mm" if draft.sensor else f"sensor at {where} mm"
+    if draft.urdf is not None and draft.sign is None and preview.sign is None:
+        text += "; the URDF does not say whether it reports the force or its reaction: the first pokes will show it"
+    return SummaryLine("sensor", State.COMPLETE, text)
+
+
+def _joints(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    problem = preview.problems.get("joints")
+    if problem is not None:
+        return (SummaryLine("joints", State.NEEDED, problem),)
+    if not preview.joints:
+        return ()
+    names = ", ".join(joint.name for joint in preview.joints)
+    return (SummaryLine("joints", State.COMPLETE, f"{plural(len(preview.joints), 'joint')} between sensor and part: {names}"),)
+
+
+def _skin(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    problem = preview.problems.get("skin")
+    if problem is not None:
+        return (SummaryLine("skin", State.NEEDED, problem),)
+    draft, layout = preview.draft, preview.layout
+    rises = "rise" if draft.polarity == "up" else "fall"
+    channels = draft.channels if draft.channels is not None or layout is None else layout.width
+    frame = SummaryLine("skin", State.COMPLETE, f"{plural(channels or 0, 'value')} a frame, which {rises} under pressure")
+    if layout is None:
+        cost = "no layout: the modules method is not available, and the guide searches for the taxels"
+        return frame, SummaryLine("skin", State.OPTIONAL, cost)
+    parts = f"layout of {plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
+    return frame, SummaryLine("skin", State.COMPLETE, parts)
+
+
+def _place(preview: PartPreview) -> tuple[SummaryLine, ...]:
+    if preview.layout is None:
+        return ()
+    problem = preview.problems.get("place")
+    if problem is not None and preview.draft.anchor is None:
+        cost = "the layout is not on the part: the guide searches for the taxels, which takes about twice as many pokes"
+        return (SummaryLine("place", State.OPTIONAL, cost),)
+    if problem is not None:
+        return (SummaryLine("place", State.NEEDED, problem),)
+    findings = preview.findings.get("place", ())
+    if findings:
+        return tuple(SummaryLine("place", State.OPTIONAL, finding) for finding in findings)
+    return (SummaryLine("place", State.COMPLETE, "every taxel lies on the part"),)
+
+
+def _landmarks(preview: PartPreview) -> SummaryLine:
+    count = len(preview.draft.landmarks)
+    if count == 0:
+        return SummaryLine("check", State.OPTIONAL, "no landmarks: a common shift of all taxels would go unnoticed")
+    if count < 3:
+        cost = f"{plural(count, 'landmark')}: three or more also show a turned or wrong sensor frame"
+        return SummaryLine("check", State.OPTIONAL, cost)
+    return SummaryLine("check", State.COMPLETE, plural(count, "landmark"))

@@ -1,0 +1,136 @@
+"""Placing a layout on a part by hand: an anchor at a clicked point, slid, turned, or of one module alone; and what is wrong.
+
+An anchor that moves keeps its x axis as parallel as the surface allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray, tangent_axes
+from skincal.mesh.geodesics import geodesics_of
+from skincal.mesh.lay import PlacedLayout, place_anchor
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError, plural
+from skincal.model.skin import Anchor, Layout, Module
+from skincal.session.part_draft import AnchorDraft
+
+OFF_MESH_M = 0.0005
+"""m. A taxel further from the mesh is off it: covers are no thinner."""
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def anchor_at(
+    surface: Surface | None, layout: Layout, point: FloatArray, before: Anchor | None, at: FloatArray | None = None
+) -> Anchor:
+    """Make the anchor that lays a point of the layout at a point (3,) of the part, metres.
+
+    Parameters
+    ----------
+    surface : `None` for a flat part: its normal is the link's z axis
+    before : anchor whose x axis is kept, carried along; `None` for one across the link's y axis
+    at : (2,) point of the layout, metres; `None` for that of `before`, or the middle of the layout
+    """
+    normal = UP if before is None or surface is not None else before.normal
+    if surface is not None:
+        near, triangles = nearest_points(surface, point[None])
+        point, normal = near[0], surface.normals[triangles[0]]
+    x = np.cross([0.0, 1.0, 0.0], normal) if before is None else before.x
+    x, _ = tangent_axes(x, normal, fallback=True)
+    if at is None:
+        at = middle_of(layout) if before is None else before.at
+    return Anchor(at, point, x, normal)
+
+
+def middle_of(layout: Layout) -> FloatArray:
+    """Find the middle of a layout's taxels, (2,) metres."""
+    places = layout.places[layout.channels]
+    return (places.min(axis=0) + places.max(axis=0)) / 2.0
+
+
+def turned_anchor(anchor: Anchor, degrees: float) -> Anchor:
+    """Turn an anchor about its normal, counter-clockwise seen from outside."""
+    x, y = tangent_axes(anchor.x, anchor.normal)
+    angle = np.radians(degrees)
+    return Anchor(anchor.at, anchor.point, np.cos(angle) * x + np.sin(angle) * y, anchor.normal)
+
+
+def nudged_anchor(surface: Surface | None, anchor: Anchor, x: float, y: float) -> Anchor:
+    """Slide an anchor along the layout's axes by `x` and `y`, metres."""
+    if surface is None:
+        along, across = tangent_axes(anchor.x, anchor.normal)
+        return Anchor(anchor.at, anchor.point + x * along + y * across, anchor.x, anchor.normal)
+    end = geodesics_of(surface).walk(place_anchor(surface, anchor, "the anchor"), np.array([[x, y]]))
+    return Anchor(anchor.at, end.points[0], end.x[0], surface.normals[end.triangles[0]])
+
+
+def anchor_of_module(surface: Surface | None, module: Module, anchor: Anchor | None) -> Anchor | None:
+    """Compute the anchor of one module where it lies now: at its origin; `None` if it is not laid."""
+    own = module.anchor or anchor
+    if own is None:
+        return None
+    there = nudged_anchor(surface, own, *(module.place - own.at).tolist())
+    return Anchor(module.place, there.point, there.x, there.normal)
+
+
+def with_module_anchor(text: str, module: int, anchor: AnchorDraft | None) -> str:
+    """Give a module of a layout's text an anchor of its own, or none; all else stays as it was.
+
+    Raises InputError: the text is written in a way that can be read, but not changed, or has no such module.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    try:
+        document = tomlkit.parse(text)
+        for table in cast("list[MutableMapping[str, Any]]", document["modules"]):
+            if int(table["id"]) == module:
+                table.pop("anchor", None)
+                if anchor is not None:
+                    own = tomlkit.inline_table()
+                    for key in ("at_mm", "point_mm", "x", "normal"):
+                        own[key] = list(getattr(anchor, key))
+                    table["anchor"] = own
+                return str(tomlkit.dumps(document))
+    except TOMLKitError as error:
+        raise InputError(f"The layout's file cannot be changed here ({error}); change it by hand.") from None
+    raise InputError(f"The layout has no module {module}; choose one of its modules.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaidFindings:
+    """What is wrong with a layout on a mesh."""
+
+    off_channels: IntArray
+    """(n,) channels whose position is off the mesh."""
+    sentences: tuple[str, ...]
+
+
+def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surface | None) -> LaidFindings:
+    """Find taxels that lie off the mesh, and modules without a position."""
+    if laid is None:
+        return LaidFindings(np.empty(0, np.int64), ("The layout is not on the part yet: click where its middle lies.",))
+    sentences: list[str] = []
+    unplaced = [module.id for module in layout.modules if np.isnan(laid.places[module.channels, 0]).all()]
+    if unplaced:
+        sentences.append(f"Not on the part: {_modules(unplaced)}. Click where the layout lies.")
+    off = np.empty(0, np.int64)
+    known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
+    if surface is not None and len(known):
+        near, _ = nearest_points(surface, laid.places[known])
+        off = known[np.linalg.norm(near - laid.places[known], axis=1) > OFF_MESH_M]
+    if len(off):
+        modules = sorted({layout.modules[int(index)].id for index in layout.module_of[off]})
+        verb = "lies" if len(off) == 1 else "lie"
+        sentences.append(f"{plural(len(off), 'taxel')} of {_modules(modules)} {verb} off the mesh: slide or turn the layout.")
+    return LaidFindings(off, tuple(sentences))
+
+
+def _modules(ids: list[int]) -> str:
+    shown = ", ".join(map(str, ids[:5])) + (" ..." if len(ids) > 5 else "")
+    return f"module {shown}" if len(ids) == 1 else f"modules {shown}"

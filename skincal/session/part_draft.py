@@ -1,0 +1,541 @@
+"""A part that is being described: one frozen value, its history, and the scene file that it is read from and written to.
+
+Only changed entries of a file are written, so that comments, order and all other tables stay as they are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import MutableMapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+
+from skincal.files.atomic import write_atomically
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.given import MAX_MESH_BYTES, read_regular
+from skincal.model.scene import Scene, load_scene, ships
+from skincal.model.skin import Anchor
+from skincal.model.tables import parse_toml, read_text
+from skincal.session.scene_draft import LAYOUT_FILE
+
+Vector: TypeAlias = tuple[float, ...]
+Pose: TypeAlias = tuple[Vector, ...]
+"""Four rows of four numbers, metres."""
+IDENTITY: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
+MM_DIGITS, UNIT_DIGITS, METRE_DIGITS = 3, 6, 6
+"""Decimals in a scene file: a micrometre, and 0.06 thousandths of a degree."""
+MAX_HISTORY = 500
+COMMENT_COLUMN = 39
+MAX_PARENTS_IN_NAME = 3
+"""A file further away is named by its whole path."""
+NEW_SCENE = "# A part and its skin, made in the window; docs/scene.md says what else a scene can hold.\n"
+
+
+@dataclass(frozen=True, slots=True)
+class AnchorDraft:
+    """Position of a layout, or of one module, on the part."""
+
+    at_mm: Vector
+    """(2,) point of the layout's plane."""
+    point_mm: Vector
+    """(3,) the same point, link frame."""
+    x: Vector
+    """(3,) unit, direction of the layout's x axis."""
+    normal: Vector
+    """(3,) unit, outward."""
+
+    @staticmethod
+    def of(anchor: Anchor) -> AnchorDraft:
+        """Round an anchor to the digits of a scene file."""
+        return AnchorDraft(
+            rounded(anchor.at * 1e3, MM_DIGITS),
+            rounded(anchor.point * 1e3, MM_DIGITS),
+            rounded(anchor.x, UNIT_DIGITS),
+            rounded(anchor.normal, UNIT_DIGITS),
+        )
+
+    def anchor(self) -> Anchor:
+        """Convert to metres and unit vectors."""
+        x, normal = np.array(self.x), np.array(self.normal)
+        return Anchor(
+            np.array(self.at_mm) * 1e-3,
+            np.array(self.point_mm) * 1e-3,
+            x / np.linalg.norm(x),
+            normal / np.linalg.norm(normal),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LandmarkDraft:
+    """A known point of the part."""
+
+    name: str
+    place: Vector
+    """(3,) metres, link frame."""
+    normal: Vector | None = None
+    """(3,) unit, outward."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartDraft:
+    """What a person says of a part. Each change makes another value."""
+
+    source: Path | None = None
+    """Scene file that was opened; `None` for a new part."""
+    text: str = NEW_SCENE
+    """Of that file."""
+    name: str = ""
+    link: str = "part"
+    urdf: Path | None = None
+    sensor: str = ""
+    """Force/torque sensor, joint or link of the URDF."""
+    joints: tuple[str, ...] = ()
+    """Columns of the joint stream, by joint name."""
+    fixed: tuple[tuple[str, float], ...] = ()
+    """Joints that are not streamed, and their angles in degrees."""
+    packages: tuple[tuple[str, Path], ...] = ()
+    mesh: Path | None = None
+    """Of a part without a URDF, or in place of the file that the URDF names."""
+    unit: str = "mm"
+    mesh_pose: Pose | None = None
+    """Of the mesh in the link; `None` for the identity."""
+    sensor_pose: Pose | None = None
+    """Of the sensor in the link, without a URDF; `None` while it is unknown."""
+    has_dh_arm: bool = False
+    """The scene has an `[arm]`, which this page leaves as it is."""
+    sign: int | None = None
+    """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
+    channels: int | None = None
+    polarity: str = "up"
+    layout_text: str = ""
+    """Of the layout file; empty without a layout."""
+    layout_name: str = ""
+    """Name of that file in the scene; empty before the first writing."""
+    anchor: AnchorDraft | None = None
+    landmarks: tuple[LandmarkDraft, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class DraftHistory:
+    """Drafts before and after the present one."""
+
+    past: tuple[PartDraft, ...] = ()
+    now: PartDraft = PartDraft()
+    future: tuple[PartDraft, ...] = ()
+    merged: str = ""
+    """Kind of the last change; changes of one kind in a row, such as the steps of a drag, are undone together."""
+
+    def changed(self, draft: PartDraft, merge: str = "") -> DraftHistory:
+        """Add a change; `merge` names a kind of change whose repetitions are one."""
+        if draft == self.now:
+            return self
+        if merge and merge == self.merged:
+            return replace(self, now=draft, future=())
+        return DraftHistory((*self.past, self.now)[-MAX_HISTORY:], draft, (), merge)
+
+    def undone(self) -> DraftHistory:
+        if not self.past:
+            return self
+        return DraftHistory(self.past[:-1], self.past[-1], (self.now, *self.future))
+
+    def redone(self) -> DraftHistory:
+        if not self.future:
+            return self
+        return DraftHistory((*self.past, self.now), self.future[0], self.future[1:])
+
+
+def rounded(values: FloatArray, digits: int) -> Vector:
+    """Round numbers for a file, without negative zeros."""
+    return tuple(float(value) + 0.0 for value in np.round(values, digits) + 0.0)
+
+
+def pose_rows(pose: FloatArray) -> Pose:
+    """Round a (4, 4) pose, metres, for a file."""
+    rotation, place = np.round(pose[:3, :3], 9) + 0.0, np.round(pose[:3, 3], METRE_DIGITS) + 0.0
+    rows = [(*map(float, rotation[row]), float(place[row])) for row in range(3)]
+    return (*rows, (0.0, 0.0, 0.0, 1.0))
+
+
+def open_draft(path: Path) -> PartDraft:
+    """Read a scene file, to change it.
+
+    Raises InputError: it is no scene, or it has tables that exclude each other on the page.
+    """
+    scene = load_scene(path)
+    document = parse_toml(scene.text, path)
+    if "robot" in document and "surface" in document:
+        raise InputError(f"{path}: has [robot] and [surface]; the window changes scenes with one of them: edit the file.")
+    return _draft_of(scene, document, path)
+
+
+def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
+    skin, robot = document["skin"], document.get("robot", {})
+    surface, folder = document.get("surface", {}), path.parent
+    mesh = surface.get("mesh", robot.get("mesh"))
+    layout = scene.skin.layout
+    return PartDraft(
+        source=path,
+        text=scene.text,
+        name=scene.name,
+        link=scene.link,
+        urdf=folder / robot["urdf"] if "urdf" in robot else None,
+        sensor=robot.get("sensor", ""),
+        joints=tuple(robot.get("joints", ())),
+        fixed=tuple((name, float(angle)) for name, angle in robot.get("fixed", {}).items()),
+        packages=tuple((name, folder / where) for name, where in robot.get("packages", {}).items()),
+        mesh=None if mesh is None else folder / mesh,
+        unit=surface.get("unit", "mm"),
+        mesh_pose=_rows(surface.get("pose")),
+        sensor_pose=_rows(document["sensor"].get("pose", IDENTITY)) if "sensor" in document else None,
+        has_dh_arm="arm" in document,
+        sign=document.get("wrench", {}).get("sign"),
+        channels=scene.skin.channels,
+        polarity=skin.get("polarity", "up"),
+        layout_text="" if layout is None else layout.text,
+        layout_name=skin.get("modules", ""),
+        anchor=_read_anchor(skin["anchor"]) if "anchor" in skin else None,
+        landmarks=tuple(map(_read_landmark, document.get("landmarks", ()))),
+    )
+
+
+def _vector(values: Any) -> Vector:
+    return tuple(float(value) for value in values)
+
+
+def _rows(values: Any) -> Pose | None:
+    return None if values is None else tuple(_vector(row) for row in values)
+
+
+def _read_anchor(table: Any) -> AnchorDraft:
+    return AnchorDraft(*(_vector(table[key]) for key in ("at_mm", "point_mm", "x", "normal")))
+
+
+# What a file says, as the path of each entry and its value.
+
+Key: TypeAlias = tuple[str, ...]
+_COMMENTS: dict[Key, str] = {
+    ("name",): "names the part in exported files",
+    ("link",): "the frame of every position",
+    ("robot", "sensor"): "a force/torque sensor of the URDF, or a joint or link at it",
+    ("robot", "joints"): "columns of the joint stream",
+    ("robot", "fixed"): "joints that are not streamed, degrees",
+    ("surface", "unit"): "of the mesh's numbers",
+    ("sensor",): "pose of the force/torque sensor in the link, metres",
+    ("skin", "channels"): "values of a skin frame",
+    ("skin", "modules"): "the layout of the modules",
+    ("skin", "anchor"): "position of the layout on the part",
+    ("skin", "anchor", "at_mm"): "a point of the layout",
+    ("skin", "anchor", "point_mm"): "and where it is, link frame",
+    ("skin", "anchor", "x"): "direction of the layout's x axis",
+    ("skin", "anchor", "normal"): "outward",
+    ("wrench", "sign"): "-1 if the sensor reports the reaction force",
+}
+_POLARITY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw values fall under pressure"}
+
+
+def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
+    """List what the file in `folder` says of a draft; entries without a value are left out."""
+    entries: dict[Key, Any] = {("name",): draft.name, ("link",): draft.link}
+    if draft.urdf is not None:
+        entries |= _robot_entries(draft, draft.urdf, folder)
+    elif draft.mesh is not None:
+        entries[("surface", "mesh")] = _named(draft.mesh, folder)
+        entries[("surface", "unit")] = draft.unit
+        entries[("surface", "pose")] = draft.mesh_pose
+    if draft.urdf is None:
+        entries[("sensor", "pose")] = draft.sensor_pose
+    entries[("skin", "channels")] = draft.channels
+    entries[("skin", "polarity")] = draft.polarity
+    if draft.layout_text:
+        entries[("skin", "modules")] = draft.layout_name or LAYOUT_FILE
+        if draft.anchor is not None:
+            for key in ("at_mm", "point_mm", "x", "normal"):
+                entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
+    entries[("wrench", "sign")] = draft.sign
+    return {key: value for key, value in entries.items() if value is not None}
+
+
+def _robot_entries(draft: PartDraft, urdf: Path, folder: Path) -> dict[Key, Any]:
+    entries: dict[Key, Any] = {
+        ("robot", "urdf"): _named(urdf, folder),
+        ("robot", "sensor"): draft.sensor,
+        ("robot", "mesh"): None if draft.mesh is None else _named(draft.mesh, folder),
+        ("robot", "joints"): draft.joints or None,
+    }
+    entries |= {("robot", "fixed", name): angle for name, angle in draft.fixed}
+    return entries | {("robot", "packages", name): _named(path, folder) for name, path in draft.packages}
+
+
+def scene_text(draft: PartDraft, folder: Path) -> str:
+    """Write the scene file of a draft, for `folder`: the text that was opened, with the changes in it.
+
+    Raises InputError: the file is written in a way that can be read, but not changed.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    before, after = _entries_of_text(draft), _entries(draft, folder)
+    has_landmark_change = draft.landmarks != _landmarks_of_text(draft)
+    if before == after and not has_landmark_change:
+        return draft.text
+    try:
+        document = cast("Any", tomlkit.parse(draft.text))
+        for key in before.keys() - after.keys():
+            _remove(document, key)
+        for key, value in after.items():
+            if before.get(key) != value:
+                _put(document, key, value)
+        if has_landmark_change:
+            _put_landmarks(document, draft.landmarks)
+        text = str(tomlkit.dumps(document))
+    except (TOMLKitError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{draft.source}: the scene cannot be changed here ({error}); edit the file.") from None
+    _require_same(draft, text, folder)
+    return text
+
+
+def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
+    """List what the opened text says, in the values of a draft; empty for a new part."""
+    if draft.source is None:
+        return {}
+    document = parse_toml(draft.text, draft.source)
+    found: dict[Key, Any] = {}
+    for key in _all_keys(document):
+        value: Any = document
+        for name in key:
+            value = value[name]
+        found[key] = _frozen(value)
+    if "skin" in document:
+        found.setdefault(("skin", "polarity"), "up")  # the default
+    if document.get("sensor") == {}:
+        found[("sensor", "pose")] = IDENTITY
+    return found
+
+
+def _all_keys(document: dict[str, Any]) -> list[Key]:
+    """List the entries of a document that a draft knows."""
+    known = [("name",), ("link",), ("skin", "channels"), ("skin", "polarity"), ("skin", "modules"), ("wrench", "sign")]
+    known += [("surface", key) for key in ("mesh", "unit", "pose")] + [("sensor", "pose")]
+    known += [("robot", key) for key in ("urdf", "sensor", "mesh", "joints")]
+    known += [("skin", "anchor", key) for key in ("at_mm", "point_mm", "x", "normal")]
+    for table in ("fixed", "packages"):
+        known += [("robot", table, name) for name in document.get("robot", {}).get(table, {})]
+    return [key for key in known if _has(document, key)]
+
+
+def _has(document: Any, key: Key) -> bool:
+    for name in key:
+        if not isinstance(document, dict) or name not in document:
+            return False
+        document = cast("dict[str, Any]", document)[name]
+    return True
+
+
+def _frozen(value: Any) -> Any:
+    """Convert lists to tuples and their whole numbers to floats, as a draft holds them."""
+    if isinstance(value, list):
+        return tuple(
+            float(each) if isinstance(each, int) and not isinstance(each, bool) else _frozen(each)
+            for each in cast("list[Any]", value)
+        )
+    return value
+
+
+def _landmarks_of_text(draft: PartDraft) -> tuple[LandmarkDraft, ...]:
+    if draft.source is None:
+        return ()
+    return tuple(map(_read_landmark, parse_toml(draft.text, draft.source).get("landmarks", ())))
+
+
+def _remove(document: Any, key: Key) -> None:
+    """Remove an entry, and the tables that are empty without it."""
+    tables = [document]
+    for name in key[:-1]:
+        tables.append(tables[-1][name])
+    del tables[-1][key[-1]]
+    for table, name in zip(reversed(tables[:-1]), reversed(key[:-1]), strict=True):
+        if len(table[name]) == 0:
+            del table[name]
+
+
+def _put(document: Any, key: Key, value: Any) -> None:
+    """Set an entry; new tables and entries get their comment."""
+    import tomlkit
+
+    table: MutableMapping[str, Any] = document
+    for depth, name in enumerate(key[:-1], start=1):
+        if name not in table:
+            fresh = tomlkit.table()
+            if (comment := _COMMENTS.get(key[:depth])) is not None and depth + 1 >= len(key):
+                fresh.comment(comment)
+            if depth == 1:
+                cast("Any", table).add(tomlkit.nl())
+            table[name] = fresh
+        table = table[name]
+    is_new = key[-1] not in table
+    item = cast("Any", tomlkit.item(_plain(value)))
+    comment = _POLARITY_COMMENTS.get(str(value)) if key == ("skin", "polarity") else _COMMENTS.get(key)
+    if comment is not None and (is_new or key == ("skin", "polarity")):
+        _set_comment(key[-1], item, comment)
+    elif not is_new:
+        item.trivia.comment_ws, item.trivia.comment = _trivia_of(table[key[-1]])
+    table[key[-1]] = item
+
+
+def _trivia_of(item: Any) -> tuple[str, str]:
+    trivia = getattr(item, "trivia", None)
+    return ("", "") if trivia is None else (trivia.comment_ws, trivia.comment)
+
+
+def _set_comment(key: str, item: Any, comment: str) -> None:
+    item.comment(comment)
+    item.trivia.comment_ws = " " * max(2, COMMENT_COLUMN - len(f"{key} = {item.as_string()}"))
+
+
+def _plain(value: Any) -> Any:
+    """Convert tuples to lists, and their whole numbers to integers, which are easier to read."""
+    if isinstance(value, tuple):
+        return [
+            int(each) if isinstance(each, float) and each.is_integer() else _plain(each)
+            for each in cast("tuple[Any, ...]", value)
+        ]
+    return value
+
+
+def _put_landmarks(document: Any, landmarks: tuple[LandmarkDraft, ...]) -> None:
+    """Change the landmarks; a table whose landmark is unchanged stays, with its comments."""
+    import tomlkit
+
+    array: Any = document.get("landmarks")
+    if array is None:
+        array = tomlkit.aot()
+    before = [_read_landmark(table) for table in array]
+    if len(before) == len(landmarks) and sum(old != new for old, new in zip(before, landmarks, strict=True)) == 1:
+        index = next(index for index, (old, new) in enumerate(zip(before, landmarks, strict=True)) if old != new)
+        _fill_landmark(array[index], landmarks[index])
+        return
+    stay = [mark in landmarks for mark in before]
+    kept = [mark for mark in before if mark in landmarks]
+    if tuple(kept) != landmarks[: len(kept)]:  # in another order: all are written again
+        stay, kept = [False] * len(array), []
+    for index in reversed(range(len(array))):
+        if not stay[index]:
+            del array[index]
+    for mark in landmarks[len(kept) :]:
+        if len(array) and "landmarks" in document:
+            array[-1].add(tomlkit.nl())
+        table = tomlkit.table()
+        _fill_landmark(table, mark)
+        array.append(table)
+    if not landmarks:
+        document.pop("landmarks", None)
+    elif "landmarks" not in document:
+        document.add(tomlkit.nl())
+        document["landmarks"] = array
+
+
+def _read_landmark(table: Any) -> LandmarkDraft:
+    return LandmarkDraft(str(table["name"]), _vector(table["place"]), _vector(table["normal"]) if "normal" in table else None)
+
+
+def _fill_landmark(table: Any, mark: LandmarkDraft) -> None:
+    is_new = "place" not in table
+    table["name"] = mark.name
+    table["place"] = _plain(mark.place)
+    if is_new:
+        _set_comment("place", table["place"], "m, link frame")
+    if mark.normal is not None:
+        table["normal"] = _plain(mark.normal)
+    else:
+        table.pop("normal", None)
+
+
+def _require_same(draft: PartDraft, text: str, folder: Path) -> None:
+    """Refuse a text that would be read as something else than the draft."""
+    wrote = replace(draft, text=text, source=draft.source or folder / "scene.toml")
+    if _entries_of_text(wrote) != _entries(draft, folder) or _landmarks_of_text(wrote) != draft.landmarks:
+        raise InputError(f"{folder}: the scene would not be read as it was meant; edit the file by hand.")
+
+
+def save_draft(draft: PartDraft, path: Path) -> PartDraft:
+    """Write the scene file, and its layout; copy a bare mesh into the folder. Return the draft of that file.
+
+    Nothing is written if the file says the same already.
+
+    Raises
+    ------
+    InputError
+        The file is another scene or ships with the program, it cannot be written, or it could not be loaded.
+    """
+    is_same = draft.source is not None and path.resolve() == draft.source.resolve()
+    if ships(path):
+        raise InputError(f"{path}: is part of skincal and is not changed; choose another folder.")
+    if path.exists() and not is_same:
+        raise InputError(f"{path}: is there already; choose another folder.")
+    folder = path.parent
+    made: dict[Path, bytes] = {}
+    mesh = draft.mesh
+    if mesh is not None and draft.urdf is None and mesh.resolve().parent != folder.resolve():
+        target = folder / mesh.name
+        made[target] = read_regular(mesh, MAX_MESH_BYTES)
+        draft = replace(draft, mesh=target)
+    if draft.layout_text:
+        name = draft.layout_name if is_same and draft.layout_name else LAYOUT_FILE
+        made[folder / name] = draft.layout_text.encode()
+        draft = replace(draft, layout_name=name)
+    made[path] = scene_text(draft, folder).encode()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
+    _write_all(made, path)
+    return open_draft(path)
+
+
+def _write_all(files: dict[Path, bytes], scene: Path) -> None:
+    """Write changed files; if the scene cannot be loaded then, restore the old ones."""
+    old = {file: file.read_bytes() if file.exists() else None for file in files}
+    changed = [file for file, data in files.items() if old[file] != data]
+    try:
+        for file in changed:
+            backup = write_atomically(file, files[file])
+            if backup is not None:
+                backup.unlink()
+        load_scene(scene)
+    except InputError:
+        for file in changed:
+            before = old[file]
+            file.unlink(missing_ok=True) if before is None else file.write_bytes(before)
+        raise
+
+
+def _named(path: Path, folder: Path) -> str:
+    """Name a file relative to the scene's folder if it is near, else by its whole path."""
+    whole = path.resolve()
+    try:
+        relative = Path(os.path.relpath(whole, folder.resolve()))
+    except ValueError:  # another drive of Windows
+        return whole.as_posix()
+    return (whole if relative.parts.count("..") > MAX_PARENTS_IN_NAME else relative).as_posix()
+
+
+def free_scene_path(scenes: Path, name: str) -> Path:
+    """Find a scene file in a new folder of `scenes`, named after the part."""
+    plain = "".join(letter if letter.isalnum() or letter in "-_ ." else "-" for letter in name).strip(" .") or "part"
+    folders = (scenes / (plain if number == 1 else f"{plain}-{number}") for number in range(1, 10_000))
+    return next(folder for folder in folders if not folder.exists()) / "scene.toml"
+
+
+def layout_file_of(draft: PartDraft) -> Path:
+    """Give the path that sentences about the layout name."""
+    folder = Path() if draft.source is None else draft.source.parent
+    return folder / (draft.layout_name or LAYOUT_FILE)
+
+
+def read_source(path: Path) -> str:
+    """Read a text file with line feeds as line ends."""
+    return read_text(path).replace("\r\n", "\n")

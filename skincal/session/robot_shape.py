@@ -1,0 +1,89 @@
+"""The look of a URDF robot: the visual meshes of its links, and the poses of all links at given joint angles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skincal.geometry import FloatArray, IntArray, inverse_pose
+from skincal.mesh.readers import read_mesh
+from skincal.model.errors import InputError, plural
+from skincal.model.given import MAX_MESH_BYTES, read_regular
+from skincal.model.urdf import MOVING, Robot, find_mesh
+
+MAX_SHAPE_TRIANGLES = 2_000_000
+"""Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkShape:
+    """Visual mesh of a link."""
+
+    link: str
+    vertices: FloatArray
+    """(n, 3) float, metres, in the frame of the link."""
+    triangles: IntArray
+    """(m, 3) int."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotShape:
+    """Visual meshes of a robot."""
+
+    links: tuple[LinkShape, ...]
+    findings: tuple[str, ...]
+    """Sentences about meshes that are not drawn."""
+
+
+def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
+    """Read the visual meshes of all links. Files that cannot be read are reported in the findings and left out."""
+    shapes: list[LinkShape] = []
+    missing: list[str] = []
+    total = 0
+    for link, mesh in robot.meshes.items():
+        try:
+            path = find_mesh(robot, mesh, packages)
+            points, faces = read_mesh(path, read_regular(path, MAX_MESH_BYTES, what="mesh file"))
+        except InputError as error:
+            missing.append(str(error))
+            continue
+        total += len(faces)
+        if total > MAX_SHAPE_TRIANGLES or not len(faces) or not np.isfinite(points).all():
+            missing.append(f"{path}: is too large, empty or not finite")
+            continue
+        pose = mesh.origin
+        shapes.append(LinkShape(link, points * mesh.scales @ pose[:3, :3].T + pose[:3, 3], faces))
+    findings = (
+        (f"{plural(len(missing), 'mesh file')} of the robot cannot be drawn; the first: {missing[0]}",) if missing else ()
+    )
+    return RobotShape(tuple(shapes), findings)
+
+
+def middle_angles(robot: Robot) -> dict[str, float]:
+    """Choose an angle for each moving joint, radians: 0, or the nearest limit."""
+    moving = [joint for joint in robot.joints.values() if joint.kind in MOVING]
+    return {joint.name: 0.0 if joint.limits is None else float(np.clip(0.0, *joint.limits)) for joint in moving}
+
+
+def link_poses(robot: Robot, angles: Mapping[str, float], root: str) -> dict[str, FloatArray]:
+    """Compute the (4, 4) poses of all links in the frame of the link `root`, metres.
+
+    `angles` are radians, by joint; joints without an angle, and joints that slide, are at 0.
+    """
+    children: dict[str, list[str]] = {}
+    for joint in robot.joints.values():
+        children.setdefault(joint.parent, []).append(joint.name)
+    top = next(link for link in robot.links if robot.joint_above(link) is None)
+    poses, waiting = {top: np.eye(4)}, [top]
+    while waiting:
+        at = waiting.pop()
+        for name in children.get(at, []):
+            joint = robot.joints[name]
+            angle = angles.get(name, 0.0) if joint.kind in MOVING else 0.0
+            poses[joint.child] = poses[at] @ (joint.transform(angle) if joint.kind in MOVING else joint.origin)
+            waiting.append(joint.child)
+    back = inverse_pose(poses[root])
+    return {link: back @ pose for link, pose in poses.items()}

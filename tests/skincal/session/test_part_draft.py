@@ -1,0 +1,226 @@
+"""A part described by hand: what is opened and saved stays as it is, what is changed reads back, and nothing else moves."""
+
+import shutil
+from dataclasses import replace
+from difflib import unified_diff
+
+import numpy as np
+import pytest
+import trimesh
+
+from skincal.files.layout_sources import parse_layout, read_layout_file, repeated_modules
+from skincal.model.errors import InputError
+from skincal.model.scene import resource
+from skincal.session.draft_preview import PartPreviewer, completed_draft, guess_unit
+from skincal.session.draft_summary import State, can_start, summarize
+from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
+from skincal.session.part import load_part
+from skincal.session.part_draft import (
+    IDENTITY,
+    AnchorDraft,
+    DraftHistory,
+    LandmarkDraft,
+    PartDraft,
+    open_draft,
+    pose_rows,
+    save_draft,
+    scene_text,
+)
+from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
+
+SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]
+
+
+@pytest.fixture
+def cylinder(tmp_path):
+    """A cylinder of radius 40 mm and height 120 mm, standing on z = 0, in millimetres."""
+    mesh = trimesh.creation.cylinder(40.0, 120.0, sections=128)
+    mesh.apply_translation((0, 0, 60))
+    mesh.export(tmp_path / "tube.stl")
+    return tmp_path / "tube.stl"
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_scene_that_is_opened_and_saved_is_the_same_to_the_byte(tmp_path, name):
+    folder = shutil.copytree(resource(f"scenes/{name}"), tmp_path / name)
+    before = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+    draft = open_draft(folder / "scene.toml")
+    assert save_draft(draft, folder / "scene.toml") == draft
+    assert {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()} == before
+    with pytest.raises(InputError, match="is part of skincal"):
+        save_draft(draft, resource(f"scenes/{name}/scene.toml"))
+
+
+@pytest.mark.parametrize(
+    ("change", "lines"),
+    [
+        (lambda d: replace(d, polarity="up"), 1),
+        (lambda d: replace(d, anchor=replace(d.anchor, point_mm=(1.0, 39.5, 29.25))), 1),
+        (lambda d: replace(d, landmarks=(*d.landmarks, LandmarkDraft("new", (0.01, 0.02, 0.03)))), 0),
+        (lambda d: replace(d, landmarks=d.landmarks[1:]), 5),
+        (lambda d: replace(d, landmarks=(replace(d.landmarks[0], name="x"), *d.landmarks[1:])), 2),
+        (lambda d: replace(d, sign=-1), 0),
+        (lambda d: replace(d, anchor=None), 6),
+    ],
+)
+def test_a_change_takes_away_the_lines_it_is_about_and_no_others(change, lines):
+    draft = open_draft(resource("scenes/icub-forearm/scene.toml"))
+    changed = change(draft)
+    text = scene_text(changed, draft.source.parent)
+    gone = [line for line in unified_diff(draft.text.splitlines(), text.splitlines(), n=0) if line[:1] == "-" != line[1:2]]
+    assert len(gone) <= lines, gone
+    assert scene_text(replace(changed, text=text), draft.source.parent) == text
+
+
+def described(cylinder) -> PartDraft:
+    draft = PartDraft(mesh=cylinder, name="tube", sensor_pose=IDENTITY, polarity="down")
+    return replace(draft, layout_text=repeated_modules("triangle_12", 1, 4))
+
+
+def test_a_part_that_is_described_is_saved_with_its_mesh_and_loads(tmp_path, cylinder):
+    previewer = PartPreviewer()
+    seen = previewer.preview(described(cylinder), {})
+    assert seen.size_mm == pytest.approx((80.0, 80.0, 120.0), rel=1e-3)
+    anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.0, 0.06]), None)
+    draft = replace(seen.draft, anchor=AnchorDraft.of(anchor), landmarks=(LandmarkDraft("rim", (0.04, 0.0, 0.12)),))
+    seen = previewer.preview(draft, {})
+    assert can_start(seen)
+    assert {line.state for line in summarize(seen)} == {State.COMPLETE, State.OPTIONAL}
+    saved = save_draft(completed_draft(seen), tmp_path / "scenes/tube/scene.toml")
+    part = load_part(saved.source)
+    assert np.array_equal(part.laid.places, seen.laid.places, equal_nan=True)
+    assert part.scene.skin.channels == 48
+    assert part.scene.skin.polarity == -1
+    assert part.scene.landmarks[0].name == "rim"
+    cylinder.unlink()
+    assert save_draft(replace(saved, polarity="up"), saved.source).polarity == "up"
+    assert "up" in saved.source.read_text()
+
+
+def test_a_scene_that_cannot_be_loaded_is_not_left_behind(tmp_path, cylinder):
+    with pytest.raises(InputError):
+        save_draft(replace(described(cylinder), channels=7), tmp_path / "scenes/tube/scene.toml")
+    assert not list((tmp_path / "scenes").rglob("*.*"))
+
+
+def test_one_module_moves_alone_and_only_its_lines_change(cylinder):
+    previewer = PartPreviewer()
+    seen = previewer.preview(described(cylinder), {})
+    anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.0, 0.06]), None)
+    seen = previewer.preview(replace(seen.draft, anchor=AnchorDraft.of(anchor)), {})
+    here = anchor_of_module(seen.surface, seen.layout.modules[2], anchor)
+    for shift, expected in ((0.0, 0.0), (0.003, 0.003)):
+        own = AnchorDraft.of(nudged_anchor(seen.surface, here, shift, 0.0))
+        text = with_module_anchor(seen.draft.layout_text, 2, own)
+        moved = previewer.preview(replace(seen.draft, layout_text=text), {}).laid.places - seen.laid.places
+        distances = np.linalg.norm(moved, axis=1)
+        assert distances[24:36] == pytest.approx(expected, abs=2e-6 + 0.05 * expected)
+        assert distances[np.r_[0:24, 36:48]].max() == 0.0
+    assert with_module_anchor(text, 2, None) == seen.draft.layout_text
+
+
+def test_an_anchor_slides_round_a_cylinder_and_turns(cylinder):
+    surface = PartPreviewer().preview(PartDraft(mesh=cylinder), {}).surface
+    layout = parse_layout(repeated_modules("triangle_12", 1, 1), cylinder)
+    start = anchor_at(surface, layout, np.array([0.05, 0.0, 0.06]), None)
+    assert start.normal == pytest.approx([1, 0, 0], abs=0.03)
+    quarter = nudged_anchor(surface, start, 0.0, 0.02 * np.pi) if abs(start.x[2]) > 0.9 else None
+    quarter = quarter or nudged_anchor(surface, start, 0.02 * np.pi, 0.0)
+    assert abs(quarter.normal[1]) > 0.999
+    turned = turned_anchor(start, 90.0)
+    assert turned.x @ start.x == pytest.approx(0.0, abs=1e-12)
+    assert np.cross(start.x, turned.x) == pytest.approx(start.normal)
+
+
+def test_sensor_poses(cylinder):
+    surface = PartPreviewer().preview(PartDraft(mesh=cylinder), {}).surface
+    under = pose_under(surface, 0.03)
+    assert under[:3, 3] == pytest.approx([0, 0, -0.03], abs=1e-6)
+    rim = np.array([[0.04 * np.cos(a), 0.04 * np.sin(a), 0.0] for a in (0.2, 1.9, 4.0)])
+    flange = pose_on_flange(rim, np.array([0, 0, 0.06]))
+    assert flange[:3, 3] == pytest.approx([0, 0, 0], abs=1e-9)
+    assert flange[:3, 2] == pytest.approx([0, 0, 1])
+    assert flange[:3, 0] == pytest.approx(rim[0] / 0.04)
+    with pytest.raises(InputError, match="of a line"):
+        pose_on_flange(np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0.0005, 0]]), np.zeros(3))
+    with pytest.raises(InputError, match="0 0 0"):
+        pose_along(np.zeros(3), np.zeros(3))
+    for axis in range(3):
+        turned = turned_pose(flange, axis)
+        angle = np.arccos((np.trace(flange[:3, :3].T @ turned[:3, :3]) - 1) / 2)
+        assert angle == pytest.approx(np.pi / 2)
+        assert turned[:3, axis] == pytest.approx(flange[:3, axis])
+        assert turned_pose(turned, axis, 3) == pytest.approx(flange)
+        assert np.linalg.det(turned[:3, :3]) == pytest.approx(1.0)
+    assert np.array(pose_rows(flange)) == pytest.approx(flange, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sides", "unit"),
+    [((240, 90, 88), "mm"), ((0.24, 0.09, 0.088), "m"), ((24, 9, 8.8), "cm"), ((1.7, 0.5, 0.3), "m"), ((9e5, 1, 1), "mm")],
+)
+def test_the_unit_of_a_mesh_is_guessed_from_its_size(sides, unit):
+    assert guess_unit(np.array(sides, dtype=float)) == unit
+
+
+def test_changes_are_undone_and_the_steps_of_a_drag_at_once():
+    first, second, third = (PartDraft(name=name) for name in "abc")
+    history = DraftHistory(now=first).changed(second, "drag").changed(third, "drag")
+    assert history.changed(third) is history
+    assert history.undone().now == first
+    assert history.undone().redone().now == third
+    assert history.undone().changed(second).redone().now == second
+    assert DraftHistory().undone() == DraftHistory()
+
+
+INI = "[SENSORS]\n# k n x y a g m\ntriangle_10pad 0 100.00 -20.00 30.00 5 1\ntriangle_10pad 12 127.71 -4 -90 5 0\n"
+
+
+def test_an_ini_of_skingui_is_read(tmp_path):
+    path = tmp_path / "arm.ini"
+    path.write_text("cardid 8 9\nwidth 500\n" + INI)
+    layout = parse_layout(read_layout_file(path), path)
+    assert [(m.id, m.first_channel, m.mirror) for m in layout.modules] == [(0, 0, True), (12, 144, False)]
+    assert layout.modules[0].place == pytest.approx([0.1, -0.02])
+    assert np.degrees(layout.modules[1].angle) == pytest.approx(-90)
+    assert len(layout.channels) == 20
+
+
+@pytest.mark.parametrize(
+    "text", ["channel,x,y\n0,0,0\n2,5,0\n1,0,5\n", "0 0 0\n2 5 0\n1 0 5", "x_m;y_m\n0;0\n0;0.005\n0.005;0"]
+)
+def test_a_table_of_positions_is_read(tmp_path, text):
+    path = tmp_path / "pads.csv"
+    path.write_text(text)
+    places = parse_layout(read_layout_file(path), path).places
+    assert places == pytest.approx(np.array([[0, 0], [0, 5], [5, 0]]) * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.ini", "[SENSORS]\n", "lists no module"),
+        ("a.ini", "hexagon 1 2 3 4 5 6\n", "module 'hexagon'"),
+        ("a.ini", "triangle_10pad 1 2 3\n", "line 1"),
+        ("a.ini", INI + "triangle_10pad 12 1 1 1 1 1", "repeats module 12"),
+        ("a.csv", "0,1\n0,1,2\n", "line 2"),
+        ("a.csv", "0,1,2\n0,1,2\n", "twice"),
+        ("a.csv", "-1,1,2\n", "whole number"),
+        ("a.csv", "0,1,2\nx,y,z\n", "line 2"),
+        ("a.csv", "", "0 positions"),
+        ("a.step", "", "is no layout"),
+    ],
+)
+def test_what_is_no_layout_is_refused(tmp_path, name, text, words):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_layout_file(tmp_path / name)
+
+
+def test_repeated_triangles_share_their_edges():
+    layout = parse_layout(repeated_modules("triangle_12", 2, 5), resource("scenes"))
+    assert layout.spacing == pytest.approx(0.005, abs=1e-5)
+    corners = np.round(np.concatenate([module.outline for module in layout.modules]) * 1e3, 1)
+    assert len(np.unique(corners, axis=0)) == 11  # of 30: each inner corner is one of several modules
+    with pytest.raises(InputError, match="does not ship"):
+        repeated_modules("hexagon", 1, 1)
