@@ -189,10 +189,10 @@ def _make_operator(
 @contextmanager
 def _target_client(hand: AutoOperator | ScriptedOperator, targets: str | None) -> Generator[None]:
     """Have a simulated hand poke the targets of a port, if one is named."""
+    from skincal.robot.target_client import TargetClient
     from skincal.robot.target_lines import NoTarget
     from skincal.robot.target_server import parse_port
     from skincal.simulate.operator import GuidedOperator
-    from skincal.simulate.robot_client import TargetClient
 
     if targets is None or not isinstance(hand, GuidedOperator):
         yield

@@ -43,6 +43,7 @@ from skincal.guide.progress import (
     improvable_error,
     poke_interval,
 )
+from skincal.guide.robot_order import RobotPace, nearest_open_module, nearest_open_taxel, travel_seconds
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import Evidence
@@ -110,6 +111,8 @@ class Guide:
         # Skipped pushes of each taxel, by its index; and the taxel skipped last, until the next poke.
         self._skips: dict[int, list[FloatArray]] = {}
         self._just_skipped = -1
+        self.robot: RobotPace | None = None
+        """Pace of the robot that pokes; `None` for a hand."""
         self._estimates: list[Estimate | None] = [None] * count
         self._needs: list[tuple[Need, ...]] = [()] * count
         self._unknown_error = float(np.sqrt(3.0)) * self.settings.unknown
@@ -149,14 +152,15 @@ class Guide:
         self._update_needs(own, dirty)
         return self._guidance(own)
 
-    def skip(self, target: Target) -> None:
-        """Ask for something else than a target. A side of a taxel that is skipped twice is left out."""
+    def skip(self, target: Target, *, is_impossible: bool = False) -> None:
+        """Ask for something else than a target. A side of a taxel that is skipped twice, or is impossible, is left out."""
         self._kept = None
         if target.channel is None and self._search is not None:
             self._search.skip(target.place)
         elif target.channel is not None and target.channel in self._statistics.row_of:
             self._just_skipped = self._statistics.row_of[target.channel]
-            self._skips.setdefault(self._just_skipped, []).append(target.push)
+            count = MAX_SKIPS_PER_SIDE if is_impossible else 1
+            self._skips.setdefault(self._just_skipped, []).extend([target.push] * count)
             self._gains.mark_stale(self._just_skipped)
 
     def _update_statistics(
@@ -343,11 +347,12 @@ class Guide:
             return None
         hand = self._pokes.hand(self._places)
         way = np.zeros(len(rows)) if hand is None else np.sqrt(np.sum((state.places[rows] - hand) ** 2, axis=1))
-        seconds = self.settings.poke_s + way / self.settings.hand_speed
+        seconds = travel_seconds(way, self.robot, self.settings)
         if self._in_plane:
             row = self._next_in_turn(rows, seconds)
             push = self._next_push(row)
         else:
+            rows, seconds = self._stay(rows, seconds, phase)
             near = self._preselect(rows, seconds)
             self._others = NEIGHBOUR_GAIN_WEIGHT_IN_SWEEP if phase is GuidePhase.SWEEP else NEIGHBOUR_GAIN_WEIGHT_IN_OWN_POKES
             skipped = {row: self._skipped_pushes(row) for row in self._skips}
@@ -356,6 +361,20 @@ class Guide:
             row, push = int(rows[near[best // gains.shape[1]]]), best % gains.shape[1]
         self._kept = row, push
         return self._make_target(state, row, push)
+
+    def _stay(self, rows: IntArray, seconds: FloatArray, phase: GuidePhase) -> tuple[IntArray, FloatArray]:
+        """Keep a robot at the nearest open taxel, for pokes of several tilts in a row, once the sweep is over."""
+        if self.robot is None or phase is GuidePhase.SWEEP:
+            return rows, seconds
+        row = nearest_open_taxel(rows, seconds, self._tried(), self._statistics.own, self.settings.own_pokes)
+        return np.array([row]), seconds[rows == row]
+
+    def _tried(self) -> IntArray:
+        """Targets (n,) at each taxel, with those that were not answered or skipped."""
+        tried = np.maximum(self._pokes.asked, self._pokes.unanswered)
+        for row, sides in self._skips.items():
+            tried[row] += len(sides)
+        return tried
 
     def _skipped_pushes(self, row: int) -> BoolArray:
         """Pushes (d,) at a taxel from sides that were skipped too often."""
@@ -384,13 +403,15 @@ class Guide:
 
     def _next_in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
         """Choose the taxel in turn; a module that never answers, or is skipped, has had its turn too."""
-        asked, own = self._pokes.asked, self._statistics.own
+        own, settings = self._statistics.own, self.settings
         if self.method is not Method.MODULES:
-            return next_taxel(rows, seconds, asked, own)
-        tried = np.maximum(asked, self._pokes.unanswered)
-        for row, sides in self._skips.items():
-            tried[row] += len(sides)
-        return next_module_taxel(rows, seconds, tried, own, self.plan.modules, self._places)
+            if self.robot is not None:
+                return nearest_open_taxel(rows, seconds, self._tried(), own, settings.own_pokes)
+            return next_taxel(rows, seconds, self._pokes.asked, own)
+        others = self.plan.modules, self._places
+        if self.robot is not None:
+            return nearest_open_module(rows, seconds, self._tried(), own, settings.module_pokes, *others)
+        return next_module_taxel(rows, seconds, self._tried(), own, *others)
 
     def _aim(self, row: int, push: FloatArray, missing: Sequence[Need]) -> FloatArray:
         """Choose where to press, (3,) metres: on the taxel, or off it if nothing but balance is missing.

@@ -244,6 +244,8 @@ class Left:
     why: Why
     needs: tuple[Need, ...]
     """None if it is not used."""
+    refusal: str = ""
+    """Why a robot cannot reach it; empty without a robot."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -129,7 +129,7 @@ class AskPoke:
 class SkipPoke:
     """Request another poke instead of this one.
 
-    A side of a taxel is left out after two skips, a position after one.
+    A side of a taxel is left out after two skips, or after one with a reason; a position after one.
     """
 
     method: str
@@ -138,6 +138,8 @@ class SkipPoke:
     """As in `AskPoke`."""
     place: tuple[float, ...]
     push: tuple[float, ...]
+    reason: str = ""
+    """Why a robot can never do it; empty if the operator skipped it, or the robot gave no reason."""
 
 
 @dataclass(frozen=True, slots=True)

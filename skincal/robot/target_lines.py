@@ -11,10 +11,13 @@ from itertools import accumulate, takewhile
 from typing import TypeAlias
 from urllib.parse import quote
 
+import numpy as np
+
 from skincal.geometry import FloatArray
+from skincal.guide.robot_order import RobotPace
 from skincal.model.errors import InputError, plain_text, shortened
 
-GREETING = "skincal targets 1"
+GREETING = "skincal targets 2"
 """First line of every connection: protocol and version."""
 LINE_MAX_BYTES = 512
 """A target has about 150; the rest is for long names and reasons."""
@@ -61,6 +64,8 @@ class NoTarget(Enum):
     """No poke is wanted now; the target before is withdrawn."""
     ENOUGH = "enough"
     """No more pokes are needed."""
+    STOP = "stop"
+    """The operator pressed the stop key: stop moving at once, let go of the part, and stay until the next target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +78,20 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
+class Held:
+    """The poke that was requested by a number is held long enough: let go."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
 class Refused:
     """The reason for which a robot is disconnected."""
 
     reason: str
 
 
-AskedLine: TypeAlias = PokeTarget | NoTarget | Judged | Refused
+AskedLine: TypeAlias = PokeTarget | NoTarget | Judged | Held | Refused
 
 
 class AnswerKind(Enum):
@@ -88,7 +100,7 @@ class AnswerKind(Enum):
     REACHED = "reached"
     """It pressed there as requested, and released."""
     SKIP = "skip"
-    """It cannot or will not; another target is wanted."""
+    """It cannot or will not; another target is wanted. With a text it never can, and the text says why."""
     FAULT = "fault"
     """It has stopped."""
 
@@ -100,10 +112,26 @@ class Answer:
     kind: AnswerKind
     number: int
     text: str = ""
-    """What happened, for a fault."""
+    """What happened, for a fault; why it is impossible, for a skip."""
 
 
-ANSWER_HELP = "reached N, skip N or fault N TEXT"
+@dataclass(frozen=True, slots=True, eq=False)
+class TipPose:
+    """Pose of the robot's tip as the robot knows it, in the frame of the targets."""
+
+    place: FloatArray
+    """(3,) float, metres: the end of the tip."""
+    push: FloatArray
+    """(3,) float, unit: from the tool to the tip."""
+
+
+RobotLine: TypeAlias = Answer | RobotPace | TipPose
+
+ANSWER_HELP = "reached N, skip N [REASON], fault N TEXT, robot SPEED SECONDS or tip X Y Z PX PY PZ"
+COORDINATE_MAX_M = 10.0
+"""m. No part reaches so far from its frame's origin."""
+PACE_MAX = 1000.0
+"""m/s and s. Largest speed and time of a robot."""
 
 
 def write_line(line: AskedLine) -> str:
@@ -113,6 +141,8 @@ def write_line(line: AskedLine) -> str:
             return line.value
         case Refused():
             return f"refused {_words(line.reason)}"
+        case Held():
+            return f"held {line.number}"
         case Judged():
             return f"rejected {line.number} {_words(line.reason)}" if line.reason else f"accepted {line.number}"
         case PokeTarget():
@@ -128,23 +158,49 @@ def _name(name: str) -> str:
     return max(takewhile(lambda word: len(word) <= NAME_MAX_BYTES, fitting), key=len) or NO_TAXEL
 
 
-def write_answer(answer: Answer) -> str:
+def write_answer(answer: RobotLine) -> str:
     """Write a robot's line, without its end."""
-    return f"{answer.kind.value} {answer.number} {_words(answer.text)}".rstrip()
+    match answer:
+        case RobotPace():
+            return f"robot {answer.speed:.6g} {answer.poke_s:.6g}"
+        case TipPose():
+            return " ".join(["tip", *(f"{value:.6f}" for value in (*answer.place, *answer.push))])
+        case Answer():
+            return f"{answer.kind.value} {answer.number} {_words(answer.text)}".rstrip()
 
 
-def read_answer_line(line: str) -> Answer | None:
-    """Read a robot's line; `None` for an empty one. Raises InputError: it is no answer."""
-    words = line.split(maxsplit=2)
+def read_answer_line(line: str) -> RobotLine | None:
+    """Read a robot's line; `None` for an empty one. Raises InputError: it is no line of a robot."""
+    words = line.split()
     if not words:
         return None
     try:
+        if words[0] == "robot":
+            return _pace_of(*words[1:])
+        if words[0] == "tip":
+            return _tip_of(words[1:])
         kind, number = AnswerKind(words[0]), read_number(words[1])
-        if len(words) > 2 and kind is not AnswerKind.FAULT:
+        if len(words) > 2 and kind is AnswerKind.REACHED:
             raise ValueError(line)
-    except (ValueError, IndexError):
+    except (ValueError, IndexError, TypeError):
         raise InputError(f"it says {shortened(line.strip(), 80)!r}; expected {ANSWER_HELP}.") from None
-    return Answer(kind, number, _words(words[2]) if len(words) > 2 else "")
+    return Answer(kind, number, _words(" ".join(words[2:])))
+
+
+def _pace_of(speed: str, poke_s: str) -> RobotPace:
+    pace = RobotPace(float(speed), float(poke_s))
+    # NaN fails every comparison.
+    if not (0.0 < pace.speed <= PACE_MAX and 0.0 < pace.poke_s <= PACE_MAX):
+        raise ValueError(speed)
+    return pace
+
+
+def _tip_of(words: list[str]) -> TipPose:
+    values = np.array([float(word) for word in words])
+    size = float(np.linalg.norm(values[3:]))
+    if not (len(values) == 6 and (np.abs(values[:3]) < COORDINATE_MAX_M).all() and 0.5 < size < 2.0):
+        raise ValueError(words)
+    return TipPose(values[:3], values[3:] / size)
 
 
 def read_number(word: str) -> int:

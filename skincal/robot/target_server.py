@@ -19,12 +19,13 @@ from enum import Enum
 from skincal.model.errors import InputError, plain_text
 from skincal.robot.target_lines import (
     GREETING,
-    Answer,
     AskedLine,
+    Held,
     Judged,
     LineCutter,
     NoTarget,
     Refused,
+    RobotLine,
     read_answer_line,
     write_line,
 )
@@ -57,10 +58,11 @@ def parse_port(text: str) -> tuple[str, int]:
     return host, int(port)
 
 
-class RobotCame(Enum):
-    """A robot connected."""
+class RobotChange(Enum):
+    """A robot connected or left."""
 
     CAME = "came"
+    LEFT = "left"
 
 
 class TargetServer:
@@ -78,7 +80,7 @@ class TargetServer:
         self._lock = threading.Lock()
         self._target: AskedLine = NoTarget.WAIT
         self._lines: deque[str] = deque(maxlen=QUEUED_MAX)
-        self._received: queue.Queue[Answer | RobotCame | str] = queue.Queue(QUEUED_MAX)
+        self._received: queue.Queue[RobotLine | RobotChange | str] = queue.Queue(QUEUED_MAX)
         self._client: socket.socket | None = None
         self._pending = b""
         self._cutter = LineCutter()
@@ -94,16 +96,16 @@ class TargetServer:
     # Called from other threads
 
     def send(self, lines: Sequence[AskedLine]) -> None:
-        """Send lines. The last one that is no verdict is sent again to a robot that connects later."""
+        """Send lines. The last one that is not about a poke is sent again to a robot that connects later."""
         with self._lock:
             for line in lines:
-                if not isinstance(line, Judged):
+                if not isinstance(line, Judged | Held):
                     self._target = line
                 self._lines.append(write_line(line))
 
-    def take(self) -> list[Answer | RobotCame | str]:
+    def take(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call, and sentences on robots that connected or were disconnected."""
-        found: list[Answer | RobotCame | str] = []
+        found: list[RobotLine | RobotChange | str] = []
         with contextlib.suppress(queue.Empty):
             while True:
                 found.append(self._received.get_nowait())
@@ -166,7 +168,7 @@ class TargetServer:
             self._pending = f"{GREETING}\n{write_line(self._target)}\n".encode()
         self._client, self._cutter = client, LineCutter()
         self._line_times.clear()
-        self._put(RobotCame.CAME)
+        self._put(RobotChange.CAME)
         self._report(f"A robot came, from {host}.")
 
     def _send_pending(self) -> None:
@@ -220,6 +222,7 @@ class TargetServer:
             self._ignore_until_s = time.monotonic() + RECONNECT_AFTER_S
         else:
             self._report("The robot hung up; what is asked for now is said again when it comes back.")
+        self._put(RobotChange.LEFT)
         self._close_client()
 
     def _close_client(self) -> None:
@@ -235,6 +238,6 @@ class TargetServer:
             self._reported_s[kind] = now_s
             self._put(plain_text(sentence))
 
-    def _put(self, item: Answer | RobotCame | str) -> None:
+    def _put(self, item: RobotLine | RobotChange | str) -> None:
         with contextlib.suppress(queue.Full):
             self._received.put_nowait(item)

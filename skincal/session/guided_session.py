@@ -8,15 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from skincal.contacts.outcome import Progress
+from skincal.contacts.outcome import PressPhase, Progress
 from skincal.geometry import FloatArray
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError, SmoothedWrench, compare_to_target, smooth_wrench
+from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface, point_on_skin
 from skincal.model.actions import AskLandmark, BeginClosing
 from skincal.model.errors import InputError
-from skincal.robot.target_lines import NoTarget
-from skincal.robot.target_server import RobotCame, TargetServer
+from skincal.robot.target_lines import NoTarget, TipPose
+from skincal.robot.target_server import RobotChange, TargetServer
 from skincal.session.error_history import ErrorFollower, ModulesCheck, Run
 from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
@@ -85,6 +86,8 @@ class GuidedSession:
         self.guidance: Guidance | None = None
         """`None` before the first tick and while guidance is off."""
         self._robot = RobotDialogue(part.scene)
+        self.tip: TipPose | None = None
+        """Tip of the robot as it reports it; `None` without one."""
 
     def handle_answers(self, pipeline: Pipeline, server: TargetServer, now_ns: int) -> list[str]:
         """Handle what robots said since the last call; give sentences for the operator."""
@@ -93,17 +96,41 @@ class GuidedSession:
             if isinstance(item, str):
                 sentences.append(item)
                 continue
-            if isinstance(item, RobotCame):
-                self._robot.robot_connected()
+            if isinstance(item, TipPose):
+                self.tip = item
+                continue
+            if isinstance(item, RobotPace | RobotChange):
+                self._take_robot(item)
                 continue
             meaning = self._robot.handle_answer(item, now_ns * 1e-9)
-            if meaning.wants_other_target and (skip := self.guide.skip()) is not None:
+            if meaning.wants_other_target and (skip := self.guide.skip(meaning.impossible)) is not None:
                 pipeline.act(skip, now_ns)
             if meaning.warning:
                 sentences.append(meaning.warning)
             if meaning.protocol_error:
                 server.refuse(meaning.protocol_error)
         return sentences
+
+    def _take_robot(self, news: RobotPace | RobotChange) -> None:
+        if isinstance(news, RobotPace):
+            self.guide.robot = news
+        else:
+            self.guide.robot = self.tip = None
+        if news is RobotChange.CAME:
+            self._robot.robot_connected()
+
+    @property
+    def is_halted(self) -> bool:
+        """Whether the operator has stopped the robot."""
+        return self._robot.is_halted
+
+    def halt_robot(self, server: TargetServer) -> None:
+        """Stop the robot at once."""
+        server.send(self._robot.halt())
+
+    def let_robot_go_on(self) -> None:
+        """Ask a stopped robot again, at the next look."""
+        self._robot.go_on()
 
     def follow_session(
         self,
@@ -139,8 +166,10 @@ class GuidedSession:
             self.errors.update(snapshot)
         if server is None:
             return False
-        measuring = is_recording and pipeline.can_measure(now_ns if seen_ns is None else seen_ns)
-        lines = self._robot.lines_to_send(self.guidance, snapshot, pose[0], now_ns * 1e-9, measuring=measuring)
+        seen_ns = now_ns if seen_ns is None else seen_ns
+        measuring = is_recording and pipeline.can_measure(seen_ns)
+        held = measuring and pipeline.phase is PressPhase.HELD
+        lines = self._robot.lines_to_send(self.guidance, snapshot, pose[0], now_ns * 1e-9, measuring=measuring, held=held)
         server.send(lines)
         return NoTarget.ENOUGH in lines
 

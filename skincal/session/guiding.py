@@ -16,8 +16,9 @@ from skincal.geometry import FloatArray
 from skincal.guide.believed_positions import DEFAULT_TAXEL_SPACING_M, PlannedPlaces, plan_from_layout, plan_without_positions
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase, LandmarkTarget, Target, landmark_targets, rig_error_sd
 from skincal.guide.guide import Guide
-from skincal.guide.progress import AxisDiversity, ContactFacts, GuideSettings, Need, count_pokes_from_start, find_needs
-from skincal.guide.verdict import Verdict, verdict_of
+from skincal.guide.progress import AxisDiversity, ContactFacts, GuideSettings, Need, Why, count_pokes_from_start, find_needs
+from skincal.guide.robot_order import RobotPace
+from skincal.guide.verdict import Left, Verdict, verdict_of
 from skincal.model.actions import AskPoke, BeginClosing, SkipClosing, SkipLandmark, SkipPoke
 from skincal.model.scene import Landmark, NoiseSettings
 from skincal.modules.pose import ModuleModel
@@ -59,6 +60,8 @@ class SessionGuide:
         self._nothing: dict[tuple[Method, int], Estimate] = {}
         self._guides: dict[Method, Guide] = {}
         """One for each method that was shown."""
+        self.robot: RobotPace | None = None
+        """Pace of the robot that pokes: it is guided by travel. `None` for a hand."""
         self._skipped: Counter[Method] = Counter()
         """Number of the session's skips that each guide knows."""
         self._followed: tuple[Snapshot, Method] | None = None
@@ -103,10 +106,11 @@ class SessionGuide:
     def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
         """Choose the next target on the skin, without landmarks."""
         guide = self._guide_of(method)
+        guide.robot = self.robot
         for skip in snapshot.decisions.skips[self._skipped[method] :]:
             # A place without a known taxel is skipped for all methods.
             if isinstance(skip, SkipPoke) and (skip.method == method.value or skip.channel < 0):
-                guide.skip(_target_of(skip, skip.push))
+                guide.skip(_target_of(skip, skip.push), is_impossible=bool(skip.reason))
         self._skipped[method] = len(snapshot.decisions.skips)
         asked = {record.outcome.poke: record.asked for record in snapshot.pokes}
         return guide.update(
@@ -155,7 +159,8 @@ class SessionGuide:
             landmarks,
             unchecked_of(used, landmarks, estimates, snapshot.contacts, counting_landmark_pokes(snapshot), noise),
         )
-        return replace(verdict, closings=closings_of(snapshot, noise))
+        left = tuple(_with_refusal(each, method, snapshot.decisions.skips) for each in verdict.left)
+        return replace(verdict, left=left, closings=closings_of(snapshot, noise))
 
     def axis_diversity(self, channel: int, evidence: Callable[[Collection[int]], Evidence]) -> AxisDiversity | None:
         """Describe the pokes of a channel; `None` while guidance is off or nothing is known. Call `next_target` before."""
@@ -163,8 +168,8 @@ class SessionGuide:
             return None
         return self._guides[self._followed[1]].axis_diversity(channel, evidence)
 
-    def skip(self) -> SkipClosing | SkipLandmark | SkipPoke | None:
-        """Make the action that skips the current target; `None` without a target."""
+    def skip(self, reason: str = "") -> SkipClosing | SkipLandmark | SkipPoke | None:
+        """Make the action that skips the current target; `None` without a target. `reason` as in `SkipPoke`."""
         now = self._guidance
         if now is None or now.target is None:
             return None
@@ -173,7 +178,7 @@ class SessionGuide:
         if now.landmark is not None:
             return self.landmarks.skip()
         channel = -1 if now.target.channel is None else now.target.channel
-        return SkipPoke(now.method.value, channel, _numbers(now.target.place), _numbers(now.target.push))
+        return SkipPoke(now.method.value, channel, _numbers(now.target.place), _numbers(now.target.push), reason)
 
     def skip_landmarks(self) -> SkipClosing | SkipLandmark | None:
         """Make the action that skips all landmarks in this arm pose or ends the closing check; `None` if neither is active."""
@@ -372,6 +377,14 @@ def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:
 
 def _straight(channel: int | None, place: FloatArray, normal: FloatArray, landmark: str = "") -> Target:
     return Target(channel, place, normal, -normal, 0.0, float("inf"), float("inf"), landmark)
+
+
+def _with_refusal(left: Left, method: Method, skips: Sequence[SkipPoke | SkipLandmark]) -> Left:
+    """Add the robot's last reason to a taxel that is out of reach."""
+    if left.why is not Why.OUT_OF_REACH:
+        return left
+    own = (skip for skip in skips if isinstance(skip, SkipPoke) and (skip.method, skip.channel) == (method.value, left.channel))
+    return replace(left, refusal=next((skip.reason for skip in reversed([*own]) if skip.reason), ""))
 
 
 def _numbers(values: FloatArray) -> tuple[float, ...]:

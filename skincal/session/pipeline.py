@@ -191,6 +191,11 @@ class Pipeline:
         """Statistics of the samples until the first poke, since the devices began."""
         return self._detector.before_pokes
 
+    @property
+    def phase(self) -> PressPhase:
+        """State of the poke in progress."""
+        return self._detector.phase
+
     def can_measure(self, now_ns: int) -> bool:
         """Whether a poke would be measured now: samples come from working links, in a known arm pose."""
         # A chosen pose needs no joints.

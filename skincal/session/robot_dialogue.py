@@ -13,7 +13,17 @@ from dataclasses import dataclass, replace
 from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
-from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Judged, NoTarget, PokeTarget, write_answer, write_line
+from skincal.robot.target_lines import (
+    Answer,
+    AnswerKind,
+    AskedLine,
+    Held,
+    Judged,
+    NoTarget,
+    PokeTarget,
+    write_answer,
+    write_line,
+)
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.words.poke_words import missed_words, rejection_words
 
@@ -38,6 +48,8 @@ class _Request:
     """It is the current request."""
     is_judged: bool = False
     """No verdict on it follows."""
+    is_held: bool = False
+    """The robot knows that it may let go."""
 
     def end(self) -> None:
         self.is_open, self.is_judged = False, True
@@ -48,6 +60,8 @@ class Meaning:
     """Result of a robot's answer."""
 
     wants_other_target: bool = False
+    impossible: str = ""
+    """Why the robot can never do the current target; empty if it can, or does not say."""
     warning: str = ""
     """A sentence for the operator."""
     protocol_error: str = ""
@@ -64,12 +78,23 @@ class RobotDialogue:
         """The last line if it was no target."""
         self._is_stopped = False
         """After a fault: no target is sent until the robot connects again or wants another target."""
+        self.is_halted = False
+        """The operator has stopped the robot."""
+        self._reasons: set[str] = set()
+        """Reasons for skips that the operator knows."""
         self._judged_poke = -1
         """Number of the newest poke that is judged, or that was there before."""
         self._number = 0
 
     def lines_to_send(
-        self, guidance: Guidance | None, snapshot: Snapshot, pose: str, now_s: float, *, measuring: bool
+        self,
+        guidance: Guidance | None,
+        snapshot: Snapshot,
+        pose: str,
+        now_s: float,
+        *,
+        measuring: bool,
+        held: bool = False,
     ) -> list[AskedLine]:
         """Give the lines to send now.
 
@@ -79,9 +104,16 @@ class RobotDialogue:
         pose : name of the current arm pose
         now_s : host's monotonic clock, seconds
         measuring : a poke would be measured; else no robot is asked to press
+        held : the poke in progress is held long enough
         """
         lines: list[AskedLine] = []
         is_waiting = self._judge_pokes(snapshot, now_s, lines)
+        newest = self._requests[-1] if self._requests else None
+        if held and newest is not None and newest.is_open and not newest.is_held:
+            newest.is_held = True
+            lines.append(Held(newest.target.number))
+        if self.is_halted:
+            return lines
         wanted = self._wanted_line(guidance, snapshot, pose, measuring=measuring)
         if is_waiting and wanted is not NoTarget.WAIT:
             return lines
@@ -98,6 +130,16 @@ class RobotDialogue:
             lines.append(self._requests[-1].target)
         return lines
 
+    def halt(self) -> list[AskedLine]:
+        """Stop the robot, whatever it does; give the lines to send at once. A robot that does not know `stop` waits."""
+        self.is_halted, self._last_line = True, NoTarget.STOP
+        self._withdraw()
+        return [NoTarget.WAIT, NoTarget.STOP]
+
+    def go_on(self) -> None:
+        """Ask a stopped robot again."""
+        self.is_halted = False
+
     def robot_connected(self) -> None:
         """Ask again after a fault."""
         self._is_stopped = False
@@ -110,7 +152,7 @@ class RobotDialogue:
         is_newest = answer.number == request.target.number
         if is_newest and skips and self._is_stopped:
             self._is_stopped = False
-            return Meaning(wants_other_target=True)
+            return self._skipped(answer)
         if not is_newest or not request.is_open:
             # The answer crossed the next target or the verdict.
             return Meaning()
@@ -119,13 +161,19 @@ class RobotDialogue:
             return Meaning()
         request.end()
         if skips:
-            return Meaning(wants_other_target=True)
+            return self._skipped(answer)
         self._is_stopped = True
         why = answer.text or "it does not say why"
         return Meaning(
             warning=f"The robot has stopped at target {answer.number}: {why}. It is asked again once it connects anew, "
             "or for another once it skips this one."
         )
+
+    def _skipped(self, answer: Answer) -> Meaning:
+        is_new = answer.text not in {"", *self._reasons}
+        self._reasons.add(answer.text)
+        warning = f"The robot cannot do target {answer.number}: {answer.text}. It is asked for another." if is_new else ""
+        return Meaning(wants_other_target=True, impossible=answer.text, warning=warning)
 
     def _wanted_line(
         self, guidance: Guidance | None, snapshot: Snapshot, pose: str, *, measuring: bool

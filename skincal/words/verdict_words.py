@@ -143,6 +143,8 @@ def closing_words(closings: Sequence[Closing]) -> str:
 def left_words(left: Left) -> str:
     """Say why a taxel is not finished: `"not pressed enough yet: needs own pokes"`."""
     why, needs = WHY_WORDS[left.why], needs_clause(left.needs)
+    if left.refusal:
+        why = f"the robot cannot press it ({left.refusal})"
     return f"{why}: {needs}" if needs else why
 
 

@@ -26,11 +26,11 @@ from skincal.model.actions import FoundAtLandmark, TimedAction, action_to_json
 from skincal.model.readings import Chunk, LinkEvent
 from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction
+from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import GREETING
 from skincal.session.corrections import correct_action
 from skincal.session.pipeline import Pipeline
 from skincal.session.session import Session
-from skincal.simulate.robot_client import read_line
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 from tests.skincal.poke_script import outcome_key, same_estimates

@@ -9,21 +9,24 @@ from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
 from skincal.model.scene import MAX_SETTING_S, SETTING_MAX
+from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import (
     GREETING,
     LINE_MAX_BYTES,
     Answer,
     AnswerKind,
+    Held,
     Judged,
     LineCutter,
     NoTarget,
     PokeTarget,
     Refused,
+    RobotPace,
+    TipPose,
     read_answer_line,
     write_answer,
     write_line,
 )
-from skincal.simulate.robot_client import read_line
 from tests.approved import approved_pattern
 
 PUSH = np.array([0.28, -0.31, -0.91])
@@ -33,15 +36,30 @@ SHOWN = PokeTarget(
 
 
 @pytest.mark.parametrize(
-    "line", [*NoTarget, Judged(3), Judged(3, "too soft (2.1, limit 4 N)"), Refused("another robot is connected")], ids=str
+    "line",
+    [*NoTarget, Held(3), Judged(3), Judged(3, "too soft (2.1, limit 4 N)"), Refused("another robot is connected")],
+    ids=str,
 )
 def test_lines_without_a_target_are_read_back(line):
     assert read_line(write_line(line) + "\n") == line
 
 
-@pytest.mark.parametrize("answer", [Answer(AnswerKind.REACHED, 3), Answer(AnswerKind.FAULT, 9, "joint 3 at its end")], ids=str)
+@pytest.mark.parametrize(
+    "answer",
+    [
+        *(Answer(AnswerKind.REACHED, 3), Answer(AnswerKind.SKIP, 3), Answer(AnswerKind.SKIP, 3, "joint 3 at its end")),
+        *(Answer(AnswerKind.FAULT, 9, "joint 3 at its end"), RobotPace(0.05, 2.5)),
+    ],
+    ids=str,
+)
 def test_answers_are_read_back(answer):
     assert read_answer_line(write_answer(answer) + "\r") == answer
+
+
+def test_a_tip_survives_its_line():
+    read = read_answer_line(write_answer(TipPose(SHOWN.place, PUSH)))
+    np.testing.assert_allclose(read.place, SHOWN.place, atol=6e-7)
+    np.testing.assert_allclose(read.push, SHOWN.push, atol=1e-6)
 
 
 def test_a_target_survives_its_line():
@@ -105,9 +123,12 @@ def test_lines_of_later_versions_are_passed_over():
 
 @pytest.mark.parametrize(
     "line",
-    ["reached", "reached x", "reached 7 8", "skip -1", "skip 7 now", "fault", "REACHED 7", "accepted 7", "reached \uff17",
-     "reached " + "9" * 400, "GET / HTTP/1.1", "\x00\xff"],
-)  # fmt: skip
+    [
+        *("reached", "reached x", "reached 7 8", "skip -1", "skip", "fault", "REACHED 7", "accepted 7", "reached \uff17"),
+        *("robot 0 1", "robot 1", "robot nan 1", "robot 1 inf", "robot 1 2 3", "tip 0 0 0 0 0 0", "tip 0 0 0 0 0 1 1"),
+        *("tip nan 0 0 0 0 1", "tip 11 0 0 0 0 1", "tip 0 0 0 0 1", "reached " + "9" * 400, "GET / HTTP/1.1", "\x00\xff"),
+    ],
+)
 def test_what_no_robot_says_is_refused(line):
     with pytest.raises(InputError, match=approved_pattern("targets.expected")):
         read_answer_line(line)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from skincal.model.errors import InputError
+from skincal.robot.target_client import TargetClient
 from skincal.robot.target_lines import GREETING, Answer, AnswerKind, Judged, NoTarget, PokeTarget, write_line
-from skincal.robot.target_server import LINES_PER_S_MAX, RECONNECT_AFTER_S, RobotCame, TargetServer, parse_port
-from skincal.simulate.robot_client import TargetClient
+from skincal.robot.target_server import LINES_PER_S_MAX, RECONNECT_AFTER_S, RobotChange, TargetServer, parse_port
 from tests.approved import approved, approved_pattern
 from tests.skincal.robot.robot_support import Peer
 
@@ -43,12 +43,12 @@ def wait_for(condition):
     return found
 
 
-def taken(server, count=1, but=RobotCame.CAME):
+def taken(server, count=1, but=RobotChange):
     """What the server heard, once there is so much of it."""
     found = []
 
     def enough():
-        found.extend(item for item in server.take() if item is not but)
+        found.extend(item for item in server.take() if not isinstance(item, but))
         return len(found) >= count
 
     wait_for(enough)
@@ -78,7 +78,7 @@ def test_who_comes_back_hears_again_what_is_asked_for_now(server):
     server.send([Judged(1), target(2)])
     with robot(server) as peer:
         assert [peer.line(), peer.line()] == [GREETING, write_line(target(2))]
-    assert sum(item is RobotCame.CAME for item in taken(server, 3, but=None)) == 2
+    assert sum(item is RobotChange.CAME for item in taken(server, 3, but=())) == 2
 
 
 def test_a_robot_that_left_before_it_was_taken_ends_nothing(server, monkeypatch):

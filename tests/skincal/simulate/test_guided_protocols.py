@@ -14,6 +14,7 @@ from skincal.contacts.outcome import Contact
 from skincal.guide.guidance import GuidePhase
 from skincal.model.readings import LinkState, Loss
 from skincal.model.scene import resource
+from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import write_line
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import load_part
@@ -22,7 +23,6 @@ from skincal.session.robot_dialogue import RobotDialogue
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
 from skincal.simulate.operator import GuidedOperator, Habits
 from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import Rig
 from skincal.studies.unmodelled import inside_95_ellipsoid
 from skincal.taxels.result import Method

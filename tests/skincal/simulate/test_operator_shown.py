@@ -14,6 +14,7 @@ from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Landmark
+from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import Answer, AnswerKind, NoTarget, PokeTarget, write_line
 from skincal.session.landmark_pokes import poke_at
 from skincal.session.pipeline import Pipeline
@@ -29,7 +30,6 @@ from skincal.simulate.operator import (
     ScriptedOperator,
 )
 from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.robot_client import read_line
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method

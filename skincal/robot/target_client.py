@@ -1,4 +1,4 @@
-"""Robot's side of the port for targets: reads skincal's lines and answers them, for a simulated robot."""
+"""Robot's side of the port for targets: reads skincal's lines and sends a robot's."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import queue
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from urllib.parse import unquote
 
 import numpy as np
@@ -14,24 +14,26 @@ import numpy as np
 from skincal.model.errors import InputError, shortened
 from skincal.model.scene import MAX_SETTING_S, SETTING_MAX
 from skincal.robot.target_lines import (
+    COORDINATE_MAX_M,
     KNOWN_POINT,
     NO_TAXEL,
     REASON_MAX_CHARS,
     Answer,
     AnswerKind,
     AskedLine,
+    Held,
     Judged,
     LineCutter,
     NoTarget,
     PokeTarget,
     Refused,
+    RobotLine,
+    TipPose,
     read_number,
     write_answer,
 )
 from skincal.robot.target_server import POLL_S, READ_MAX_BYTES, RECONNECT_AFTER_S
 
-COORDINATE_MAX_M = 10.0
-"""m. No part reaches so far from its frame's origin."""
 FORCE_MAX_N = SETTING_MAX
 """N. Maximum of a scene's thresholds; a robot has limits of its own."""
 HOLD_MAX_S = 2.0 * MAX_SETTING_S
@@ -51,6 +53,8 @@ def read_line(line: str) -> AskedLine | None:
             case "accepted" | "rejected":
                 number, _, reason = rest.partition(" ")
                 return Judged(read_number(number), (reason or word) if word == "rejected" else "")
+            case "held":
+                return Held(read_number(rest))
             case "refused":
                 return Refused(rest)
             case _:
@@ -81,19 +85,32 @@ def _target_of(words: list[str]) -> PokeTarget:
 class TargetClient:
     """Client of a target server: connects, again and again until it is closed.
 
-    `take` gets every line that skincal sends. If it raises InputError, a target is answered with a fault.
+    Parameters
+    ----------
+    take : gets every line that skincal sends; if it raises InputError, a target is answered with a fault
+    greeting : lines to send first on every connection
+    lost : called when a connection ends
     """
 
-    def __init__(self, host: str, port: int, take: Callable[[AskedLine], object]) -> None:
-        self._place, self._take = (host, port), take
-        self._answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        take: Callable[[AskedLine], object],
+        greeting: Sequence[RobotLine] = (),
+        lost: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._place, self._take, self._greeting, self._lost = (host, port), take, greeting, lost
+        self._lines: queue.SimpleQueue[RobotLine] = queue.SimpleQueue()
+        self._is_connected = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="robot", daemon=True)
         self._thread.start()
 
-    def say(self, answer: Answer) -> None:
-        """Send an answer, from any thread."""
-        self._answers.put(answer)
+    def say(self, line: RobotLine) -> None:
+        """Send a line, from any thread. Answers wait for a connection, poses of the tip do not."""
+        if self._is_connected or not isinstance(line, TipPose):
+            self._lines.put(line)
 
     def close(self) -> None:
         """Disconnect."""
@@ -108,15 +125,20 @@ class TargetClient:
                 socket.create_connection(self._place, RECONNECT_AFTER_S) as connection,
             ):
                 self._talk(connection)
+            if self._is_connected:
+                self._is_connected = False
+                self._lost()
             self._stop.wait(RECONNECT_AFTER_S)
 
     def _talk(self, connection: socket.socket) -> None:
         lines = LineCutter()
         connection.settimeout(POLL_S)
+        self._is_connected = True
+        _send(connection, self._greeting)
         while not self._stop.is_set():
             with contextlib.suppress(queue.Empty):
                 while True:
-                    connection.sendall(f"{write_answer(self._answers.get_nowait())}\n".encode())
+                    _send(connection, [self._lines.get_nowait()])
             try:
                 data = connection.recv(READ_MAX_BYTES)
             except TimeoutError:
@@ -134,3 +156,7 @@ class TargetClient:
         except InputError as error:
             if isinstance(asked, PokeTarget):
                 self.say(Answer(AnswerKind.FAULT, asked.number, str(error)))
+
+
+def _send(connection: socket.socket, lines: Sequence[RobotLine]) -> None:
+    connection.sendall("".join(f"{write_answer(line)}\n" for line in lines).encode())
