@@ -159,7 +159,7 @@ class Guide:
             self._search.skip(target.place)
         elif target.channel is not None and target.channel in self._statistics.row_of:
             self._just_skipped = self._statistics.row_of[target.channel]
-            count = MAX_SKIPS_PER_SIDE if is_impossible else 1
+            count = MAX_SKIPS_PER_TAXEL_SIDE if is_impossible else 1
             self._skips.setdefault(self._just_skipped, []).extend([target.push] * count)
             self._gains.mark_stale(self._just_skipped)
 
