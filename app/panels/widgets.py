@@ -44,7 +44,7 @@ from skincal.model.errors import plain_text
 
 MAX_ROWS = 12  # Rows of a table that is as high as its rows
 MIN_FITTED_SHARE = 0.75  # Large type below this share of its size cannot be read from two metres
-POSITION_FILES = "Known positions (*.json *.csv *.txt *.ini);;All files (*)"
+POSITION_FILES = "Known positions (*.json *.csv *.urdf *.txt *.ini);;All files (*)"
 
 
 def theme_colours() -> Colours:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from skincal.taxels.differences import Repeatability
 
 Places = typer.Argument(
-    help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a truth.json. After a colon one "
-    "of free, surface, modules; of a session also plan, truth, or robot (skin frames of its URDF). Without it the method of "
-    "the smallest predicted error.",
+    help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a URDF with a tactile sensor, a "
+    "truth.json. After a colon one of free, surface, modules; of a session also plan, truth, or robot (skin frames of its "
+    "URDF). Without it the method of the smallest predicted error.",
     show_default=False,
 )
 

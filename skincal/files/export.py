@@ -455,7 +455,7 @@ def write_calibration(
         f"{path.name} ends in {path.suffix} and holds the format {wanted.value}; expected the ending {wanted.suffix}: rename "
         f"the file, or choose the format {other.value}."
         for other in ExportFormat
-        if other.suffix == path.suffix.lower() != wanted.suffix
+        if other.suffix == path.suffix.lower() and not wanted.suffix.endswith(other.suffix)
     )
     return sentences if kept is None else (*sentences, f"The older {path.name} is kept as {kept.name}.")
 

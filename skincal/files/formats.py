@@ -46,6 +46,13 @@ class ExportFormat(Enum):
         "For ROS: a link and a fixed joint a taxel, its z axis along the normal.",
         "skincal.files.frames:urdf_text",
     )
+    TACTILE_URDF = (
+        "tactile-urdf",
+        "Tactile sensor for URDF",
+        ".tactile.urdf",
+        "For tactile_toolbox (RViz): a <sensor> with a taxel each, to paste into the robot's URDF.",
+        "skincal.files.tactile_urdf:tactile_urdf_text",
+    )
     SDF = (
         "sdf",
         "SDF frames",

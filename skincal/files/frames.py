@@ -32,28 +32,28 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 def urdf_text(calibration: Calibration, method: Method) -> str:
     """Return URDF: the calibrated link, and for each taxel a link `taxel_CHANNEL` by a fixed joint."""
-    taxels, link = placed_taxels(calibration.estimates_by(method)), _name(calibration.scene.link)
-    root = _root("robot", {"name": _name(calibration.scene.name)}, calibration, method)
+    taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
+    root = begin_document("robot", {"name": xml_name(calibration.scene.name)}, calibration, method)
     ET.SubElement(root, "link", name=link)
-    for name, position, angles in _poses(taxels):
+    for name, position, angles in named_poses(taxels):
         ET.SubElement(root, "link", name=name)
         joint = ET.SubElement(root, "joint", name=f"{name}_joint", type="fixed")
         ET.SubElement(joint, "parent", link=link)
         ET.SubElement(joint, "child", link=name)
-        ET.SubElement(joint, "origin", xyz=_numbers(position), rpy=_numbers(angles))
-    return _text(root)
+        ET.SubElement(joint, "origin", xyz=number_words(position), rpy=number_words(angles))
+    return document_text(root)
 
 
 def sdf_text(calibration: Calibration, method: Method) -> str:
     """Return SDF 1.9: a model with the calibrated link, and for each taxel a frame `taxel_CHANNEL` attached to it."""
-    taxels, link = placed_taxels(calibration.estimates_by(method)), _name(calibration.scene.link)
-    root = _root("sdf", {"version": "1.9"}, calibration, method)
-    model = ET.SubElement(root, "model", name=_name(calibration.scene.name))
+    taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
+    root = begin_document("sdf", {"version": "1.9"}, calibration, method)
+    model = ET.SubElement(root, "model", name=xml_name(calibration.scene.name))
     ET.SubElement(model, "link", name=link)
-    for name, position, angles in _poses(taxels):
+    for name, position, angles in named_poses(taxels):
         frame = ET.SubElement(model, "frame", name=name, attached_to=link)
-        ET.SubElement(frame, "pose", relative_to=link).text = _numbers(np.concatenate([position, angles]))
-    return _text(root)
+        ET.SubElement(frame, "pose", relative_to=link).text = number_words(np.concatenate([position, angles]))
+    return document_text(root)
 
 
 def mjcf_text(calibration: Calibration, method: Method) -> str:
@@ -62,17 +62,16 @@ def mjcf_text(calibration: Calibration, method: Method) -> str:
     A touch sensor adds up the normal forces of the contacts within its site. The sites' radius is half of the layout's
     spacing, so that neighbours do not feel the same contact.
     """
-    taxels, layout = placed_taxels(calibration.estimates_by(method)), calibration.scene.skin.layout
-    radius = SITE_RADIUS if layout is None or not np.isfinite(layout.spacing) else layout.spacing / 2
-    root = _root("mujoco", {"model": _name(calibration.scene.name)}, calibration, method)
-    body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=_name(calibration.scene.link))
+    taxels, radius = placed_taxels(calibration.estimates_by(method)), taxel_radius(calibration)
+    root = begin_document("mujoco", {"model": xml_name(calibration.scene.name)}, calibration, method)
+    body = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name=xml_name(calibration.scene.link))
     sensors = ET.SubElement(root, "sensor")
     quaternions = quaternions_of(taxels.normals)
-    for (name, position, _), quaternion in zip(_poses(taxels), quaternions, strict=True):
-        shape = {"type": "sphere", "size": f"{radius:.9g}", "pos": _numbers(position), "quat": _numbers(quaternion)}
+    for (name, position, _), quaternion in zip(named_poses(taxels), quaternions, strict=True):
+        shape = {"type": "sphere", "size": f"{radius:.9g}", "pos": number_words(position), "quat": number_words(quaternion)}
         ET.SubElement(body, "site", {"name": name, **shape})
         ET.SubElement(sensors, "touch", name=name, site=name)
-    return _text(root)
+    return document_text(root)
 
 
 def npz_bytes(calibration: Calibration, method: Method) -> bytes:
@@ -102,6 +101,12 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
     return out.getvalue()
 
 
+def taxel_radius(calibration: Calibration) -> float:
+    """Half of the layout's spacing, metres, or `SITE_RADIUS` without a layout of several taxels."""
+    layout = calibration.scene.skin.layout
+    return SITE_RADIUS if layout is None or not np.isfinite(layout.spacing) else layout.spacing / 2
+
+
 def angles_of(normals: FloatArray) -> FloatArray:
     """Return (n, 3) roll, pitch and yaw, radians, of frames whose z axis is a normal; zeros for a normal of zeros."""
     across = np.hypot(normals[:, 0], normals[:, 1])
@@ -119,13 +124,13 @@ def quaternions_of(normals: FloatArray) -> FloatArray:
     return np.stack([cy * cp, -sy * sp, cy * sp, sy * cp], axis=1)
 
 
-def _poses(taxels: PlacedTaxels) -> list[tuple[str, FloatArray, FloatArray]]:
+def named_poses(taxels: PlacedTaxels) -> list[tuple[str, FloatArray, FloatArray]]:
     """Return name, position and angles of each taxel."""
     names = [f"taxel_{channel}" for channel in taxels.channels.tolist()]
     return list(zip(names, taxels.positions, angles_of(taxels.normals), strict=True))
 
 
-def _root(tag: str, attributes: dict[str, str], calibration: Calibration, method: Method) -> ET.Element:
+def begin_document(tag: str, attributes: dict[str, str], calibration: Calibration, method: Method) -> ET.Element:
     """Return the document's root with comments on what it holds."""
     root = ET.Element(tag, attributes)
     lines = (
@@ -135,21 +140,27 @@ def _root(tag: str, attributes: dict[str, str], calibration: Calibration, method
         *calibration.verdict_comments(method),
     )
     for line in lines:
-        # Two hyphens end a comment.
-        root.append(ET.Comment(f" {_name(line).replace('--', '- -')} "))
+        add_comment(root, line)
     return root
 
 
-def _name(text: str) -> str:
+def add_comment(root: ET.Element, line: str) -> None:
+    """Append a comment; two hyphens would end it."""
+    root.append(ET.Comment(f" {xml_name(line).replace('--', '- -')} "))
+
+
+def xml_name(text: str) -> str:
     """Return text without the control characters that XML has no way to write."""
     return _NOT_XML.sub("_", text)
 
 
-def _numbers(values: FloatArray) -> str:
+def number_words(values: FloatArray) -> str:
+    """Write numbers, with a space between."""
     # Nine digits of a metre are finer than a nanometre. Adding 0.0 turns -0 into 0.
     return " ".join(f"{value + 0.0:.9g}" for value in values.tolist())
 
 
-def _text(root: ET.Element) -> str:
+def document_text(root: ET.Element) -> str:
+    """Write a document with its declaration, indented."""
     ET.indent(root)
     return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'

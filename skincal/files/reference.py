@@ -21,7 +21,7 @@ from skincal.taxels.result import Estimate, Method
 
 TRUTH_NAME = "truth.json"
 """A simulated session has one next to its segments."""
-REFERENCE_FORMS = "a truth.json, a calibration's JSON or CSV, or an iCub position file"
+REFERENCE_FORMS = "a truth.json, a calibration's JSON or CSV, a URDF with a tactile sensor, or an iCub position file"
 RIG_KEY = "rig"
 """In a truth file: `seed` and `errors` of the simulated rig, from which `simulate` makes the same rig."""
 
@@ -72,7 +72,7 @@ def read_reference(path: Path) -> dict[int, FloatArray]:
 
 
 def read_places(path: Path, method: Method | None = None) -> TaxelPositions:
-    """Read positions from a `truth.json`, a calibration's JSON or CSV, or an iCub position file.
+    """Read positions from a `truth.json`, a calibration's JSON or CSV, a URDF's tactile sensor, or an iCub position file.
 
     Parameters
     ----------
@@ -168,6 +168,10 @@ def read_place_sets(path: Path) -> tuple[TaxelPositions, ...]:
             f'{path}: not a reference; expected JSON with "taxels": [{{"channel", "position_m"}}], or JSON or CSV as '
             "`skincal export` writes them."
         ) from None
+    if path.suffix.lower() == ".urdf":
+        from skincal.files.tactile_urdf import read_tactile_sensors
+
+        return tuple(TaxelPositions(f"{path.name}, {each.name}", each.link, each.places) for each in read_tactile_sensors(path))
     from skincal.files.icub import read_icub
 
     try:

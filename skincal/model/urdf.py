@@ -355,7 +355,7 @@ def read_urdf(path: Path) -> Robot:
     data = read_regular(path, MAX_URDF_BYTES, what="URDF file", advice="name the robot's .urdf file")
     if b"\0" in data:
         raise InputError(f"{path}: is not UTF-8 text; save the URDF as UTF-8.")
-    root = _parse_xml(data, path)
+    root = parse_xml(data, path)
     if root.tag != "robot":
         raise InputError(f"{path}: begins with <{root.tag}>; expected a URDF, which begins with <robot>.")
     if any(element.tag.startswith("xacro:") for element in root.iter()):
@@ -372,8 +372,11 @@ def read_urdf(path: Path) -> Robot:
     return Robot(path, root.get("name", path.stem), links, by_name, tuple(_read_sensors(root, by_name, path)), meshes)
 
 
-def _parse_xml(data: bytes, path: Path) -> ElementTree.Element:
-    """Parse XML without namespaces: URDFs of other programs use prefixes, such as `drake:`, that no one declares."""
+def parse_xml(data: bytes, path: Path) -> ElementTree.Element:
+    """Parse XML without namespaces: URDFs of other programs use prefixes, such as `drake:`, that no one declares.
+
+    Raises InputError: it is not XML, or has a document type.
+    """
 
     def refuse_doctype(*_: object) -> None:
         raise InputError(f"{path}: has a document type (<!DOCTYPE); remove it: a URDF needs none.")
@@ -520,11 +523,18 @@ def _read_pose_text(element: ElementTree.Element, where: str) -> FloatArray:
 
 
 def _read_origin(element: ElementTree.Element, where: str) -> FloatArray:
-    """Read `<origin xyz rpy>` as a (4, 4) pose: roll, pitch and yaw about the fixed axes x, y and z."""
-    origin = element.find("origin")
-    if origin is None:
+    """Read the `<origin>` of an element as a (4, 4) pose."""
+    return element_pose(element.find("origin"), f"{where}: origin")
+
+
+def element_pose(element: ElementTree.Element | None, where: str) -> FloatArray:
+    """Read the attributes `xyz` and `rpy` as a (4, 4) pose: roll, pitch and yaw about the fixed axes x, y and z.
+
+    It is the identity without an element. Raises InputError: they are not three numbers each, or of no robot's size.
+    """
+    if element is None:
         return np.eye(4)
-    xyz, rpy = (_numbers(origin.get(key, "0 0 0"), 3, f"{where}: origin {key}") for key in ("xyz", "rpy"))
+    xyz, rpy = (_numbers(element.get(key, "0 0 0"), 3, f"{where} {key}") for key in ("xyz", "rpy"))
     return _pose_of(xyz, rpy, where)
 
 
@@ -538,7 +548,7 @@ def _pose_of(xyz: FloatArray, rpy: FloatArray, where: str) -> FloatArray:
         [-sp, cp * sr, cp * cr],
     ]
     if np.abs(pose[:3, 3]).max() > MAX_LENGTH_M:
-        raise InputError(f"{where}: origin is {pose[:3, 3].tolist()}; expected metres, at most {MAX_LENGTH_M:g}.")
+        raise InputError(f"{where} is {pose[:3, 3].tolist()}; expected metres, at most {MAX_LENGTH_M:g}.")
     return pose
 
 

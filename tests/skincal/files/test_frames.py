@@ -11,10 +11,13 @@ from scipy.spatial.transform import Rotation
 from skincal.files.export import write_calibration
 from skincal.files.formats import ExportFormat
 from skincal.files.frames import mjcf_text, npz_bytes, quaternions_of, sdf_text, urdf_text
+from skincal.files.reference import load_reference, read_place_sets
+from skincal.files.tactile_urdf import tactile_urdf_text
+from skincal.model.errors import InputError
 from skincal.taxels.result import Method
 from tests.skincal.files.files_support import Part, estimate, make_calibration, make_part
 
-OF_ONE = (ExportFormat.URDF, ExportFormat.SDF, ExportFormat.MJCF, ExportFormat.NPZ)
+OF_ONE = (ExportFormat.URDF, ExportFormat.TACTILE_URDF, ExportFormat.SDF, ExportFormat.MJCF, ExportFormat.NPZ)
 LEFT_OUT = (5, 13)
 
 
@@ -129,7 +132,7 @@ def test_an_unknown_normal_and_no_taxel_at_all_are_written_too(calibration, form
         assert np.isnan(np.load(tmp_path / "one")["normal"]).all()
         assert np.load(tmp_path / "none")["covariance"].shape == (0, 3, 3)
     else:
-        assert "taxel_0" in (tmp_path / "one").read_text()
+        assert "taxel_0" in (tmp_path / "one").read_text().replace('taxel idx="0', "taxel_0")
         assert ET.parse(tmp_path / "none") is not None
 
 
@@ -141,7 +144,7 @@ def test_the_lint_speaks_alike_of_every_format(part, format_, tmp_path):
     assert len(said) > 1
 
 
-@pytest.mark.parametrize("text_of", [urdf_text, sdf_text, mjcf_text])
+@pytest.mark.parametrize("text_of", [urdf_text, sdf_text, mjcf_text, tactile_urdf_text])
 def test_names_from_strangers_stay_names(calibration, text_of):
     hostile = 'a"b<c>&--\x01\ud800 d'
     scene = replace(calibration.scene, link=hostile, name=hostile)
@@ -153,3 +156,50 @@ def test_names_from_strangers_stay_names(calibration, text_of):
 def test_every_format_has_an_ending_and_a_line_of_its_own():
     assert len({each.suffix for each in ExportFormat}) == len(ExportFormat)
     assert all(each.description.endswith(".") and "\n" not in each.description for each in ExportFormat)
+
+
+def test_a_tactile_sensor_has_every_taxel_and_is_read_as_known_positions(part, calibration, tmp_path):
+    path = tmp_path / "skin.tactile.urdf"
+    write_calibration(calibration, "tactile-urdf", path, Method.SURFACE)
+    (sensor,) = ET.parse(path).getroot().findall("sensor")
+    assert sensor.find("parent").get("link") == "r_forearm_dh_frame"
+    assert sensor.find("tactile").get("channel") == sensor.get("name") == calibration.scene.name
+    for taxel in sensor.iter("taxel"):
+        outward = Rotation.from_euler("xyz", numbers(taxel.get("rpy"))).apply([0.0, 0.0, 1.0])
+        assert np.allclose(outward, part.normals[int(taxel.get("idx"))], atol=1e-8)
+        assert float(taxel.find("geometry/cylinder").get("radius")) > 0
+    placed = [channel for channel in calibration.channels.tolist() if channel not in LEFT_OUT]
+    known = load_reference(path, "r_forearm_dh_frame", placed)
+    assert sorted(known.places) == placed
+    assert all(np.allclose(known.places[channel], part.places[channel], atol=1e-9) for channel in placed)
+
+
+TAXEL = '<taxel idx="{}" xyz="0 0 1" rpy="0 0 0"/>'
+SENSOR = '<sensor name="s">{}<origin xyz="1 0 0" rpy="0 1.5707963267948966 0"/><tactile>{}</tactile></sensor>'
+PARENT = '<parent link="l"/>'
+
+
+def test_a_tactile_sensor_of_another_program_is_read_with_its_origin(tmp_path):
+    # The namespace of tactile_toolbox's own test file, its array, and a second sensor.
+    sensors = [SENSOR.format(PARENT, inside) for inside in (TAXEL.format(4), "<array rows='2' cols='2' size='1 1'/>")]
+    (tmp_path / "a.urdf").write_text('<robot xmlns="http://www.ros.org"><link name="l"/>' + "".join(sensors) + "</robot>")
+    (found,) = read_place_sets(tmp_path / "a.urdf")
+    assert (found.name, found.link, list(found.places)) == ("a.urdf, s", "l", [4])
+    assert np.allclose(found.places[4], [2.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("<robot/>", "no tactile sensor"),
+        (SENSOR.format("", TAXEL.format(0)), "no <parent link>"),
+        (SENSOR.format(PARENT, TAXEL.format(-1)), "idx of a taxel"),
+        (SENSOR.format(PARENT, TAXEL.format(0).replace("0 0 1", "0 nan 1")), "3 finite numbers"),
+        ("<robot", "not an XML file"),
+        ("<!DOCTYPE r><r/>", "document type"),
+    ],
+)
+def test_a_damaged_tactile_sensor_is_refused(tmp_path, text, words):
+    (tmp_path / "a.urdf").write_text(f"<robot>{text}</robot>" if text.startswith("<sensor") else text)
+    with pytest.raises(InputError, match=words):
+        read_place_sets(tmp_path / "a.urdf")

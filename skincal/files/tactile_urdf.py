@@ -1,0 +1,83 @@
+"""Taxels as a tactile sensor of a robot's URDF, in the extension of tactile_toolbox; written, and read as known positions.
+
+    <sensor name><parent link/><origin/><tactile channel><taxel idx xyz rpy><geometry/></taxel>...</tactile></sensor>
+
+The z axis of a taxel is its normal; `idx` is its place in the data of the channel (`tactile_msgs/TactileState`). The sensor's
+origin is that of the link, since its composition with a taxel's pose differs between versions of the reader.
+
+Source: github.com/ubi-agni/tactile_toolbox, `urdf_tactile/README.md` and `urdf_tactile/src/parser.cpp`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree as ET
+
+from skincal.files.calibration import Calibration, placed_taxels
+from skincal.files.frames import add_comment, begin_document, document_text, named_poses, number_words, taxel_radius, xml_name
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.given import read_regular
+from skincal.model.urdf import MAX_URDF_BYTES, element_pose, parse_xml
+from skincal.taxels.result import Method
+
+DISC_HEIGHT = 0.001
+"""m, of the drawn taxels."""
+
+
+def tactile_urdf_text(calibration: Calibration, method: Method) -> str:
+    """Write a URDF with the calibrated link and one `<sensor>`, which can be pasted into the robot's URDF."""
+    taxels, link = placed_taxels(calibration.estimates_by(method)), xml_name(calibration.scene.link)
+    name = xml_name(calibration.scene.name)
+    root = begin_document("robot", {"name": name}, calibration, method)
+    add_comment(root, f"for a whole robot: paste the <sensor> into its URDF, which has the link {link}")
+    ET.SubElement(root, "link", name=link)
+    sensor = ET.SubElement(root, "sensor", name=name)
+    ET.SubElement(sensor, "parent", link=link)
+    ET.SubElement(sensor, "origin", xyz="0 0 0", rpy="0 0 0")
+    tactile = ET.SubElement(sensor, "tactile", channel=name)
+    size = {"radius": f"{taxel_radius(calibration):.9g}", "length": f"{DISC_HEIGHT:g}"}
+    for channel, (_, position, angles) in zip(taxels.channels.tolist(), named_poses(taxels), strict=True):
+        taxel = ET.SubElement(tactile, "taxel", idx=str(channel), xyz=number_words(position), rpy=number_words(angles))
+        ET.SubElement(ET.SubElement(taxel, "geometry"), "cylinder", size)
+    return document_text(root)
+
+
+class TactileSensor(NamedTuple):
+    """A tactile sensor of a URDF."""
+
+    name: str
+    link: str
+    places: dict[int, FloatArray]
+    """Channel (`idx`) to (3,) float, metres, in the link."""
+
+
+def read_tactile_sensors(path: Path) -> list[TactileSensor]:
+    """Read the tactile sensors of a URDF that list their taxels, at least one.
+
+    Raises InputError: the file cannot be read, or it has no tactile sensor with a list of taxels.
+    """
+    root = parse_xml(read_regular(path, MAX_URDF_BYTES), path)
+    found: list[TactileSensor] = []
+    for sensor in root.iter("sensor"):
+        parent, tactile = sensor.find("parent"), sensor.find("tactile")
+        if tactile is None or tactile.find("taxel") is None:
+            continue
+        name = sensor.get("name", "")
+        where = f"{path}: sensor {name}"
+        if parent is None or not parent.get("link"):
+            raise InputError(f"{where}: has no <parent link>; expected the link that its positions are in.")
+        pose = element_pose(sensor.find("origin"), where)
+        places = {_index(taxel, where): pose @ element_pose(taxel, where) for taxel in tactile.findall("taxel")}
+        found.append(TactileSensor(name, parent.get("link", ""), {channel: taxel[:3, 3] for channel, taxel in places.items()}))
+    if not found:
+        raise InputError(f"{path}: has no tactile sensor; expected a URDF with <sensor><tactile><taxel idx xyz rpy>.")
+    return found
+
+
+def _index(taxel: ET.Element, where: str) -> int:
+    text = taxel.get("idx", "")
+    if not text.isascii() or not text.isdigit() or len(text) > 9:
+        raise InputError(f"{where}: idx of a taxel is {text[:20]!r}; expected its channel, a whole number.")
+    return int(text)
