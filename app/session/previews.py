@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -45,8 +46,8 @@ class Preview:
 class _Preview:
     """One link."""
 
-    def __init__(self, spec: LinkSpec, channels: int, joints: int) -> None:
-        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints)
+    def __init__(self, spec: LinkSpec, channels: int, joints: int, joint_names: tuple[str, ...]) -> None:
+        self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names)
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
         self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=CURVE_POINTS) for stream in spec.carries}
@@ -78,11 +79,15 @@ class _Preview:
         return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]))
 
 
+_Key: TypeAlias = tuple[LinkSpec, int, int, tuple[str, ...]]
+"""A link, the channels of its skin, the joints and their names."""
+
+
 class Previews:
     """Links of a dialog that is being filled in."""
 
     def __init__(self) -> None:
-        self._open: dict[tuple[LinkSpec, int, int], _Preview] = {}
+        self._open: dict[_Key, _Preview] = {}
         self._ending: list[Reader] = []
         self._closed = False
 
@@ -98,10 +103,11 @@ class Previews:
         """
         if self._closed:
             return
-        wanted: set[tuple[LinkSpec, int, int]] = set()
+        wanted: set[_Key] = set()
         if scene is not None:
             joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
-            wanted = {(spec, scene.skin.channels, joints) for spec in describe_links(addresses)}
+            names = () if scene.robot is None else scene.robot.columns
+            wanted = {(spec, scene.skin.channels, joints, names) for spec in describe_links(addresses)}
         for gone in self._open.keys() - wanted:
             self._end(gone)
         for new in wanted - self._open.keys():
@@ -121,7 +127,7 @@ class Previews:
             self._end(each)
         return self._ending
 
-    def _end(self, each: tuple[LinkSpec, int, int]) -> None:
+    def _end(self, each: _Key) -> None:
         reader = self._open.pop(each).reader
         reader.halt()
         self._ending.append(reader)

@@ -329,6 +329,8 @@ class FrameDecoder(ABC):
         self._splitter = self._make_splitter()
         self._gaps = GapCounter()
         self._first = not self.starts_whole
+        self.joint_names: tuple[str, ...] = ()
+        """Names of the scene's columns of joint angles; empty if it has none. For formats that name their joints."""
         self.units = dict(DEFAULT_UNITS)
         """Names and unit of the values of a reading."""
         self.side_readings: dict[str, SideReading] = {}

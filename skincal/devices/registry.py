@@ -37,6 +37,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "robotiq": Entry(("robotiq",), ("robotiq", "robotiq-text"), ("robotiq",)),
         "rtde": Entry(("rtde",), ("rtde",)),
         "xela": Entry(("xela",), ("xela",)),
+        "ros2": Entry(("ros2",), ("ros2",)),
         "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
         "plain": Entry(("socket", "lines", "run")),
     }

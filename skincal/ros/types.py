@@ -51,6 +51,8 @@ class Field:
     type_name: str
     """Of a message: its type; else the base type, such as `float32`."""
     is_array: bool
+    length: int = 0
+    """Of an array with a fixed number of elements; 0 for others."""
 
 
 def full_type_name(name: str) -> str:
@@ -59,6 +61,23 @@ def full_type_name(name: str) -> str:
         raise InputError(f"{name!r} is no type of a ROS message; expected package/msg/Type, such as std_msgs/msg/Header.")
     package, *_, last = name.split("/")
     return f"{package}/msg/{last}"
+
+
+def read_definition(path: Path, type_name: str) -> str:
+    """Read the definition of a type from its `.msg` file, with those of its parts next to it, as a bag carries it.
+
+    Raises InputError: a file cannot be read.
+    """
+    package = full_type_name(type_name).split("/")[0]
+    texts, waiting = dict[str, str](), [path]
+    while waiting:
+        file = waiting.pop()
+        data = read_regular(file, MAX_DEFINITION_BYTES, advice="expected the .msg file of the type")
+        texts[file.stem] = text = data.decode(errors="replace")
+        parts = {found[1] for found in _PART_RE.finditer(text)} - texts.keys()
+        waiting += [near for part in sorted(parts) if (near := file.with_name(f"{part}.msg")).is_file()]
+    own = texts.pop(path.stem)
+    return "\n".join([own, *(f"{SECTION_END}\nMSG: {package}/{part}\n{text}" for part, text in texts.items())])
 
 
 class MessageTypes:
@@ -111,19 +130,9 @@ class MessageTypes:
 
         Raises InputError: a file cannot be read, or is no definition.
         """
-        name = full_type_name(type_name)
-        package = name.split("/")[0]
-        texts, waiting = dict[str, str](), [path]
-        while waiting:
-            file = waiting.pop()
-            data = read_regular(file, MAX_DEFINITION_BYTES, advice="expected the .msg file of the type")
-            texts[file.stem] = text = data.decode(errors="replace")
-            parts = {found[1] for found in _PART_RE.finditer(text)} - texts.keys()
-            waiting += [near for part in sorted(parts) if (near := file.with_name(f"{part}.msg")).is_file()]
-        own = texts.pop(path.stem)
-        sections = [f"{SECTION_END}\nMSG: {package}/{part}\n{text}" for part, text in texts.items()]
+        text = read_definition(path, type_name)
         try:
-            self.add_definition(name, "\n".join([own, *sections]))
+            self.add_definition(type_name, text)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 
@@ -148,6 +157,14 @@ class MessageTypes:
         except (SerdeError, IndexError, OverflowError, MemoryError, RecursionError, AssertionError, ValueError):
             raise MessageError(f"{len(data)} bytes are no message of the type {name}") from None
 
+    def make(self, type_name: str, *values: Any) -> Any:
+        """Make a message of the values of its fields, in their order."""
+        return self._store.types[self._require(type_name)](*values)
+
+    def encode(self, message: Any, type_name: str) -> bytes:
+        """Write a message of ROS 2 as CDR."""
+        return bytes(self._store.serialize_cdr(message, self._require(type_name)))
+
     def _require(self, type_name: str) -> str:
         """Return the full name of a type; a standard one is added with its parts. Raises MessageError: it is unknown."""
         name = full_type_name(type_name)
@@ -169,10 +186,11 @@ def _field_of(name: str, description: Any) -> Field:
     from rosbags.interfaces import Nodetype
 
     is_array = description[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+    length = description[1][1] if description[0] == Nodetype.ARRAY else 0
     node, detail = description[1][0] if is_array else description
     if node == Nodetype.NAME:
-        return Field(name, "message", detail, is_array)
-    return Field(name, "text" if detail[0] in ("string", "wstring") else "number", detail[0], is_array)
+        return Field(name, "message", detail, is_array, length)
+    return Field(name, "text" if detail[0] in ("string", "wstring") else "number", detail[0], is_array, length)
 
 
 def _undefined(name: str) -> MessageError:

@@ -87,7 +87,9 @@ class Pipeline:
     def _connect(self, links: Sequence[LinkSpec]) -> None:
         self.links = tuple(links)
         arm = self.scene.arm
-        self._intake = Intake(self.scene.skin.channels, links, 0 if arm is None else max(arm.arm.joints, default=-1) + 1)
+        joints = 0 if arm is None else max(arm.arm.joints, default=-1) + 1
+        names = () if self.scene.robot is None else self.scene.robot.columns
+        self._intake = Intake(self.scene.skin.channels, links, joints, names)
         self._frozen = frozenset[str]()
         self.poses.forget_stream()
         self._landmarks = LandmarkFinder(self._taxel_places, self.session.surface)

@@ -49,11 +49,12 @@ LOSSES_THAT_BREAK_COUNTING = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM
 class Intake:
     """Decodes, dates and pairs the data of a session's links: skin frames of `channels` values, at least `joints` angles.
 
+    `joint_names` are those of the columns of angles, for formats that name their joints; empty if the scene has none.
     The constructor raises InputError: a format is not known, or two links have one name.
     """
 
-    def __init__(self, channels: int, links: Sequence[LinkSpec], joints: int = 0) -> None:
-        self._links = {spec.name: LinkIntake(channels, spec, joints) for spec in links}
+    def __init__(self, channels: int, links: Sequence[LinkSpec], joints: int = 0, joint_names: tuple[str, ...] = ()) -> None:
+        self._links = {spec.name: LinkIntake(channels, spec, joints, joint_names) for spec in links}
         if len(self._links) < len(links):
             raise InputError("Two links have the same name; expected a name of its own for each.")
         self.frozen: frozenset[str] = frozenset()
@@ -142,8 +143,8 @@ class TimestampedBatch(NamedTuple):
 class LinkIntake:
     """One link: its decoder, its clocks and its figures."""
 
-    def __init__(self, channels: int, spec: LinkSpec, joints: int = 0) -> None:
-        self.spec = spec
+    def __init__(self, channels: int, spec: LinkSpec, joints: int = 0, joint_names: tuple[str, ...] = ()) -> None:
+        self.spec, self._joint_names = spec, joint_names
         self._stamper = Timestamper()
         self._format = format_of(spec.address, spec.format)
         # Frames that need a recipe do not say what they hold, so no other decoder can read them.
@@ -166,7 +167,9 @@ class LinkIntake:
         """Begin of a step, ns, and its number of readings."""
 
     def _new_decoder(self) -> LinkDecoder:
-        return LinkDecoder(self._format, self._channels, self.spec.carries)
+        decoder = LinkDecoder(self._format, self._channels, self.spec.carries)
+        decoder.current.joint_names = self._joint_names
+        return decoder
 
     def read_ahead(self, chunks: Sequence[Chunk]) -> None:
         """Decode and date the next chunks of this link at once, if their format allows it."""

@@ -21,6 +21,7 @@ TRANSPORTS: Mapping[str, str] = MappingProxyType(
         "tcp": "tcp",
         "udp": "udp",
         "websocket": "websocket",
+        "dds": "dds",
         "command": "command",
         "file": "file_replay",
     }

@@ -1,0 +1,240 @@
+"""Topics of ROS 2 by DDS: wrench, skin and joints in the messages that robots publish, and in a laboratory's own.
+
+The link hands on packets (`decoding.pack`). The first one, kind 0, is JSON: the topics, the types that their publishers have,
+definitions that are not standard, and the options of the address. Packets of kind 1 and up are the messages of the topics in
+their order: the publisher's clock and this machine's time of day at the arrival (int64, nanoseconds since 1970), then the
+message as it came (CDR). Kind 255 counts lost messages.
+
+A reading is dated by the stamp in its header; where that is 0 or stands still, by the clock of its publisher. Several topics
+are joined to one skin, their values one after the other: a frame is complete when each topic has sent a new message, and has
+the stamp of the last one. Messages that a newer one replaced before the frame was complete are counted as missing.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, cast
+
+from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSplitter, pack, packet_splitter
+from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
+from skincal.model.errors import InputError
+from skincal.model.readings import Loss, Stream
+from skincal.ros.messages import MessageReader, streams_of
+from skincal.ros.patches import SkinPatches
+from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
+from skincal.ros.types import MessageError, MessageTypes
+
+MESSAGE_MAX_BYTES = 1 << 22
+"""Bytes. The definitions of a type fit, and a skin of 100,000 channels."""
+HEAD_KIND, LOSS_KIND = 0, 255
+TOPICS_MAX = 100
+TIMES_STRUCT = struct.Struct("<2q")
+LOSSES_STRUCT = struct.Struct("<2I")
+CLOCK_DIFFERENCE = "stamps ahead of this machine's clock, ms"
+
+
+def write_head(choice: TopicChoice, types: Sequence[str], definitions: Mapping[str, str]) -> bytes:
+    """Write the first packet.
+
+    Parameters
+    ----------
+    types : of each topic
+    definitions : text of each type that is not standard, by its name
+    """
+    head = {"topics": choice.topics, "types": list(types), "definitions": dict(definitions)}
+    return pack(HEAD_KIND, json.dumps(head | {"field": choice.field, "joints": choice.joints}).encode())
+
+
+def write_message(topic: int, source_ns: int, arrival_ns: int, data: bytes) -> bytes:
+    """Write the packet of a message; `topic` is its index."""
+    return pack(1 + topic, TIMES_STRUCT.pack(source_ns, arrival_ns) + data)
+
+
+def write_losses(lost: int, dropped: int) -> bytes:
+    """Write how many messages were lost on the way, and how many found no room here."""
+    return pack(LOSS_KIND, LOSSES_STRUCT.pack(lost, dropped))
+
+
+class TopicClock:
+    """Clock of one topic: the stamps in its messages, or that of its publisher once they are missing or stand still."""
+
+    def __init__(self) -> None:
+        self._last = math.nan
+        self._has_stamps = True
+
+    def time_of(self, stamp: float | None, source_s: float) -> float:
+        """Return the time of a message by one clock, seconds; NaN if there is none."""
+        if stamp is None or not abs(stamp) < STAMP_MAX_S or stamp == self._last:
+            self._has_stamps = False
+        self._last = math.nan if stamp is None else stamp
+        return stamp if stamp is not None and self._has_stamps else source_s
+
+
+class TopicDecoder(FrameDecoder):
+    """Decodes messages of topics that make one stream; subclasses find topic and message in a packet.
+
+    The constructor raises InputError: the package that knows the standard messages is missing.
+    """
+
+    starts_whole: ClassVar[bool] = True
+    ros: ClassVar[int] = 2
+
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        super().__init__(channels, carries)
+        self._types = MessageTypes()
+        self._choice: TopicChoice | None = None
+        self._stream = Stream.SKIN
+        self._readers: dict[int, MessageReader] = {}
+        self._clocks: dict[int, TopicClock] = {}
+        self._patches = SkinPatches(())
+        self._type_problem = "it does not say which topics follow"
+
+    def _make_splitter(self) -> FrameSplitter:
+        return packet_splitter(MESSAGE_MAX_BYTES)
+
+    def _use_topics(self, choice: TopicChoice, definitions: Mapping[str, str]) -> None:
+        """Take the topics and options of the link. Raises InputError: a definition cannot be used."""
+        for name, text in definitions.items():
+            self._types.add_definition(name, text)
+        self._choice, self._type_problem = choice, ""
+        self._patches = SkinPatches(choice.topics)
+
+    def _use_type(self, topic: int, type_name: str) -> None:
+        """Learn the type of a topic. A type that cannot be read becomes the device's message."""
+        assert self._choice is not None
+        possible = [s for s in streams_of(self._types, type_name, self._choice.field) if s in self._carries]
+        wanted = Stream.SKIN if len(self._choice.topics) > 1 else possible[0] if possible else self._carries[0]
+        if wanted not in possible:
+            wanted_words = " or ".join(stream.value for stream in self._carries)
+            self._type_problem = (
+                f"{self._choice.topics[topic]} has messages of {type_name}, which are not known as {wanted_words}; choose "
+                "another topic, or name the values by ?field=PATH and a laboratory's own type by ?msg=FILE"
+            )
+            return
+        try:
+            joints = self._choice.joints or self.joint_names
+            self._readers[topic] = MessageReader(self._types, type_name, wanted, self._choice.field, joints)
+        except InputError as error:
+            self._type_problem = str(error).rstrip(".")
+            return
+        self._stream, self._clocks[topic] = wanted, TopicClock()
+
+    def _take_message(self, topic: int, message: Any, source_s: float, arrival_s: float) -> Loss | None:
+        """Add the readings of a message; the times are seconds since 1970, NaN if they are not known."""
+        reader = self._readers[topic]
+        try:
+            values = reader.values_of(message)
+        except MessageError as error:
+            self._problem = f"A message cannot be read: {error}"
+            return Loss.UNREADABLE
+        self.valid_records += 1
+        stamp = self._clocks[topic].time_of(reader.stamp_of(message), source_s)
+        if math.isfinite(stamp) and math.isfinite(arrival_s):
+            self._add_side_reading(CLOCK_DIFFERENCE, 1e3 * (stamp - arrival_s))
+        if values is None:
+            self._status = reader.missing_joints
+            return None
+        self._status = ""
+        before = self._patches.superseded[topic]
+        frame = self._patches.add(topic, values)
+        if self._patches.superseded[topic] > before:
+            self._count_missing(1)
+            self._status = f"The skin waits for {', '.join(self._patches.waiting_for)}; the slowest topic sets its rate"
+        return None if frame is None else self._add(self._stream, NO_SEQ, stamp, frame)
+
+
+class Ros2Decoder(TopicDecoder):
+    """Decodes what the transport `dds` hands on."""
+
+    name: ClassVar[str] = "ROS 2"
+
+    def _decode(self, frame: bytes) -> Loss | None:
+        kind, payload = frame[0], frame[1:]
+        if kind == HEAD_KIND:
+            return self._read_head(payload)
+        if kind == LOSS_KIND:
+            if len(payload) != LOSSES_STRUCT.size:
+                return Loss.UNREADABLE
+            lost, dropped = LOSSES_STRUCT.unpack(payload)
+            self._count_missing(lost)
+            if dropped:
+                self.counts[Loss.DROPPED] += dropped
+            return None
+        topic = kind - 1
+        if topic not in self._readers or len(payload) < TIMES_STRUCT.size:
+            self._problem = self._type_problem
+            return Loss.UNREADABLE
+        source_ns, arrival_ns = TIMES_STRUCT.unpack_from(payload)
+        try:
+            message = self._types.decode(payload[TIMES_STRUCT.size :], self._readers[topic].type_name)
+        except MessageError as error:
+            self._problem = f"A message cannot be read: {error}"
+            return Loss.UNREADABLE
+        return self._take_message(topic, message, source_ns * 1e-9, arrival_ns * 1e-9)
+
+    def _read_head(self, payload: bytes) -> Loss | None:
+        try:
+            head = cast("dict[str, Any]", json.loads(payload))
+            options = {"field": head["field"], "joints": ",".join(head["joints"])}
+            self._use_topics(TopicChoice.make("+".join(head["topics"]), options), head["definitions"])
+            for topic, type_name in enumerate(head["types"]):
+                self._use_type(topic, type_name)
+        except (ValueError, RecursionError, TypeError, KeyError, AttributeError, InputError) as error:
+            self._problem = self._type_problem = f"The first packet cannot be read: {error}"
+            return Loss.UNREADABLE
+        self._problem = self._type_problem
+        return None
+
+
+def topics_of(address: DeviceAddress) -> TopicChoice:
+    """Return the topics of an address and how they are read. Raises InputError."""
+    return TopicChoice.make(address.path, address.options)
+
+
+def has_topics(address: DeviceAddress) -> bool:
+    """Check the names of the topics, and their number."""
+    try:
+        return len(topics_of(address).topics) <= TOPICS_MAX
+    except InputError:
+        return False
+
+
+def _has_domain(address: DeviceAddress) -> bool:
+    number = address.options.get("domain", "0")
+    return has_topics(address) and number.isascii() and number.isdigit() and len(number) < 4 and int(number) <= 232
+
+
+_VECTOR_CDR = bytes.fromhex(
+    "00010000" "5100000000c2eb0b" "03000000" "66740000"
+    "000000000000f83f" "00000000000002c0" "0000000000003e40"
+    "000000000000c03f" "000000000000e0bf" "000000000000b03f"
+)  # fmt: skip
+"""Stamp 81.2 s, frame `ft`, wrench."""
+_VECTOR_HEAD = write_head(TopicChoice(("/ft/wrench",)), ("geometry_msgs/msg/WrenchStamped",), {})
+_VECTOR_BYTES = write_message(0, 81_200_300_000, 81_200_900_000, _VECTOR_CDR)
+
+FAMILY = Family(
+    routes=(
+        Route(
+            usage="ros2:/ft/wrench",
+            form=Form.PATH,
+            transport="dds",
+            format="ros2",
+            options=("domain", *TOPIC_OPTIONS),
+            check=_has_domain,
+        ),
+    ),
+    decoders={"ros2": Ros2Decoder},
+    vectors=(
+        Vector(
+            "ros2",
+            (Stream.WRENCH,),
+            _VECTOR_HEAD + _VECTOR_BYTES,
+            ((1.5, -2.25, 30.0, 0.125, -0.5, 0.0625),),
+            repeat=_VECTOR_BYTES,
+        ),
+    ),
+)

@@ -1,0 +1,271 @@
+"""Topics of ROS 2 over DDS on the loopback interface: real publishers in this and in other processes, killed and changed."""
+
+import json
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
+
+from skincal.devices import ros2
+from skincal.devices.link import FailureKind, LinkError
+from skincal.model.errors import InputError
+from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.ros import dds
+from skincal.streams.decoders.auto_detect import make_decoder
+from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
+from tests.skincal.meanwhile import meanwhile
+from tests.skincal.ros.dds_peer import DOMAIN, Cells, Peer, Vector3, joints, skin, wrench
+from tests.skincal.streams.link_support import PATIENCE_S
+
+
+@contextmanager
+def publishing(*messages, hz=100.0, latched=False):
+    """Publish (topic, maker) again and again from this process, until the end of the block."""
+    peer, number = Peer(), 0
+
+    def run(over):
+        nonlocal number
+        while not over.wait(1.0 / hz):
+            number += 1
+            for topic, make in messages:
+                peer.publish(topic, make(number), latched=latched)
+
+    with meanwhile(run):
+        yield peer
+
+
+@contextmanager
+def process(*topics, hz=200):
+    """Publish from a process of its own."""
+    command = [sys.executable, "-m", "tests.skincal.ros.dds_peer", str(DOMAIN), str(hz), *topics]
+    child = subprocess.Popen(command, stdin=subprocess.PIPE)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def spec(topics, *carries, **options):
+    words = "&".join(f"{key}={value}" for key, value in {"domain": DOMAIN, **options}.items())
+    return LinkSpec("link", f"ros2:{topics}?{words}", carries)
+
+
+def decode(data, *carries, names=(), channels=None):
+    decoder = make_decoder("ros2", channels, carries)
+    decoder.joint_names = names
+    return decoder.feed(data), decoder
+
+
+def read(link, enough=10_000):
+    """Read at least so many bytes."""
+    data, end_s = b"", time.monotonic() + PATIENCE_S
+    while len(data) < enough and time.monotonic() < end_s:
+        data += link.read(0.1)
+    return data
+
+
+def cells(number):
+    return Cells([1, 2, 3], [Vector3(float(number), 2.0, 3.0), Vector3(4.0, 5.0, 6.0)])
+
+
+@pytest.mark.parametrize(
+    ("topics", "messages", "stream", "options", "names", "last"),
+    [
+        ("/ft", [("/ft", wrench)], Stream.WRENCH, {}, (), [0.25, 0.5, -0.75]),
+        ("/skin", [("/skin", skin)], Stream.SKIN, {}, (), [1.0, 2.0, 3.0]),
+        ("/j", [("/j", joints)], Stream.JOINTS, {}, ("wrist", "elbow"), [0.5]),
+        ("/j", [("/j", joints)], Stream.JOINTS, {"joints": "elbow"}, ("wrist",), [0.5]),
+        ("/b+/a", [("/a", skin), ("/b", partial(skin, channels=2))], Stream.SKIN, {}, (), [1.0, 2.0, 3.0]),
+        ("/ft", [("/ft", wrench)], Stream.SKIN, {"field": "wrench.torque"}, (), [0.25, 0.5, -0.75]),
+    ],
+)
+def test_messages_of_a_publisher_become_readings(topics, messages, stream, options, names, last):
+    with publishing(*messages), closing(open_link(spec(topics, stream, **options))) as link:
+        data = read(link)
+    (batch,), decoder = decode(data, stream, names=names)
+    assert batch.stream is stream
+    assert batch.values[-1][-len(last) :].tolist() == last
+    assert decoder.counts.total() <= (1 if "+" in topics else 0)
+    assert decoder.device_message == ""
+    # Dated by the publisher's clock, which is this machine's.
+    assert np.all(np.diff(batch.device_s) > 0)
+    assert abs(batch.device_s[-1] - time.time()) < PATIENCE_S
+    (ahead,) = decoder.side_readings.values()
+    assert -1e3 * PATIENCE_S < ahead.least <= ahead.most < 1.0
+
+
+def test_a_laboratorys_own_type_is_read_and_replayed_without_its_file(tmp_path):
+    (tmp_path / "Cells.msg").write_text("uint8[3] id\ngeometry_msgs/Vector3[] pairs\n")
+    with publishing(("/cells", cells)):
+        with closing(open_link(spec("/cells", Stream.SKIN, field="pairs", msg=tmp_path / "Cells.msg"))) as link:
+            data = read(link)
+        with pytest.raises(LinkError, match=r"lab_msgs/msg/Cells has no definition.*msg="):
+            open_link(spec("/cells", Stream.SKIN))
+    (tmp_path / "Cells.msg").unlink()
+    (batch,), decoder = decode(data, Stream.SKIN)
+    assert batch.values[-1][1:].tolist() == [2.0, 3.0, 4.0, 5.0, 6.0]
+    assert decoder.counts.total() == 0
+    # The bytes alone give the same readings to the last bit, in one piece or in many.
+    pieces = make_decoder("ros2", None, (Stream.SKIN,))
+    again = [each for at in range(0, len(data), 7) for each in pieces.feed(data[at : at + 7])]
+    assert np.concatenate([each.values for each in again]).tobytes() == batch.values.tobytes()
+    assert np.concatenate([each.device_s for each in again]).tobytes() == batch.device_s.tobytes()
+
+
+class Recorded:
+    """A reader and what it brought."""
+
+    def __init__(self, link):
+        self._items, self.states, self.data = ChunkQueue(), [], b""
+        self._reader = Reader(link, self._items)
+        self._reader.start()
+
+    def until(self, done):
+        end_s = time.monotonic() + PATIENCE_S
+        while not done(self):
+            assert time.monotonic() < end_s, self.states
+            item = self._items.get(timeout=PATIENCE_S)
+            if isinstance(item, LinkEvent):
+                self.states.append((item.state, item.text))
+                self.data = b"" if item.state is LinkState.OPEN else self.data
+            else:
+                assert isinstance(item, Chunk)
+                self.data += item.data
+        return self
+
+    def close(self):
+        self._reader.stop()
+
+
+def test_a_publisher_that_is_killed_comes_back_and_changes_its_type():
+    with closing(Recorded(spec("/x", Stream.WRENCH, Stream.SKIN))) as link:
+        with process("/x=wrench") as child:
+            link.until(lambda got: len(got.data) > 5000)
+            child.kill()  # the graph takes ten seconds to notice
+            with process("/x=wrench"):
+                before = len(link.data)
+                link.until(lambda got: len(got.data) > before + 5000)
+        assert [state for state, _ in link.states] == [LinkState.OPEN]
+        batches, decoder = decode(link.data, Stream.WRENCH)
+        assert [each.stream for each in batches] == [Stream.WRENCH]
+        assert decoder.counts[Loss.UNREADABLE] == 0
+        with process("/x=skin"):
+            link.until(lambda got: len(got.states) > 2 and len(got.data) > 5000)
+        state, sentence = link.states[1]
+        assert state is LinkState.LOST
+        assert "is now of the type std_msgs/msg/Float32MultiArray, not geometry_msgs/msg/WrenchStamped" in sentence
+        assert decode(link.data, Stream.WRENCH, Stream.SKIN)[0][0].stream is Stream.SKIN
+
+
+def test_ten_publishers_are_one_skin_in_the_order_of_the_address():
+    topics = [f"/patch{number}" for number in (3, 1, 4, 5, 9, 2, 6, 8, 7, 0)]
+    makers = [(topic, lambda _, topic=topic: skin(int(topic[-1]), 2)) for topic in topics]
+    with publishing(*sorted(makers)), closing(open_link(spec("+".join(topics), Stream.SKIN))) as link:
+        data = read(link, 50_000)
+    (batch,), _ = decode(data, Stream.SKIN, channels=20)
+    assert batch.values[-1][::2].tolist() == [3, 1, 4, 5, 9, 2, 6, 8, 7, 0]
+
+
+@pytest.mark.parametrize(
+    ("topic", "options", "message"),
+    [
+        ("/nobody", {}, r"nobody publishes /nobody in ROS 2 domain \d+; 1 topics are there, such as /ft"),
+        ("/ft", {"domain": 101}, r"no publisher is seen in ROS 2 domain 101\. .*ROS_DOMAIN_ID"),
+    ],
+)
+def test_a_missing_topic_or_another_domain_is_a_sentence(monkeypatch, topic, options, message):
+    monkeypatch.setattr("skincal.streams.transports.dds.FIND_MAX_S", 1.0)
+    with publishing(("/ft", wrench)), pytest.raises(LinkError, match=message) as raised:
+        open_link(spec(topic, Stream.WRENCH, **options))
+    assert raised.value.kind is FailureKind.ABSENT
+
+
+def test_messages_that_find_no_room_are_counted(monkeypatch):
+    monkeypatch.setattr(dds, "WAITING_MAX", 50)
+    with publishing(("/ft", wrench), hz=1.0) as peer:
+        peer.publish("/ft", wrench(0))
+        with closing(open_link(spec("/ft", Stream.WRENCH))) as link:
+            read(link, 300)  # the publisher is known
+            for number in range(1, 201):
+                peer.publish("/ft", wrench(number))
+            data, end_s = b"", time.monotonic() + PATIENCE_S
+            while ros2.write_losses(0, 0)[:1] not in data[-13:] and time.monotonic() < end_s:
+                data += link.read(0.1)
+    decoder = make_decoder("ros2", None, (Stream.WRENCH,))
+    batches = decoder.feed(ros2.write_head(ros2.TopicChoice(("/ft",)), ["geometry_msgs/msg/WrenchStamped"], {}) + data)
+    got = sum(len(each.seq) for each in batches)
+    assert decoder.counts[Loss.DROPPED] > 100
+    assert 200 <= decoder.counts[Loss.DROPPED] + got <= 200 + PATIENCE_S
+
+
+def test_a_missing_package_is_one_sentence(monkeypatch):
+    dds._module.cache_clear()
+    monkeypatch.setitem(sys.modules, "cyclonedds.domain", None)
+    monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
+    try:
+        with pytest.raises(LinkError, match=r"pip install 'skincal\[ros2\]'") as raised:
+            open_link(spec("/ft", Stream.WRENCH))
+    finally:
+        dds._module.cache_clear()
+    assert raised.value.kind is FailureKind.ADDRESS
+
+
+def test_no_thread_outlives_the_last_link():
+    def threads():
+        return len(list(Path("/proc/self/task").iterdir()))
+
+    with publishing(("/ft", wrench)):
+        before = threads()
+        for _ in range(3):
+            with closing(open_link(spec("/ft", Stream.WRENCH, domain=DOMAIN))) as link:
+                read(link, 1000)
+        assert threads() == before
+
+
+HEAD = {"topics": ["/s"], "types": ["std_msgs/msg/Float32MultiArray"], "definitions": {}, "field": "", "joints": []}
+
+
+@pytest.mark.parametrize(
+    ("head", "problem"),
+    [
+        ({**HEAD, "types": ["sensor_msgs/msg/Imu"]}, "/s has messages of sensor_msgs/msg/Imu, which are not known as wrench"),
+        ({**HEAD, "field": "depth"}, "not known as wrench"),
+        ({**HEAD, "topics": 3}, "The first packet cannot be read"),
+        ([], "The first packet cannot be read"),
+    ],
+)
+def test_a_topic_that_is_no_sensor_says_so(head, problem):
+    data = ros2.pack(ros2.HEAD_KIND, json.dumps(head).encode()) + ros2.write_message(0, 1, 1, bytes(12))
+    _, decoder = decode(data, Stream.WRENCH)
+    assert problem in decoder.device_message
+    assert decoder.counts[Loss.UNREADABLE] >= 1
+
+
+@pytest.mark.parametrize(
+    ("stamps", "used"),
+    [
+        ([5.0, 6.0, 7.0], [5.0, 6.0, 7.0]),
+        ([5.0, 5.0, 6.0], [5.0, 101.0, 102.0]),
+        ([None, 1.0], [100.0, 101.0]),
+        ([9e9, 1.0], [100.0, 101.0]),
+    ],
+)
+def test_a_stamp_that_stands_still_or_is_absurd_is_not_used(stamps, used):
+    clock = ros2.TopicClock()
+    assert [clock.time_of(stamp, 100.0 + at) for at, stamp in enumerate(stamps)] == used
+
+
+@pytest.mark.parametrize(
+    "address", ["ros2:", "ros2:/a?domain=233", "ros2:/a?domain=x", "ros2:/a b", "ros2://host/a", "ros2:/a++/b"]
+)
+def test_other_addresses_are_refused(address):
+    with pytest.raises(InputError, match="is not a valid ros2 address"):
+        parse_address(address)
