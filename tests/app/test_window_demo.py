@@ -8,7 +8,6 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app.dialogs.history_dialog import HistoryDialog
-from app.dialogs.verdict_dialog import VerdictDialog
 from app.panels.first_minute import FirstMinute
 from app.session.controller import DEMO_PACE
 from app.session.opening import OpenRequest, server_command
@@ -19,8 +18,6 @@ from skincal.session.replay import replay
 from tests.app.whole_window import OPEN_MS, Bench
 
 Key = Qt.Key
-END_MS = 170_000
-"""What is promised, three minutes, less what the window takes to open."""
 
 
 def demo(scene: str = "flat-patch") -> OpenRequest:
@@ -52,7 +49,7 @@ def test_a_newcomer_is_told_four_things_once(bench, qtbot, tmp_path):
     assert other.window.findChildren(FirstMinute) == []
 
 
-def test_it_says_that_it_is_simulated_and_how_quick_and_shift_p_changes_that(bench):
+def test_it_says_how_quick_it_is_shift_p_changes_that_and_a_line_of_the_history_takes_back(bench):
     bench.open(demo())
     line, action = bench.window.session_view.workspace.now.simulated, bench.window.commands.actions["pace"]
     assert line.text() == simulated_words(DEMO_PACE, Running.STREAMING)
@@ -62,13 +59,7 @@ def test_it_says_that_it_is_simulated_and_how_quick_and_shift_p_changes_that(ben
         assert line.text() == simulated_words(pace, Running.STREAMING)
         assert action.text() == pace_words(pace)
     assert line.isVisible()
-
-
-def test_a_recorded_session_of_a_real_rig_is_not_simulated(bench, recorded):
-    (recorded / "truth.json").unlink(missing_ok=True)
-    bench.open(OpenRequest(session=recorded))
-    assert bench.window.session_view.workspace.now.simulated.text() == ""
-    assert not bench.window.commands.actions["pace"].isEnabled()
+    the_history_takes_back_down_to_a_line(bench)
 
 
 def answer(bench, button: str) -> None:
@@ -132,8 +123,7 @@ def test_a_kept_simulated_session_is_marked_and_asks_before_it_connects(bench):
     bench.window.leave()
 
 
-def test_the_history_stands_beside_the_window_and_takes_back_down_to_a_line(bench):
-    bench.open(demo())
+def the_history_takes_back_down_to_a_line(bench):
     bench.until(lambda: len(bench.accepted()) >= 2)
     bench.key(Key.Key_Space)
     bench.until_all_is_taken_in()
@@ -148,19 +138,5 @@ def test_the_history_stands_beside_the_window_and_takes_back_down_to_a_line(benc
         bench.key(Key.Key_Y, Qt.KeyboardModifier.ControlModifier)
         assert len(bench.accepted()) == count - left
     assert not bench.window.commands.actions["redo"].isEnabled()
-
-
-def test_a_key_that_is_held_down_takes_back_one_poke(bench):
+    # A key that is held down takes back one poke.
     assert not any(action.autoRepeat() for action in bench.window.commands.actions.values())
-
-
-@pytest.mark.timeout(300)
-def test_the_demo_comes_to_its_verdict_by_itself_within_three_minutes(bench):
-    path = resource("scenes/icub-forearm/scene.toml")
-    bench.open(OpenRequest(scene=path, server=server_command(path), demo=True))
-    bench.until(lambda: isinstance(QApplication.activeModalWidget(), VerdictDialog), END_MS)
-    dialog = QApplication.activeModalWidget()
-    assert dialog.sentence.text().startswith("All 84 taxels are finished")
-    dialog.reject()
-    bench.qtbot.wait(200)
-    assert QApplication.activeModalWidget() is None, "once"

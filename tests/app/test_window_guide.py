@@ -13,7 +13,6 @@ from PySide6.QtTest import QTest
 from app.panels.inspect_panel import InspectPanel
 from app.panels.widgets import FittedLabel
 from app.session.opening import OpenRequest
-from app.theme import Choice
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
 from skincal.taxels.result import Method
@@ -234,9 +233,7 @@ def test_switches_hold_for_the_next_session_and_all_but_one_for_the_next_window(
     other.window.close()
 
 
-@pytest.mark.parametrize("choice", [Choice.DARK, Choice.LIGHT])
-def test_the_target_is_told_and_not_cut_at_1280_by_720(bench, choice):
-    bench.theme.choose(choice)
+def test_the_target_is_told_and_not_cut_at_1280_by_720(bench):
     bench.open_served()
     now, session_view = bench.window.session_view.workspace.now, bench.window.session_view
     bench.key(Key.Key_V)

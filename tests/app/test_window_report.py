@@ -46,7 +46,9 @@ def write_a_report(bench: Bench, path: Path, monkeypatch) -> None:
     bench.key(Qt.Key.Key_E, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
 
 
-def test_a_report_is_written_beside_the_window(bench, recorded, tmp_path, monkeypatch, processes):
+def test_a_report_is_written_beside_the_window_also_from_the_verdict_or_it_is_said_why_not(
+    bench, recorded, tmp_path, monkeypatch, processes
+):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     write_a_report(bench, tmp_path / "monday", monkeypatch)
@@ -60,13 +62,19 @@ def test_a_report_is_written_beside_the_window(bench, recorded, tmp_path, monkey
     assert processes
     assert os.getpid() not in processes
     assert f"{bench.window.session_view.method.value} method" in text
-
-
-def test_a_report_that_cannot_be_written_is_said(bench, recorded, tmp_path, monkeypatch):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
     write_a_report(bench, tmp_path / "none" / "report.html", monkeypatch)
     bench.until(lambda: "does not exist" in said(bench), OPEN_MS)
+    bench.window.messages.dismiss()
+    bench.key(Qt.Key.Key_F)
+    dialog = bench.window.findChild(VerdictDialog)
+    path = tmp_path / "report.html"
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    dialog.report.click()
+    assert dialog.isVisible(), "the verdict leads to the report, and stays"
+    bench.until(path.exists, OPEN_MS)
+    assert dialog.sentence.text() in path.read_text(encoding="utf-8")
+    dialog.reject()
+    bench.until(lambda: str(path) in said(bench), OPEN_MS)
 
 
 def test_closing_the_window_ends_a_report_that_is_being_written(bench, recorded, tmp_path, monkeypatch):
@@ -78,21 +86,6 @@ def test_closing_the_window_ends_a_report_that_is_being_written(bench, recorded,
     bench.window.close()
     assert not set(active_children()) - others
     assert not (tmp_path / "report.html").exists()
-
-
-def test_the_verdict_leads_to_the_report_and_stays(bench, recorded, tmp_path, monkeypatch):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
-    bench.key(Qt.Key.Key_F)
-    dialog = bench.window.findChild(VerdictDialog)
-    path = tmp_path / "report.html"
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
-    dialog.report.click()
-    assert dialog.isVisible()
-    bench.until(path.exists, OPEN_MS)
-    assert dialog.sentence.text() in path.read_text(encoding="utf-8")
-    dialog.reject()
-    bench.until(lambda: str(path) in said(bench), OPEN_MS)
 
 
 def chosen(panel: ComparePanel) -> list[str]:
@@ -129,23 +122,16 @@ def test_files_sessions_and_the_truth_are_compared_as_the_command_does(bench, re
     assert f"{found.summary.mean * 1e3:.1f} mm" in panel.summary.text()
     assert f"{found.motion.mean * 1e3:.1f} mm" in panel.motion.text()
     assert panel.motion.isVisible()
+    other = tmp_path / "truth.json"
+    other.write_text(json.dumps({"link": "moon", "taxels": [{"channel": 3, "position_m": [0, 0, 1]}]}))
+    before = chosen(panel)
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(other), ""))
+    panel.add_file.click()
+    bench.until(lambda: "moon" in said(bench), OPEN_MS)
+    assert chosen(panel) == before, "positions of another part are refused"
 
 
 def select(panel: ComparePanel, which: int, words: str) -> None:
     box = panel.boxes[which]
     box.setCurrentIndex(box.findText(words))
     box.activated.emit(box.currentIndex())
-
-
-def test_places_of_another_part_are_refused_in_a_sentence(bench, recorded, tmp_path, monkeypatch):
-    file = tmp_path / "truth.json"
-    file.write_text(json.dumps({"link": "moon", "taxels": [{"channel": 3, "position_m": [0, 0, 1]}]}))
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
-    bench.key(Qt.Key.Key_4)
-    panel = bench.window.session_view.workspace.panels["Compare"]
-    before = chosen(panel)
-    monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(file), ""))
-    panel.add_file.click()
-    bench.until(lambda: "moon" in said(bench), OPEN_MS)
-    assert chosen(panel) == before

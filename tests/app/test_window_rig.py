@@ -320,7 +320,7 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
     bench.until(lambda: not is_running(process), 5000)
 
 
-def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked, monkeypatch):
+def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poked, monkeypatch, tmp_path):
     bench = poked.bench
     for module, name in ((controller, "SOLVE_S"), (controller, "SOLVING_SHOWN_S"), (controller, "MIN_BUSY_PICTURE_S")):
         monkeypatch.setattr(module, name, 0.0)
@@ -340,19 +340,17 @@ def test_all_taxels_are_solved_anew_in_several_ticks_and_the_line_says_so(poked,
     bench.until(lambda: not poked.now.headline.text().startswith("Recomputing"), 5000)
     assert moved(before.estimates, bench.snapshot.estimates) > 1e-5
 
-
-def test_while_all_is_solved_anew_an_action_and_an_export_wait_with_a_sentence(poked, monkeypatch, tmp_path):
-    bench, refusals = poked.bench, []
+    # Meanwhile an action and an export wait, with a sentence.
+    bench.controller.act(Undo())
+    bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
+    refusals = []
     monkeypatch.setattr(controller, "MAX_UNSOLVED", 10)
-    monkeypatch.setattr(controller, "SOLVE_S", 0.0)
-    monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     ticks = next(
         timer
         for timer in bench.controller.findChildren(QTimer, options=Qt.FindChildOption.FindDirectChildrenOnly)
         if timer.isActive()
     )
     ticks.stop()
-    matrix = np.eye(6) + 1e-3 * np.arange(36).reshape(6, 6) / 36
     assert bench.controller.act(correct_action(RIG, Correction(matrix), 0.009, 0.002, 6))
     assert not bench.snapshot.decisions.corrections
     assert not bench.controller.act(SetPose(""))

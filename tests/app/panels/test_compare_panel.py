@@ -409,30 +409,6 @@ def open_compare(bench: Bench, folder) -> ComparePanel:
     return panel
 
 
-def test_in_the_window_it_is_drawn_while_it_is_open_and_a_click_selects(bench, recorded):
-    panel = open_compare(bench, recorded)
-    view = bench.window.session_view.workspace.view
-    # Three pokes give the modules method nothing.
-    bench.window.session_view.show_method(Method.SURFACE)
-    bench.until(lambda: tinted(picture(view)) > 50, OPEN_MS)
-    assert "taxel" in panel.summary.text()
-    worst = panel.worst.item(0)
-    panel.worst.itemClicked.emit(worst)
-    assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
-    bench.key(Qt.Key.Key_1)
-    assert not renderer_of(view).compare.dots.actor.GetVisibility()
-
-
-def test_closed_it_costs_nothing_while_pokes_come(bench, monkeypatch):
-    calls = []
-    for owner, name in ((ModulesCheck, "check_snapshot"), (ComparePanel, "show_state"), (ComparePanel, "update_view")):
-        monkeypatch.setattr(owner, name, lambda *_, name=name: calls.append(name))
-    bench.open_served("flat-patch")
-    bench.until(lambda: len(bench.accepted()) >= 1)
-    assert calls == []
-    assert bench.panel(ComparePanel)._neighbours is None
-
-
 @pytest.fixture(scope="module")
 def mirrored_once(tmp_path_factory):
     """The sample session, which has a poke on each taxel, recorded with its first module mirrored in the layout."""
@@ -444,10 +420,17 @@ def mirrored_once(tmp_path_factory):
     return recorded_anew(folder, made / "session")
 
 
-def test_in_the_window_the_corrected_layout_is_saved_by_keys(bench, mirrored_once, tmp_path, monkeypatch):
+def test_in_the_window_a_click_selects_and_the_corrected_layout_is_saved_by_keys(bench, mirrored_once, tmp_path, monkeypatch):
     folder = shutil.copytree(mirrored_once, tmp_path / "session")
     panel, given = open_compare(bench, folder), (folder / "scene" / "modules.toml")
-    message = bench.window.messages.text
+    view, message = bench.window.session_view.workspace.view, bench.window.messages.text
+    bench.until(lambda: tinted(picture(view)) > 50, OPEN_MS)
+    worst = panel.worst.item(0)
+    panel.worst.itemClicked.emit(worst)
+    assert bench.window.session_view.selected == worst.data(Qt.ItemDataRole.UserRole)
+    bench.key(Qt.Key.Key_1)
+    assert not renderer_of(view).compare.dots.actor.GetVisibility()
+    bench.key(Qt.Key.Key_4)
 
     def is_offered() -> bool:
         bench.window.session_view.follow_again()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QSettings, Qt
 
+from app.panels.compare_panel import ComparePanel
 from app.panels.errors_panel import ErrorsPanel, log_ticks, round_range
 from app.session import opening
 from app.session.opening import OpenRequest
@@ -20,7 +21,7 @@ from skincal.files.reference import TRUTH_NAME, Origin, TaxelPositions, error_su
 from skincal.model.actions import Exclude
 from skincal.model.errors import InputError
 from skincal.model.scene import resource
-from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorFollower, ErrorSeries
+from skincal.session.error_history import MAX, MEAN, P95, TAXELS, ErrorCourse, ErrorFollower, ErrorSeries, ModulesCheck
 from skincal.session.part import load_part
 from skincal.session.session import Session
 from skincal.taxels.result import Method
@@ -242,7 +243,10 @@ def test_a_taxel_estimated_at_its_known_position_has_no_error():
 
 def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     calls: list[str] = []
-    for owner, name in ((ErrorCourse, "update"), (ErrorCourse, "series"), (ErrorCourse, "work"), (ErrorFollower, "update")):
+    for owner, name in (
+        *((ErrorCourse, name) for name in ("update", "series", "work")),
+        *((ErrorFollower, "update"), (ModulesCheck, "check_snapshot"), (ComparePanel, "update_view")),
+    ):
         real = getattr(owner, name)
         monkeypatch.setattr(owner, name, lambda *args, real=real, name=name: calls.append(name) or real(*args))
     bench.open_served("flat-patch")
@@ -250,6 +254,7 @@ def test_closed_it_costs_nothing_while_pokes_come(bench, qtbot, monkeypatch):
     paints = Paints(panel)
     bench.until(lambda: len(bench.accepted()) >= 1)
     assert (calls, paints.count) == ([], 0)
+    assert bench.panel(ComparePanel)._neighbours is None
     bench.key(Qt.Key.Key_6)
     accepted = len(bench.accepted())
     bench.until(lambda: len(bench.accepted()) > accepted)
@@ -272,7 +277,7 @@ def open_errors(bench, folder) -> ErrorsPanel:
     return panel
 
 
-def test_the_error_against_the_truth_is_that_of_the_report_and_follows_an_exclusion(bench, qtbot, recorded):
+def test_the_error_against_truth_and_file_follows_an_exclusion_and_is_kept(bench, qtbot, recorded, tmp_path):
     panel = open_errors(bench, recorded)
     bench.until(lambda: panel.source_box.currentText() == approved("errors.against_truth", name="truth.json"), 5000)
     bench.until(lambda: panel.course.series().missing == 0 and len(panel.course.series().counts) > 0, OPEN_MS)
@@ -299,10 +304,10 @@ def test_the_error_against_the_truth_is_that_of_the_report_and_follows_an_exclus
     after = panel.course.series()
     for method in BOTH:
         assert np.array_equal(before.spreads[method], after.spreads[method], equal_nan=True)
+    a_file_is_compared_and_tab_and_axis_are_kept(bench, panel, recorded, tmp_path)
 
 
-def test_a_file_is_compared_with_a_wrong_one_is_refused_and_tab_and_axis_are_kept(bench, qtbot, recorded, tmp_path):
-    panel = open_errors(bench, recorded)
+def a_file_is_compared_and_tab_and_axis_are_kept(bench, panel, recorded, tmp_path):
     panel.axis_buttons[Axis.TIME].click()
     bench.key(Qt.Key.Key_1)
     path = tmp_path / "mine.json"
@@ -318,7 +323,7 @@ def test_a_file_is_compared_with_a_wrong_one_is_refused_and_tab_and_axis_are_kep
     assert panel.source_box.currentText() == "Error against mine.json"
     bench.window.close()
     assert QSettings("skincal", "test").value("window/tab") == "Errors"
-    other = Bench(qtbot, tmp_path)
+    other = Bench(bench.qtbot, tmp_path)
     other.open(OpenRequest(session=recorded))
     assert other.window.session_view.workspace.current_panel() is other.panel(ErrorsPanel)
     assert other.panel(ErrorsPanel).axis is Axis.TIME
