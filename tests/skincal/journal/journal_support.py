@@ -84,6 +84,7 @@ def assert_same(*pipelines: Pipeline) -> None:
         assert list(first.dead.items()) == list(other.dead.items())
         assert first.can_undo == other.can_undo
         assert same_estimates(first, other)
+    assert len({(pipeline.session.decisions.pose, pipeline.session.channels) for pipeline in pipelines}) == 1
 
 
 def records_of(data: bytes, kind: Opcode) -> Iterator[tuple[int, int]]:

@@ -14,14 +14,14 @@ from mcap_ros2.decoder import DecoderFactory
 from skincal.journal import ros_messages, writer
 from skincal.journal.documents import SegmentHeader
 from skincal.journal.reader import SessionLog
-from skincal.journal.writer import JournalWriter, create_session
-from skincal.model.actions import Exclude, MarkDead, TimedAction, Undo
+from skincal.journal.writer import create_session
+from skincal.model.actions import Exclude, TimedAction, Undo
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Sample
 from skincal.model.scene import load_scene, resource
 from skincal.session.replay import replay, resume
 from tests.approved import approved, approved_pattern
-from tests.skincal.journal.journal_support import assert_same, more_pokes, new_session, record, segment
+from tests.skincal.journal.journal_support import assert_same, new_session, record, segment
 from tests.skincal.poke_script import LINKS, as_chunks, some_pokes, write_scene
 
 
@@ -91,30 +91,6 @@ def test_a_changed_scene_is_reported_and_actions_that_do_not_fit_are_left_out(sc
     assert approved("mesh.changed_after_recording") in pipeline.findings[0]
     assert pipeline.session.contacts == ()
     assert any("no longer fits" in sentence and "Poke 1" in sentence for sentence in pipeline.findings)
-
-
-@pytest.mark.parametrize("actions", [(), [(0.5, Exclude(1)), (0.6, MarkDead(2)), (0.8, Undo()), (0.97, Exclude(2))]])
-def test_replay_is_the_live_session_bit_for_bit(scene, tmp_path, actions):
-    live = record(scene, tmp_path / "s", 4, actions)
-    with pytest.raises(InputError):  # and is not recorded
-        live.act(Exclude(77), 1)
-    live.close()
-    assert live.session.excluded == ((1, 2, 3) if actions else ())  # poke 3 by undo
-    assert len(live.snapshot().pokes) == 4
-    assert_same(live, replay(tmp_path / "s"))
-
-
-def test_resume_goes_on_in_a_new_segment(scene, tmp_path):
-    folder = tmp_path / "s"
-    record(scene, folder, 3).close()
-    second = more_pokes(resume(folder), 2)
-    second.act(Exclude(2), 1)
-    second.close()
-    assert [poke.outcome.poke for poke in second.snapshot().pokes] == [1, 2, 3, 4, 5]
-    assert sorted(path.name for path in folder.glob("*.mcap")) == ["segment-0001.mcap", "segment-0002.mcap"]
-    third = resume(folder)
-    third.close()
-    assert_same(second, third, replay(folder))
 
 
 def test_resume_in_the_middle_of_a_poke_loses_that_poke_alone(scene, tmp_path):
@@ -223,10 +199,3 @@ def test_the_buffer_is_written_after_half_a_second(scene, tmp_path):
     assert path.stat().st_size > size + 5000
     assert list(SessionLog(tmp_path / "s").items())[1].host_ns == 1_000_000_000
     journal.close()
-
-
-def test_every_contact_is_forced_onto_the_disk(scene, tmp_path, monkeypatch):
-    synced = []
-    monkeypatch.setattr(JournalWriter, "sync", lambda self: synced.append(self._items))
-    record(scene, tmp_path / "s", 3).close()
-    assert len(synced) == 6  # at its release and when it is final

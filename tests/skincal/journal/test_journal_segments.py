@@ -63,7 +63,7 @@ def test_times_go_on_from_one_segment_to_the_next(scene, tmp_path):
     assert ends[-1] - ends[0] < 12e9
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_kill_at_any_moment_leaves_a_session_that_goes_on(scene, tmp_path, seed):
     """The folder copied in the middle of the recording is what a kill leaves."""
     rng = random.Random(seed)

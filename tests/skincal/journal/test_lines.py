@@ -13,6 +13,7 @@ from skincal.journal.documents import DetectorResult, Totals, key_of
 from skincal.journal.line_file import LineWriter, lines_path, read_lines
 from skincal.journal.reader import SessionLog
 from skincal.model.actions import Exclude, MarkDead, Restore, Undo
+from skincal.model.errors import InputError
 from skincal.session.replay import load, replay, resume
 from tests.skincal.journal.journal_support import assert_same, more_pokes, new_session, record, records_of, segment
 from tests.skincal.poke_script import SPOTS, Script, as_chunks, killed, small_scene, some_pokes, write_scene
@@ -45,6 +46,8 @@ def crowded(scene):
 )
 def test_the_lines_give_the_session_that_the_bytes_give(scene, tmp_path, script, actions):
     live = record(scene, tmp_path / "s", script(scene), actions)
+    with pytest.raises(InputError):  # and is not recorded
+        live.act(Exclude(77), 1)
     live.close()
     loaded, played = load(tmp_path / "s"), replay(tmp_path / "s")
     assert loaded.findings == ()
