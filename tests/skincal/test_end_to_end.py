@@ -185,33 +185,6 @@ def test_a_landmark_is_asked_for_while_a_recording_runs_without_a_window(tmp_pat
     assert set(at.values()) == {"pad"}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["solve", "nowhere"], ["nowhere"]),
-        (["export", "nowhere", "--format", "icub", "--out", "x"], ["nowhere"]),
-        (["simulate", "--scene", "icub-forearm"], ["--out", "--serve"]),
-        (["simulate", "--scene", "icub-leg", "--out", "x"], ["icub-leg"]),
-        (["export", "x", "--format", "step", "--out", "y"], ["step"]),
-        (["import", "yarp", "--wrench", "none", "--skin", "none", "--scene", "flat-patch", "--out", "x"], ["none"]),
-        (["fly"], ["fly"]),
-    ],
-)
-def test_bad_input_is_one_sentence_and_exit_code_2(arguments, words, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert "Traceback" not in said
-    for word in words:
-        assert word in said
-
-
-def test_every_command_shows_an_example(capsys):
-    for command in (["solve"], ["simulate"], ["record"], ["export"], ["landmarks"], ["import", "yarp"], ["import", "csv"]):
-        assert main([*command, "--help"]) == 0
-        assert "Example" in capsys.readouterr().out
-
-
 def test_the_readme_shows_what_the_sample_session_really_gives(capsys):
     """Word for word."""
     checkout = Path(__file__).resolve().parents[2]

@@ -51,15 +51,6 @@ def test_modules_that_lie_as_planned_are_left_alone(capsys):
     assert 0.9 < ratios["surface"] < 1.3 < ratios["free"]
 
 
-def test_a_module_that_is_planned_mirrored_is_said(tmp_path, capsys):
-    assert main(["solve", str(sample(tmp_path, "modules.toml", "mirror = false", "mirror = true"))]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    said = [line for line in lines if line.startswith("Module ")]
-    assert len(said) == 1
-    assert said[0].startswith(approved("modules_check.mirrored_advice", module=17))
-    assert any("neighbours 1.0" in line and line.startswith("surface") for line in lines)
-
-
 def test_without_a_layout_nothing_is_said_of_modules(tmp_path, capsys):
     folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
     scene = folder / "scene" / "scene.toml"

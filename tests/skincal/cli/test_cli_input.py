@@ -190,6 +190,7 @@ REFUSALS = [
     (["export", "{given}", "--format", "icub"], "{given}: not a session"),
     (["export", "{session}", "--format", "csv", "--part", "chest"], "expected --format icub"),
     (["simulate", "--scene", "nope"], "nope"),
+    (["simulate", "--scene", "icub-forearm", "NO OUT"], "--serve"),
     (["simulate", "--scene", "{given}"], "{given}"),
     (["simulate", *SCENE, "--poses", "9"], "9"),
     *((["simulate", *SCENE, *options], NOT_SERVED.replace("OPTIONS", " ".join(options)))

@@ -110,6 +110,8 @@ def test_it_says_what_it_corrects_and_where_it_is(damaged, capsys):
     assert f"corrected {change}" in damaged.said
     assert approved("layout_file.wrote", path=damaged.out) in damaged.said
     lines = run(capsys, "solve", damaged.folder).splitlines()
+    assert any(line.startswith(approved("modules_check.mirrored_clause", module=17)) for line in lines)
+    assert any(line.startswith("surface") and "neighbours 1." in line for line in lines)
     assert approved("layout_file.says", change=change) in lines
     lines = run(capsys, "solve", SAMPLE, "--layout", damaged.out).splitlines()
     assert approved("layout_file.solved_with", path=damaged.out) in lines

@@ -58,57 +58,39 @@ def test_a_study_writes_its_numbers_and_its_figure(run, tmp_path, monkeypatch):
     assert "poking icub-forearm" in err
 
 
-def test_json_goes_to_stdout_and_no_file_is_written(run, tmp_path, monkeypatch, canned):
+@pytest.mark.parametrize(
+    ("options", "quick", "files"),
+    [
+        (["--json"], False, set()),
+        ([], False, {"studies/runtime.json", "studies/runtime.svg", "studies/runtime.png"}),
+        (["--json", "--quick", "--out", "x"], True, {"x/runtime.json", "x/runtime.svg", "x/runtime.png"}),
+    ],
+)
+def test_json_goes_to_stdout_and_files_into_a_folder(run, tmp_path, monkeypatch, canned, options, quick, files):
     monkeypatch.chdir(tmp_path)
-    code, out, err = run("runtime", "--json")
-    assert code == 0
-    assert json.loads(out)["study"] == "runtime"
-    assert err == "measuring\n"
-    assert list(tmp_path.iterdir()) == []
-    assert canned == [False]
+    code, out, err = run("runtime", *options)
+    assert (code, canned, err) == (0, [quick], "measuring\n")
+    assert {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*")} == files
+    if "--json" in options:
+        assert json.loads(out)["study"] == "runtime"
+        assert not files or json.loads((tmp_path / "x" / "runtime.json").read_text(encoding="utf-8")) == json.loads(out)
 
 
-def test_json_with_a_folder_gives_both(run, tmp_path, canned):
-    code, out, _ = run("runtime", "--json", "--quick", "--out", tmp_path)
-    assert code == 0
-    assert json.loads(out) == json.loads((tmp_path / "runtime.json").read_text(encoding="utf-8"))
-    assert (tmp_path / "runtime.png").exists()
-    assert canned == [True]
-
-
-def test_without_a_folder_files_go_into_studies(run, tmp_path, monkeypatch, canned):
-    monkeypatch.chdir(tmp_path)
-    assert run("runtime")[0] == 0
-    assert (tmp_path / "studies" / "runtime.svg").exists()
-    assert canned == [False]
-
-
-@pytest.mark.parametrize("inside", ["", "below"])
-def test_a_file_in_the_way_of_the_folder_is_one_sentence_before_anything_is_measured(run, tmp_path, canned, inside):
+@pytest.mark.parametrize(
+    ("folder", "sentence"),
+    [
+        ("taken", approved("study.choose_out")),
+        ("taken/below", approved("study.choose_out")),
+        ("x" * 300, approved("study.choose_out")),
+        ("there", "runtime.png"),
+    ],
+)
+def test_what_is_in_the_way_is_one_sentence_before_anything_is_measured(run, tmp_path, canned, folder, sentence):
     (tmp_path / "taken").write_text("", encoding="utf-8")
-    code, out, err = run("runtime", "--out", tmp_path / "taken" / inside)
-    assert code == 2
-    assert out == ""
-    assert err.count("\n") == 1
-    assert approved("study.choose_out") in err
-    assert canned == []
-
-
-def test_a_folder_name_that_no_system_takes_is_refused(run, tmp_path, canned):
-    code, _, err = run("runtime", "--out", tmp_path / ("x" * 300))
-    assert code == 2
-    assert approved("study.choose_out") in err
-    assert "Traceback" not in err
-    assert canned == []
-
-
-def test_a_folder_in_the_way_of_a_file_is_one_sentence_before_anything_is_measured(run, tmp_path, canned):
-    (tmp_path / "runtime.png").mkdir()
-    code, _, err = run("runtime", "--out", tmp_path)
-    assert code == 2
-    assert err.count("\n") == 1
-    assert "runtime.png" in err
-    assert canned == []
+    (tmp_path / "there" / "runtime.png").mkdir(parents=True)
+    code, out, err = run("runtime", "--out", tmp_path / folder)
+    assert (code, out, err.count("\n"), canned) == (2, "", 1, [])
+    assert sentence in err
 
 
 def test_a_folder_that_cannot_be_written_to_is_one_sentence(run, tmp_path, canned, monkeypatch):
