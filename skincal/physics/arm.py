@@ -38,12 +38,12 @@ class WrenchReading:
 class PokingArm(Protocol):
     """An arm with a tip, and the sensor below the part.
 
-    A caller loops: read, `command`, `step`. The last command holds until the next one.
+    A caller loops: read, `command`, `advance`. The last command holds until the next one.
     """
 
     tip_radius_m: float
     period_s: float
-    """s, time of one `step`."""
+    """s, time of one `advance`."""
 
     @property
     def time_s(self) -> float:
@@ -73,6 +73,6 @@ class PokingArm(Protocol):
         """Stop at once and hold the present pose."""
         ...
 
-    def step(self) -> None:
+    def advance(self) -> None:
         """Advance by `period_s`: simulate it, or wait for it."""
         ...

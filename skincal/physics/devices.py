@@ -1,0 +1,109 @@
+"""The robot's sensors as bytes of boards (SKB/1): force/torque sensor, skin and joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from skincal.geometry import FloatArray
+from skincal.model.readings import Stream
+from skincal.physics.engine import PERIOD_S
+from skincal.physics.rig import SimulatedRobot
+from skincal.simulate.board_formats import Encoder, make_encoder
+
+PERIODS_PER_BLOCK = 5
+BLOCK_S = PERIODS_PER_BLOCK * PERIOD_S
+"""s of readings that are sent together; also the time between two skin frames: 50 Hz, as in the paper (section III-B)."""
+JOINT_PERIODS = 2
+"""Periods between two records of the joints: 125 Hz."""
+HEADER_S = 2.0
+"""s between two headers of a board."""
+US_PER_S = 1_000_000
+CLOCK_WRAP_US = 2**32
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """A board that sends one stream."""
+
+    stream: Stream
+    encoder: Encoder
+    header: str
+    width: int
+
+
+class RobotDevices:
+    """Collects the readings of a robot after each of its periods, and encodes them in blocks."""
+
+    block_s = BLOCK_S
+    emulated: Mapping[Stream, str] = {}
+
+    def __init__(self, robot: SimulatedRobot) -> None:
+        self._robot = robot
+        scene = robot.scene
+        self.channels = scene.skin.channels
+        self._boards = {
+            Stream.WRENCH: _board(Stream.WRENCH, f"board=ft,rate={1 / PERIOD_S:g},unit=N,kind=ft,fw=1", 6),
+            Stream.SKIN: _board(
+                Stream.SKIN,
+                f"board={scene.name},n={self.channels},rate={1 / BLOCK_S:g},unit=raw,kind=taxel,"
+                f"polarity={'up' if scene.skin.polarity > 0 else 'down'},fw=1",
+                self.channels,
+                (scene.skin.range or (0.0, 255.0))[1],
+            ),
+        }
+        if scene.arm is not None:
+            header = f"board=arm,rate={1 / (JOINT_PERIODS * PERIOD_S):g},unit=deg,kind=joints,fw=1"
+            self._boards[Stream.JOINTS] = _board(Stream.JOINTS, header, max(scene.arm.arm.joints, default=-1) + 1)
+        self._periods = 0
+        self._readings: dict[Stream, list[tuple[int, FloatArray]]] = {stream: [] for stream in self._boards}
+        self._next_header_s = 0.0
+        self.now = 0.0
+        """s, end of the encoded time."""
+        robot.add_listener(self._collect)
+
+    @property
+    def links(self) -> dict[str, Stream]:
+        """Name of each link and its stream."""
+        return {stream.value: stream for stream in self._boards}
+
+    @property
+    def is_block_full(self) -> bool:
+        return self._periods > 0 and self._periods % PERIODS_PER_BLOCK == 0
+
+    def _collect(self) -> None:
+        self._periods += 1
+        time_us = round(self._periods * PERIOD_S * US_PER_S) % CLOCK_WRAP_US
+        self._readings[Stream.WRENCH].append((time_us, self._robot.reading))
+        if self._periods % PERIODS_PER_BLOCK == 0:
+            self._readings[Stream.SKIN].append((time_us, self._robot.skin_frame()))
+        if self._periods % JOINT_PERIODS == 0 and Stream.JOINTS in self._boards:
+            self._readings[Stream.JOINTS].append((time_us, np.degrees(self._robot.joint_record())))
+
+    def greeting(self, link: str) -> bytes:
+        """Return the header that a board sends when a host connects or asks."""
+        board = self._boards[Stream(link)]
+        return board.encoder.header(round(self.now * US_PER_S) % CLOCK_WRAP_US, board.header, board.width)
+
+    def advance(self) -> list[tuple[int, str, bytes]]:
+        """Encode the readings since the last call: (simulated nanoseconds, link, bytes)."""
+        sent: list[tuple[int, str, bytes]] = []
+        has_header = self.now >= self._next_header_s
+        self.now = self._periods * PERIOD_S
+        for stream, board in self._boards.items():
+            data = self.greeting(stream.value) if has_header else b""
+            readings, self._readings[stream] = self._readings[stream], []
+            if readings:
+                times, values = zip(*readings, strict=True)
+                data += board.encoder.encode(stream, np.array(times), np.array(values))
+            if data:
+                sent.append((round(self.now * 1e9), stream.value, data))
+        if has_header:
+            self._next_header_s += HEADER_S
+        return sent
+
+
+def _board(stream: Stream, header: str, width: int, top: float = 255.0) -> Board:
+    return Board(stream, make_encoder("skb", top, width if stream is Stream.SKIN else 0), header, width)

@@ -1,0 +1,217 @@
+"""A rig in the physics engine MuJoCo: contact with the part's mesh, sensor readings, and the kinematics of the arm.
+
+MuJoCo replaces a mesh by its convex hull when it looks for contacts. So the tip touches a flat facet instead: before each
+period the facet is placed on the layer's outer face, at the mesh point that is nearest to the tip. Normal force, friction and
+slip are the engine's (docs/decisions/physics-engine.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from skincal.geometry import FloatArray, crossed, length_of
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
+from skincal.physics.mjcf import (
+    CONTACT_IMPEDANCE,
+    LAYER_DAMPING_S,
+    LAYER_STIFFNESS,
+    LAYER_THICKNESS_M,
+    TIMESTEP_S,
+)
+
+STEPS_PER_PERIOD = 4
+PERIOD_S = STEPS_PER_PERIOD * TIMESTEP_S
+"""s between two commands, and two readings of the sensor."""
+NEAR_M = 0.02
+"""m. Farther from the mesh the facet is not placed in each period."""
+IK_STEPS, IK_DAMPING = 60, 1e-3
+IK_TOLERANCE_M = 1e-4
+"""m, and 10 times as many radians."""
+IK_MAX_TURN = 0.2
+"""rad, largest change of a joint in one step of the inverse kinematics."""
+DIRECTION_WEIGHT_M = 0.1
+"""m. A direction error of 1 rad counts as much as this position error."""
+
+
+def load_mujoco() -> Any:
+    """Import MuJoCo. Raises InputError: it is not installed."""
+    try:
+        return import_module("mujoco")
+    except ImportError:
+        raise InputError("the physics engine MuJoCo is not installed; install it: pip install 'skincal[physics]'") from None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """Contact of the tip with the layer's outer face, part's frame."""
+
+    point: FloatArray
+    """(3,) float, metres."""
+    normal: FloatArray
+    """(3,) float, unit, outward."""
+    force: FloatArray
+    """(3,) float, N, on the part."""
+    depth: float
+    """m, how far the tip is in the layer."""
+
+
+class Engine:
+    """The engine with one rig.
+
+    Parameters
+    ----------
+    mjcf : text of `write_mjcf`
+    surface : mesh on which the taxels lie, part's frame
+    start : (joints,) float, radians: actuated joints at the start
+    """
+
+    def __init__(self, mjcf: str, surface: Surface, start: FloatArray) -> None:
+        self.mujoco = mujoco = load_mujoco()
+        self.surface = surface
+        self.model: Any = mujoco.MjModel.from_xml_string(mjcf)
+        self.data: Any = mujoco.MjData(self.model)
+        self._believed: Any = mujoco.MjData(self.model)
+        model = self.model
+        self._part, self._tip = model.body("part").id, model.site("tip").id
+        self._facet, self._wrist = model.body("facet").id, model.body("wrist").id
+        self._joints = model.actuator_trnid[:, 0]
+        self._angles, self._dofs = model.jnt_qposadr[self._joints], model.jnt_dofadr[self._joints]
+        self.limits = model.jnt_range[self._joints]
+        self._far_for = 0
+        self._set_layer_stiffness()
+        self.data.qpos[self._angles] = start
+        self.data.ctrl[:] = start
+        self._forward()
+
+    @property
+    def joint_count(self) -> int:
+        return len(self._joints)
+
+    @property
+    def time_s(self) -> float:
+        return float(self.data.time)
+
+    def _set_layer_stiffness(self) -> None:
+        """Make the contact a spring of `LAYER_STIFFNESS`.
+
+        MuJoCo's reference acceleration is -b v - k r, and a constant impedance d makes the force k r / ((1 - d) A), A the
+        engine's estimate of the inverse mass at the contact (MuJoCo documentation, Computation, Constraint model).
+        """
+        inverse_mass = float(self.model.body_invweight0[[self._facet, self._wrist], 0].sum())
+        stiffness = LAYER_STIFFNESS * (1.0 - CONTACT_IMPEDANCE) * inverse_mass
+        self.model.pair_solref[0] = -stiffness, -stiffness * LAYER_DAMPING_S
+
+    def _forward(self) -> None:
+        self.mujoco.mj_forward(self.model, self.data)
+        self._place_facet()
+
+    def advance(self) -> None:
+        """Advance by one period."""
+        if self._far_for:
+            self._far_for -= 1
+        else:
+            self._place_facet()
+        self.mujoco.mj_step(self.model, self.data, STEPS_PER_PERIOD)
+
+    def _place_facet(self) -> None:
+        """Place the facet tangent to the layer's outer face, under the tip."""
+        centre = self.tip_in_part()[0]
+        points, triangles = nearest_points(self.surface, centre[None])
+        away = centre - points[0]
+        distance, outward = length_of(away), self.surface.normals[triangles[0]]
+        # The tip is outside unless it went through the layer: then the triangle's normal says where outside is.
+        normal = away / distance if distance > 1e-9 and away @ outward > 0 else outward
+        # At 2.5 m/s, more than any arm here, the tip needs one period for a centimetre.
+        self._far_for = int((distance - NEAR_M) / 0.01) if distance > NEAR_M else 0
+        self.model.body_pos[self._facet] = points[0] + LAYER_THICKNESS_M * normal
+        self.mujoco.mju_quatZ2Vec(self.model.body_quat[self._facet], normal)
+
+    def touch(self) -> Touch | None:
+        """Return the present contact, or `None`."""
+        if not self.data.ncon:
+            return None
+        contact, wrench = self.data.contact[0], np.zeros(6)
+        self.mujoco.mj_contactForce(self.model, self.data, 0, wrench)
+        # Rows of the frame: normal from the tip to the facet, since the engine puts spheres first, and two tangents. The force
+        # acts on the facet.
+        frame = contact.frame.reshape(3, 3)
+        place, turn = self.part_pose()
+        return Touch(
+            turn.T @ (contact.pos - place), -(turn.T @ frame[0]), turn.T @ (frame.T @ wrench[:3]), -float(contact.dist)
+        )
+
+    def part_pose(self) -> tuple[FloatArray, FloatArray]:
+        """Return the true position (3,), metres, and rotation (3, 3) of the part in the world."""
+        return self.data.xpos[self._part].copy(), self.data.xmat[self._part].reshape(3, 3).copy()
+
+    def tip_in_part(self, data: Any = None) -> tuple[FloatArray, FloatArray]:
+        """Return the true position (3,), metres, and direction (3,) of the tip in the part's frame; or those of `data`."""
+        data = self.data if data is None else data
+        turn = data.xmat[self._part].reshape(3, 3)
+        return (data.site_xpos[self._tip] - data.xpos[self._part]) @ turn, data.site_xmat[self._tip].reshape(3, 3)[:, 2] @ turn
+
+    def sensor_wrench(self) -> FloatArray:
+        """Return the force, N, and moment, N m, (6,) that the load exerts on the sensor, in its frame, without errors."""
+        # The engine gives what the sensor exerts on the load.
+        return -self.data.sensordata[:6]
+
+    def push_joints(self, torques: FloatArray) -> None:
+        """Apply generalized forces (nv,) during the next periods."""
+        self.data.qfrc_applied[:] = torques
+
+    def drive(self, angles: FloatArray) -> None:
+        """Set the goals of the joint servos, radians."""
+        self.data.ctrl[:] = angles
+
+    # ---- kinematics of the commanded joints: without sag, wrist and vibration
+
+    def believed_tip(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return position (3,), metres, and direction (3,) of the tip in the part's frame if the joints were rigid."""
+        self._believed.qpos[self._angles] = angles
+        self.mujoco.mj_kinematics(self.model, self._believed)
+        return self.tip_in_part(self._believed)
+
+    def solve_angles(
+        self, start: FloatArray, position: FloatArray, direction: FloatArray, steps: int = IK_STEPS
+    ) -> tuple[FloatArray, float]:
+        """Solve the joint angles for a tip's position (3,) and direction (3,), from `start`: damped least squares.
+
+        Returns
+        -------
+        The angles within their limits, and the remaining error, metres (`DIRECTION_WEIGHT_M`).
+        """
+        angles, error = start.copy(), np.inf
+        for _ in range(steps):
+            at, along = self.believed_tip(angles)
+            turn = crossed(along, direction)
+            if along @ direction < 0:
+                # Beyond 90 degrees the cross product shrinks again.
+                turn = turn / max(length_of(turn), 1e-9)
+            off = np.concatenate([position - at, DIRECTION_WEIGHT_M * turn])
+            error = length_of(off)
+            if error < IK_TOLERANCE_M / 10:
+                break
+            jacobian = self._jacobian(along)
+            step = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + IK_DAMPING**2 * np.eye(6), off)
+            largest = float(np.abs(step).max())
+            angles = np.clip(angles + step * min(1.0, IK_MAX_TURN / max(largest, 1e-9)), self.limits[:, 0], self.limits[:, 1])
+        return angles, error
+
+    def _jacobian(self, along: FloatArray) -> FloatArray:
+        """Return d(position, weighted direction)/d(angles), (6, joints), part's frame; a turn about the tip is left out."""
+        data, model, mujoco = self._believed, self.model, self.mujoco
+        mujoco.mj_comPos(model, data)
+        point = data.site_xpos[self._tip]
+        moved, turned = np.zeros((2, 2, 3, model.nv))
+        mujoco.mj_jac(model, data, moved[0], turned[0], point, self._wrist)
+        mujoco.mj_jac(model, data, moved[1], turned[1], point, self._part)
+        turn = data.xmat[self._part].reshape(3, 3).T
+        position = turn @ (moved[0] - moved[1])[:, self._dofs]
+        spin = turn @ (turned[0] - turned[1])[:, self._dofs]
+        return np.concatenate([position, DIRECTION_WEIGHT_M * (spin - np.outer(along, along @ spin))])

@@ -1,0 +1,258 @@
+"""The simulated robot with part, sensor and skin: an implementation of `PokingArm`."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from skincal.geometry import FloatArray, crossed, inverse_pose, length_of
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
+from skincal.model.scene import Scene
+from skincal.physics.arm import TipPose, WrenchReading
+from skincal.physics.effects import BASE_TURN_PER_M, SENSOR_DELAY_S, Effects
+from skincal.physics.engine import IK_TOLERANCE_M, PERIOD_S, Engine, Touch
+from skincal.physics.mjcf import TIP_RADIUS_M, RigPlan, write_mjcf
+from skincal.physics.skin import Pads
+
+SENSOR_GRAIN_N = 0.005
+"""N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
+MOMENT_OF_FORCE_M = 0.02
+"""m, noise of a moment over that of a force: 0.005 N m for 0.25 N (FT45)."""
+TURN_SPEED = 1.0
+"""rad/s, largest speed at which the tip's direction turns."""
+SERVO_RAD_S = 2.0 * np.pi * 4.0
+"""rad/s, natural frequency of a servo that overshoots."""
+SETTLE_S = 0.5
+"""s until a new rig has come to rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigLayout:
+    """A rig for a scene."""
+
+    plan: RigPlan
+    start: FloatArray
+    """(joints,) float, radians: actuated joints at the start."""
+    seeds: FloatArray
+    """(n, joints) float, radians: other starts of the inverse kinematics."""
+    reported: Callable[[FloatArray], FloatArray]
+    """From the actuated joints (joints,) to the angles of the scene's arm, radians."""
+    columns: Callable[[FloatArray], FloatArray]
+    """From the actuated joints to a record of the joint stream, radians; empty without one."""
+
+
+class SimulatedRobot:
+    """A robot that pokes, in the physics engine.
+
+    Parameters
+    ----------
+    surface : mesh of the part, on which the taxels lie
+    seed : equal seeds give equal readings, to the last bit
+
+    Raises InputError: MuJoCo is missing, or the scene does not say where its taxels are.
+    """
+
+    period_s = PERIOD_S
+    tip_radius_m = TIP_RADIUS_M
+
+    def __init__(self, scene: Scene, surface: Surface, layout: RigLayout, effects: Effects, seed: int) -> None:
+        skin, sensor, base, tremble, self._frame_rng = np.random.default_rng(seed).spawn(5)
+        self.scene, self.effects, self._layout = scene, effects, layout
+        self.pads = Pads(scene, surface, skin)
+        self.engine = Engine(write_mjcf(layout.plan, effects), surface, layout.start)
+        self._sensor_rng, self._tremble_rng = sensor, tremble
+        self._set_base_error(base)
+        self._angles = layout.start.copy()
+        self._goal = self._aim = self._believed()
+        self._speed = 0.0
+        self._servo = self._aim.position.copy(), np.zeros(3)
+        self._filtered: FloatArray | None = None
+        self._late: deque[FloatArray] = deque(maxlen=1 + (round(SENSOR_DELAY_S / PERIOD_S) if effects.low_pass else 0))
+        self._wrench: WrenchReading | None = None
+        self.reading = np.zeros(6)
+        """(6,) float, N and N m, sensor frame: newest reading of the sensor, in the scene's sign."""
+        self._listeners: list[Callable[[], object]] = []
+        self._tremble = 0.0
+        self._settle()
+
+    def _set_base_error(self, rng: np.random.Generator) -> None:
+        shift = self.effects.base * rng.standard_normal(3)
+        turn = self.effects.base * BASE_TURN_PER_M * rng.standard_normal(3)
+        angle = length_of(turn)
+        rotation = np.eye(3)
+        if angle:
+            x, y, z = turn / angle
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            rotation += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+        self._base_turn, self._base_shift = rotation, shift
+
+    def _settle(self) -> None:
+        """Let the rig come to rest; then scale the vibration to its size."""
+        for _ in range(round(SETTLE_S / PERIOD_S)):
+            self.engine.advance()
+        if not self.effects.vibration:
+            return
+        self._tremble = 1.0
+        read: list[FloatArray] = []
+        for _ in range(round(4 * SETTLE_S / PERIOD_S)):
+            self._shake()
+            self.engine.advance()
+            read.append(self.engine.sensor_wrench()[:3])
+        rms = float(np.sqrt(np.mean(np.var(np.array(read[len(read) // 4 :]), axis=0))))
+        self._tremble = self.effects.vibration / rms
+
+    def _shake(self) -> None:
+        model = self.engine.model
+        torques: FloatArray = np.zeros(int(model.nv))
+        dofs = self._trembling_dofs(model)
+        torques[dofs] = self._tremble * self._tremble_rng.standard_normal(len(dofs))
+        self.engine.push_joints(torques)
+
+    def _trembling_dofs(self, model: Any) -> list[int]:
+        """Return the degrees of freedom of the mount, or of the joints that carry the part."""
+        names = [model.joint(number).name for number in range(model.njnt)]
+        chosen = [name for name in names if name.startswith("mount")] or [name for name in names if name.startswith("p")]
+        return [int(model.joint(name).dofadr[0]) for name in chosen]
+
+    # ---- PokingArm
+
+    @property
+    def time_s(self) -> float:
+        return self.engine.time_s
+
+    def read_tip(self) -> TipPose:
+        return self._believed()
+
+    def _believed(self) -> TipPose:
+        position, direction = self.engine.believed_tip(self._angles)
+        turn = self._base_turn
+        return TipPose(turn.T @ (position - self._base_shift), turn.T @ direction)
+
+    def read_wrench(self) -> WrenchReading | None:
+        return self._wrench
+
+    def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
+        true = self._base_turn @ position + self._base_shift, self._base_turn @ direction
+        starts = [self._angles, self._layout.start, *self._layout.seeds]
+        return any(self.engine.solve_angles(start, *true)[1] < IK_TOLERANCE_M for start in starts)
+
+    def command(self, position: FloatArray, direction: FloatArray, speed_m_s: float) -> None:
+        if not (np.isfinite(position).all() and np.isfinite(direction).all() and length_of(direction) > 0.5):
+            raise InputError(f"the arm was given {position} and {direction}; expected a position and a unit direction.")
+        self._goal, self._speed = TipPose(position, direction / length_of(direction)), speed_m_s
+
+    def stop(self) -> None:
+        self._goal = self._aim
+
+    def advance(self) -> None:
+        self._follow_goal()
+        self.engine.drive(self._angles)
+        if self._tremble:
+            self._shake()
+        self.engine.advance()
+        self._read_sensor()
+        for listener in self._listeners:
+            listener()
+
+    def add_listener(self, listener: Callable[[], object]) -> None:
+        """Call `listener` after each step."""
+        self._listeners.append(listener)
+
+    def _follow_goal(self) -> None:
+        """Move the commanded tip towards the goal by one period, and solve the joints for it."""
+        goal, aim = self._goal, self._aim
+        if goal is not aim:
+            self._aim = _moved_towards(aim, goal, self._speed * PERIOD_S)
+        position = self._aim.position
+        at, velocity = self._servo
+        if self.effects.overshoot:
+            # Overshoot = exp(-pi zeta / sqrt(1 - zeta^2)).
+            log = np.log(self.effects.overshoot)
+            damping = -log / np.hypot(np.pi, log)
+            velocity = velocity + PERIOD_S * (SERVO_RAD_S**2 * (position - at) - 2.0 * damping * SERVO_RAD_S * velocity)
+            position = at + PERIOD_S * velocity
+        if self._aim is aim and length_of(position - at) < 1e-7:
+            return
+        self._servo = position, velocity
+        true = self._base_turn @ position + self._base_shift, self._base_turn @ self._aim.direction
+        self._angles = self.engine.solve_angles(self._angles, *true, steps=4)[0]
+
+    def _read_sensor(self) -> None:
+        true, effects = self.engine.sensor_wrench(), self.effects
+        if effects.low_pass:
+            share = 1.0 - np.exp(-2.0 * np.pi * effects.low_pass * PERIOD_S)
+            before = true if self._filtered is None else self._filtered
+            true = self._filtered = before + share * (true - before)
+        self._late.append(true)
+        sd = max(effects.noise, SENSOR_GRAIN_N) * np.repeat([1.0, MOMENT_OF_FORCE_M], 3)
+        read = self._late[0] + sd * self._sensor_rng.standard_normal(6)
+        self.reading = self.scene.wrench_sign * read
+        turn = self.link_from_sensor()[:3, :3]
+        self._wrench = WrenchReading(self.time_s, turn @ read[:3], turn @ read[3:])
+
+    # ---- for devices and tests
+
+    def link_from_sensor(self) -> FloatArray:
+        """Return link_from_sensor (4, 4) as the joints report it."""
+        arm = self.scene.arm
+        return self.scene.sensor_pose if arm is None else arm.arm.link_from_sensor(self._layout.reported(self._angles))
+
+    def joint_record(self) -> FloatArray:
+        """Return a record of the joint stream, radians; empty without an arm."""
+        return self._layout.columns(self._angles)
+
+    def touch(self) -> Touch | None:
+        """Return the present contact, or `None`."""
+        return self.engine.touch()
+
+    def skin_frame(self) -> FloatArray:
+        """Return a raw frame (width,) of the skin at the present contact."""
+        return self.pads.frame(self.engine.touch(), self.effects.patch, self._frame_rng)
+
+    def truth(self) -> dict[str, Any]:
+        """Return the true taxels for `truth.json`: link frame, metres, unit normals."""
+        pads = self.pads
+        taxels = zip(pads.channels.tolist(), pads.places.tolist(), pads.normals.tolist(), strict=True)
+        return {
+            "link": self.scene.link,
+            "taxels": [{"channel": channel, "position_m": place, "normal": normal} for channel, place, normal in taxels],
+        }
+
+
+def _moved_towards(aim: TipPose, goal: TipPose, most: float) -> TipPose:
+    """Move straight by at most `most`, metres, and turn on the way, at most at `TURN_SPEED`."""
+    way = goal.position - aim.position
+    distance, cosine = length_of(way), float(np.clip(aim.direction @ goal.direction, -1.0, 1.0))
+    angle = float(np.arccos(cosine))
+    steps = max(distance / most if most > 0 else np.inf, angle / (TURN_SPEED * PERIOD_S))
+    if steps <= 1.0:
+        return goal
+    share = 1.0 / steps
+    across = goal.direction - cosine * aim.direction
+    size = length_of(across)
+    if size < 1e-9:
+        direction = aim.direction if cosine > 0 else goal.direction
+    else:
+        direction = np.cos(share * angle) * aim.direction + np.sin(share * angle) * across / size
+    return TipPose(aim.position + share * way, direction)
+
+
+def soft_axes(scene: Scene, angles: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Find the axes of the scene's arm between sensor and part, by differences: axis (3,) and point (3,), link frame."""
+    if scene.arm is None:
+        return []
+    found: list[tuple[FloatArray, FloatArray]] = []
+    pose = scene.arm.arm.link_from_sensor(angles)
+    small = 1e-5
+    for turned in np.eye(len(angles)):
+        change = (inverse_pose(scene.arm.arm.link_from_sensor(angles + small * turned)) - inverse_pose(pose)) / small
+        twist = pose @ change
+        spin = np.array([twist[2, 1], twist[0, 2], twist[1, 0]])
+        if length_of(spin) > 0.5:
+            found.append((spin / length_of(spin), crossed(spin, twist[:3, 3]) / (spin @ spin)))
+    return found

@@ -1,0 +1,110 @@
+"""A session in simulated time: the guide asks, the robot pokes, and its bytes go through the pipeline."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+from skincal.journal.writer import JournalWriter
+from skincal.mesh.surface import Surface
+from skincal.model.readings import Chunk, LinkEvent, LinkState
+from skincal.model.scene import Scene
+from skincal.physics.devices import RobotDevices
+from skincal.physics.rig import SimulatedRobot
+from skincal.robot.target_lines import Answer, AskedLine
+from skincal.robot.target_server import RobotCame
+from skincal.session.guided_session import RobotGuide
+from skincal.session.pipeline import Pipeline
+from skincal.streams.links import LinkSpec
+from skincal.taxels.result import Method
+
+if TYPE_CHECKING:
+    from skincal.robot.target_server import TargetServer
+
+START_NS = 1_000_000_000
+"""ns, host's clock at the start; any value works."""
+
+
+class TargetQueue:
+    """Lines between guide and robot without a port: the methods of `TargetServer` for the guide, and two for the robot."""
+
+    def __init__(self) -> None:
+        self._asked: deque[AskedLine] = deque()
+        self._answers: list[Answer | RobotCame | str] = [RobotCame.CAME]
+        self.refused = ""
+        """Why the guide would disconnect the robot."""
+
+    def send(self, lines: Sequence[AskedLine]) -> None:
+        """Send lines to the robot."""
+        self._asked.extend(lines)
+
+    def take(self) -> list[Answer | RobotCame | str]:
+        """Return the answers since the last call."""
+        answers, self._answers = self._answers, []
+        return answers
+
+    def refuse(self, reason: str) -> None:
+        """Note an impossible answer."""
+        self.refused = reason
+
+    def poll(self) -> AskedLine | None:
+        """Return the next line for the robot, or `None`."""
+        return self._asked.popleft() if self._asked else None
+
+    def answer(self, answer: Answer) -> None:
+        """Answer the guide."""
+        self._answers.append(answer)
+
+
+class RobotSession:
+    """A guided session that follows the steps of a simulated robot.
+
+    Parameters
+    ----------
+    journal : open for writing; `None` records nothing
+    method : whose needs the guide follows; `None` for the one that the window shows first
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        surface: Surface,
+        robot: SimulatedRobot,
+        journal: JournalWriter | None = None,
+        method: Method | None = None,
+    ) -> None:
+        self.robot, self.targets = robot, TargetQueue()
+        self._devices = RobotDevices(robot)
+        self._links = links_of(self._devices)
+        self.pipeline = Pipeline(scene, self._links, surface, journal)
+        self._guide = RobotGuide(self.pipeline, cast("TargetServer", self.targets), method)
+        for link in self._links:
+            self.pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
+        robot.add_listener(self._process_step)
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether the guide asks for no more pokes."""
+        return self._guide.enough
+
+    def _process_step(self) -> None:
+        if not self._devices.is_block_full:
+            return
+        for at_ns, link, data in self._devices.advance():
+            self.pipeline.feed(Chunk(link, START_NS + at_ns, data))
+        now_ns = START_NS + round(self._devices.now * 1e9)
+        self.pipeline.tick(now_ns)
+        self._guide.guide_robot(now_ns)
+
+    def close(self) -> None:
+        """End the links and the journal."""
+        now_ns = START_NS + round(self._devices.now * 1e9)
+        for link in self._links:
+            self.pipeline.feed(LinkEvent(link.name, now_ns, LinkState.ENDED))
+        self.pipeline.close()
+
+
+def links_of(devices: RobotDevices) -> list[LinkSpec]:
+    """Describe the links of simulated devices."""
+    return [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in devices.links.items()]
