@@ -103,8 +103,8 @@ class SimulatedRobot:
             self._shake()
             self.engine.advance()
             read.append(self.engine.sensor_wrench()[:3])
-        rms = float(np.sqrt(np.mean(np.var(np.array(read[len(read) // 4 :]), axis=0))))
-        self._tremble = self.effects.vibration / rms
+        forces: FloatArray = np.array(read[len(read) // 4 :])
+        self._tremble = self.effects.vibration / float(np.sqrt(forces.var(axis=0).mean()))
 
     def _shake(self) -> None:
         model = self.engine.model

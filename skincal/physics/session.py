@@ -12,8 +12,8 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.physics.devices import RobotDevices
 from skincal.physics.rig import SimulatedRobot
-from skincal.robot.target_lines import Answer, AskedLine
-from skincal.robot.target_server import RobotCame
+from skincal.robot.target_lines import AskedLine, RobotLine
+from skincal.robot.target_server import RobotChange
 from skincal.session.guided_session import RobotGuide
 from skincal.session.pipeline import Pipeline
 from skincal.streams.links import LinkSpec
@@ -31,7 +31,7 @@ class TargetQueue:
 
     def __init__(self) -> None:
         self._asked: deque[AskedLine] = deque()
-        self._answers: list[Answer | RobotCame | str] = [RobotCame.CAME]
+        self._answers: list[RobotLine | RobotChange | str] = [RobotChange.CAME]
         self.refused = ""
         """Why the guide would disconnect the robot."""
 
@@ -39,7 +39,7 @@ class TargetQueue:
         """Send lines to the robot."""
         self._asked.extend(lines)
 
-    def take(self) -> list[Answer | RobotCame | str]:
+    def take(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call."""
         answers, self._answers = self._answers, []
         return answers
@@ -52,9 +52,9 @@ class TargetQueue:
         """Return the next line for the robot, or `None`."""
         return self._asked.popleft() if self._asked else None
 
-    def answer(self, answer: Answer) -> None:
+    def answer(self, line: RobotLine) -> None:
         """Answer the guide."""
-        self._answers.append(answer)
+        self._answers.append(line)
 
 
 class RobotSession:
