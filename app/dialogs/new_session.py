@@ -30,7 +30,7 @@ from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
 from app.panels.devices import link_sign
 from app.panels.widgets import choose_scene, choose_session_folder, compact_combo, digits_font, plain_buttons, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
-from app.session.previews import CURVE_POINTS, Preview, Previews, list_ports
+from app.session.previews import CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
 from app.state.view_state import LinkStatus, link_status
 from app.text.outcomes import preview_words
@@ -42,6 +42,7 @@ from skincal.model.errors import InputError, plain_text, shortened
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.streams.links import parse_address
+from skincal.streams.ros_topics import FoundTopic, propose_topics
 from skincal.words.link_words import STREAM_NAMES
 from skincal.words.units import rate
 
@@ -220,6 +221,9 @@ class NewSessionDialog(QDialog):
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)
         self.folder = QLineEdit(str(folder))
+        self.proposal = QPushButton()
+        """Uses the topics of ROS 2 that look like the rig; hidden without them."""
+        self.proposal.setVisible(False)
         self.swap = QPushButton(f"E&xchange force/torque sensor and skin  ({SWAP_KEY})")
         self.objection = QLabel()
         self.objection.setWordWrap(True)
@@ -228,11 +232,16 @@ class NewSessionDialog(QDialog):
         previews = self._previews = Previews()
         # Also if the window closes with the dialog open.
         self.destroyed.connect(lambda: previews.stop_readers())
-        self._port_search, self._closing = (ThreadService(name, self) for name in ("ports", "closing"))
+        self._ports: list[tuple[str, str]] = []
+        self._topics: list[FoundTopic] = []
+        self._port_search, self._topic_search, self._closing = (
+            ThreadService(name, self) for name in ("ports", "topics", "closing")
+        )
         self._arrange()
         self._connect()
         self._set_ports([])
         self._port_search.submit(list_ports, self._set_ports, lambda _: None)
+        self._topic_search.submit(list_topics, self._set_topics, lambda _: None)
         if present is None:
             self.scene.read()
             return
@@ -257,6 +266,7 @@ class NewSessionDialog(QDialog):
             add_row(path_row("Sc&ene", self.scene, lambda: choose_scene(self.scene, self)))
         for row in self.rows.values():
             row.add_to(form)
+        form.addWidget(self.proposal, form.rowCount(), 1, 1, 3, Qt.AlignmentFlag.AlignLeft)
         at = form.rowCount()
         form.addWidget(self.swap, at, 1, 1, 3, Qt.AlignmentFlag.AlignLeft)
         form.addWidget(self.pose_label, at + 1, 0)
@@ -285,6 +295,7 @@ class NewSessionDialog(QDialog):
         self.buttons.accepted.connect(self._try)
         self.buttons.rejected.connect(self.reject)
         self.swap.clicked.connect(self.swap_addresses)
+        self.proposal.clicked.connect(self._use_proposal)
         QShortcut(QKeySequence(SWAP_KEY), self, self.swap_addresses)
         for row in self.rows.values():
             row.agreed.connect(self._choose_previews)
@@ -311,9 +322,31 @@ class NewSessionDialog(QDialog):
     # Previews
 
     def _set_ports(self, ports: list[tuple[str, str]]) -> None:
-        used = [(address, "used before") for address in self._known if address not in dict(ports)]
-        for row in self.rows.values():
-            row.set_ports([*ports, *reversed(used)])
+        self._ports = ports
+        self._list_addresses()
+
+    def _set_topics(self, topics: list[FoundTopic]) -> None:
+        self._topics = topics
+        proposed = propose_topics(topics)
+        names = ", ".join(plain_text(proposed[stream].topic) for stream in Stream if stream in proposed)
+        self.proposal.setText(f"Use the &ROS 2 topics {shortened(names, MAX_PORT_NAME_LENGTH)}")
+        self.proposal.setVisible(bool(proposed))
+        self._list_addresses()
+
+    def _list_addresses(self) -> None:
+        """List topics that look like the row's stream, then ports and other topics, then addresses that were used before."""
+        topics = [(each.stream, (each.address, each.words)) for each in self._topics]
+        listed = dict([*self._ports, *(entry for _, entry in topics)])
+        used = [(address, "used before") for address in self._known if address not in listed]
+        for stream, row in self.rows.items():
+            likely = [entry for of, entry in topics if of is stream]
+            others = [entry for of, entry in topics if of is not stream]
+            row.set_ports([*likely, *self._ports, *others, *reversed(used)])
+
+    def _use_proposal(self) -> None:
+        for stream, topic in propose_topics(self._topics).items():
+            self.rows[stream].set_address(topic.address, agreed=True)
+        self._choose_previews()
 
     def _take_scene(self, scene: Scene | None, why: str) -> None:
         """Use the scene's number of channels and its arm."""
@@ -427,7 +460,7 @@ class NewSessionDialog(QDialog):
         self._timer.stop()
         self._previews.stop_readers()
         self.scene.close_threads()
-        for service in (self._port_search, self._closing):
+        for service in (self._port_search, self._topic_search, self._closing):
             service.close(0.0)
         super().done(result)
 

@@ -12,10 +12,12 @@ import numpy as np
 
 from skincal.devices.link import LinkError
 from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkHealth, Stream
 from skincal.model.scene import Scene
 from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
+from skincal.streams.ros_topics import FoundTopic, list_ros_topics
 
 CURVE_POINTS = 80
 """Points of a small curve: eight seconds at ten updates per second."""
@@ -30,6 +32,14 @@ def list_ports() -> list[tuple[str, str]]:
     except LinkError:
         ports = []
     return [*serial_ports(), *ports]
+
+
+def list_topics() -> list[FoundTopic]:
+    """List the topics of ROS 2 that can be read; takes two seconds. Empty if DDS is not installed."""
+    try:
+        return list_ros_topics()
+    except InputError:
+        return []
 
 
 @dataclass(frozen=True, slots=True)

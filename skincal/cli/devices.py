@@ -175,20 +175,29 @@ def _feed_until(watched: Watched, items: ChunkQueue, due_s: float) -> None:
 
 
 def devices(as_json: Json = False) -> None:
-    """List the serial ports and what answers on each, and the ports of a YARP network; and say what to type."""
+    """List the serial ports with their answers, the ports of a YARP network, and the topics of ROS 2; and what to type."""
     import json
+    from concurrent.futures import ThreadPoolExecutor
 
-    found = [_on_port(name, description) for name, description in _ports()]
+    with ThreadPoolExecutor() as threads:
+        # Listening takes seconds.
+        listening = threads.submit(_ros_topics)
+        found = [_on_port(name, description) for name, description in _ports()]
+        names, trouble = _yarp_ports()
+        topics, proposed, ros_trouble = listening.result()
     if not found:
         say("No serial port was found; plug a device in.", err=True)
-    names, trouble = _yarp_ports()
     found += [{"address": f"yarp:{name}", "what": f"YARP port at {host}:{number}"} for name, (host, number) in names]
+    found += [{"address": address, "what": what} for address, what in topics]
     if as_json:
-        say(json.dumps({"devices": found, "yarp": trouble}))
+        say(json.dumps({"devices": found, "yarp": trouble, "ros2": ros_trouble, "proposed": proposed}))
         return
     for each in found:
         say(f"{each['address']}  {each['what']}")
     say(trouble if trouble else plural(len(names), "YARP port"), err=True)
+    say(ros_trouble if ros_trouble else plural(len(topics), "topic") + " of ROS 2", err=True)
+    if proposed:
+        say(f"Proposed: {' '.join(f'--{stream} {address}' for stream, address in proposed.items())}", err=True)
     say("Look at one: skincal watch ADDRESS. Sensors by network: netft://HOST, rtde://HOST, robotiq://HOST, xela://HOST.")
 
 
@@ -241,3 +250,15 @@ def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
         return yarp_ports(), ""
     except LinkError as failure:
         return [], str(failure)
+
+
+def _ros_topics() -> tuple[list[tuple[str, str]], dict[str, str], str]:
+    """Return address and description of each topic, the proposed address of each stream, or why there are none."""
+    try:
+        from skincal.streams.ros_topics import list_ros_topics, propose_topics
+
+        found = list_ros_topics()
+    except InputError as error:
+        return [], {}, str(error)
+    proposed = {stream.value: each.address for stream, each in propose_topics(found).items()}
+    return [(each.address, each.words) for each in found], proposed, ""

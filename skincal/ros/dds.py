@@ -35,7 +35,7 @@ LATCHED_MAX = 1
 """A latched topic keeps its last message for readers that come later."""
 WRITE_MAX_MS = 100
 """ms. Longest wait of a writer for a slow reader."""
-_MADE = threading.RLock()
+_TYPE_LOCK = threading.RLock()
 """`cyclonedds` builds types in one thread at a time."""
 
 
@@ -55,6 +55,7 @@ def read_domain(text: str, where: str) -> int:
 def _module(name: str) -> Any:
     """Import a module of `cyclonedds`. Raises InputError: it is not installed, or does not run on this machine."""
     try:
+        import_module("cyclonedds")
         return import_module(f"cyclonedds.{name}")
     except ModuleNotFoundError:
         raise InputError(INSTALL_HINT) from None
@@ -128,7 +129,7 @@ class Participant:
             self._waitset: Any = _module("core").WaitSet(self._participant)
             builtin = _module("builtin")
             self._discovery = builtin.BuiltinDataReader(self._participant, builtin.BuiltinTopicDcpsPublication)
-        with _MADE:
+        with _TYPE_LOCK:
             self._structs = _StructBuilder(types)
 
     def publishers(self) -> list[tuple[str, str]]:
@@ -190,7 +191,7 @@ class Participant:
         return bool(self._waitset.wait(round(timeout_s * 1e9)))
 
     def _topic(self, topic: str, type_name: str) -> Any:
-        with _MADE:
+        with _TYPE_LOCK:
             return _module("topic").Topic(self._participant, f"{TOPIC_PREFIX}{topic}", self._structs.struct(type_name))
 
     def close(self) -> None:
@@ -222,7 +223,7 @@ class TopicReader:
         self.condition = core.ReadCondition(self._reader, self._any)
         self._take: Any = _module("_clayer").ddspy_take
 
-    def take(self) -> list[Message]:
+    def take_messages(self) -> list[Message]:
         """Return the messages that wait, at most `TAKEN_MAX`."""
         found = self._take(self._reader._ref, self._any, TAKEN_MAX)  # noqa: SLF001 - its own way would decode the bytes
         if isinstance(found, int):
@@ -230,7 +231,7 @@ class TopicReader:
         return [Message(info.source_timestamp, data) for data, info in found if info.valid_data]
 
     def take_losses(self) -> tuple[int, int]:
-        """Return how many messages were lost on the way, and how many found no room here, since the last call."""
+        """Count the messages that were lost on the way, and those that found no room here, since the last call."""
         lost, full = self._reader.get_sample_lost_status(), self._reader.get_sample_rejected_status()
         return lost.total_count_change, full.total_count_change
 
@@ -257,7 +258,7 @@ class TopicWriter:
 
     def write_bytes(self, data: bytes) -> None:
         """Write a message that is CDR. Raises InputError."""
-        code = self._write(self._writer._ref, data)  # noqa: SLF001 - as in `TopicReader.take`
+        code = self._write(self._writer._ref, data)  # noqa: SLF001 - as in `TopicReader.take_messages`
         if code < 0:
             raise InputError(f"DDS does not write a {self._type_name} ({code}).")
 

@@ -43,6 +43,12 @@ def _own_settings(tmp_path: Path) -> Iterator[None]:
     QSettings.setDefaultFormat(before)
 
 
+@pytest.fixture(autouse=True)
+def _no_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The dialog for a new session looks for ROS topics for two seconds: only in its own test."""
+    monkeypatch.setattr("app.dialogs.new_session.list_topics", list)
+
+
 def _left() -> list[str]:
     """Return what of Qt is alive: windows, timers that run, threads that run."""
     found = [f"window {w!r}" for w in QApplication.topLevelWidgets() if w.isVisible()]

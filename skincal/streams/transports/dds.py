@@ -80,7 +80,7 @@ class DdsLink:
             )
         some, domain = ", ".join(known[:TOPICS_SHOWN]), self._participant.domain
         return (
-            f"nobody publishes {topic} in ROS 2 domain {domain}; {len(known)} topics are there, such as {some}. "
+            f"no publisher of {topic} is in ROS 2 domain {domain}; {len(known)} topics are there, such as {some}. "
             "Start its publisher, or check the name (skincal devices lists topics)."
         )
 
@@ -93,7 +93,7 @@ class DdsLink:
         arrival_ns, now_s = time.time_ns(), time.monotonic()
         packets: list[bytes] = []
         for topic, reader in enumerate(self._readers):
-            messages = reader.take()
+            messages = reader.take_messages()
             packets += [write_message(topic, message.source_ns, arrival_ns, message.data) for message in messages]
             self._last_s[topic] = now_s if messages else self._last_s[topic]
         if now_s - self._check_s >= CHECK_S:

@@ -126,6 +126,7 @@ def hostile(monkeypatch):
     monkeypatch.setattr(links, "open_link", refuse)
     monkeypatch.setattr(devices, "_ports", lambda: [(f"/dev/tty{ORDER}", f"by {ORDER}")])
     monkeypatch.setattr(devices, "_yarp_ports", lambda: ([(f"/{ORDER}", ("host", 1))], ORDER))
+    monkeypatch.setattr(devices, "_ros_topics", lambda: ([(f"ros2:/{ORDER}", ORDER)], {"wrench": ORDER}, ORDER))
 
 
 @pytest.mark.parametrize("words", [

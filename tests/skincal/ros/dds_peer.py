@@ -4,10 +4,13 @@
 """
 
 import os
+import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 
 LOOPBACK = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
@@ -129,7 +132,19 @@ def joints(number):
     return JointState(header(), ["wheel", "elbow", "wrist"], [9.0, 0.5, 0.001 * number])
 
 
-MAKERS = {"wrench": wrench, "skin": skin, "joints": joints}
+MAKERS = {"wrench": wrench, "skin": skin, "skin64": partial(skin, channels=64), "joints": joints}
+
+
+@contextmanager
+def process(*topics, hz=200, domain=DOMAIN):
+    """Publish from a process of its own."""
+    command = [sys.executable, "-m", "tests.skincal.ros.dds_peer", str(domain), str(hz), *topics]
+    child = subprocess.Popen(command, stdin=subprocess.PIPE)
+    try:
+        yield child
+    finally:
+        child.kill()
+        child.communicate()
 
 
 class Peer:

@@ -1,7 +1,6 @@
 """Topics of ROS 2 over DDS on the loopback interface: real publishers in this and in other processes, killed and changed."""
 
 import json
-import subprocess
 import sys
 import time
 from contextlib import closing, contextmanager
@@ -13,6 +12,7 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
+from skincal.cli import devices, main
 from skincal.devices import ros2
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import InputError
@@ -20,9 +20,8 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.ros import dds
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
-from tests.skincal.meanwhile import meanwhile
-from tests.skincal.ros.dds_peer import DOMAIN, Cells, Peer, Vector3, joints, skin, wrench
-from tests.skincal.streams.link_support import PATIENCE_S
+from tests.skincal.meanwhile import PATIENCE_S, meanwhile
+from tests.skincal.ros.dds_peer import DOMAIN, Cells, Peer, String, Vector3, joints, process, skin, wrench
 
 
 @contextmanager
@@ -39,18 +38,6 @@ def publishing(*messages, hz=100.0, latched=False):
 
     with meanwhile(run):
         yield peer
-
-
-@contextmanager
-def process(*topics, hz=200):
-    """Publish from a process of its own."""
-    command = [sys.executable, "-m", "tests.skincal.ros.dds_peer", str(DOMAIN), str(hz), *topics]
-    child = subprocess.Popen(command, stdin=subprocess.PIPE)
-    try:
-        yield child
-    finally:
-        child.kill()
-        child.communicate()
 
 
 def spec(topics, *carries, **options):
@@ -177,7 +164,7 @@ def test_ten_publishers_are_one_skin_in_the_order_of_the_address():
 @pytest.mark.parametrize(
     ("topic", "options", "message"),
     [
-        ("/nobody", {}, r"nobody publishes /nobody in ROS 2 domain \d+; 1 topics are there, such as /ft"),
+        ("/nobody", {}, r"no publisher of /nobody is in ROS 2 domain \d+; 1 topics are there, such as /ft"),
         ("/ft", {"domain": 101}, r"no publisher is seen in ROS 2 domain 101\. .*ROS_DOMAIN_ID"),
     ],
 )
@@ -269,3 +256,22 @@ def test_a_stamp_that_stands_still_or_is_absurd_is_not_used(stamps, used):
 def test_other_addresses_are_refused(address):
     with pytest.raises(InputError, match="is not a valid ros2 address"):
         parse_address(address)
+
+
+def test_topics_are_listed_with_rate_and_values_and_proposed(monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.setattr(devices, "_ports", list)
+    monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
+    wanted = {"wrench": "ros2:/ft/wrench", "skin": "ros2:/skin/all", "joints": "ros2:/joint_states"}
+    topics = [("/ft/wrench", wrench), ("/skin/all", partial(skin, channels=48)), ("/skin/few", skin), ("/joint_states", joints)]
+    others = [("/robot_description", lambda _: String("<robot/>")), ("/cells", cells)]
+    with publishing(*topics, *others, hz=50):
+        main(["devices", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["proposed"] == wanted
+    words = {each["address"]: each["what"] for each in found["devices"]}
+    assert set(words) == {*wanted.values(), "ros2:/skin/few", "ros2:/cells"}
+    assert words["ros2:/cells"] == "lab_msgs/Cells, its definition is needed: ?msg=FILE"
+    kind, rate, values, *_ = words["ros2:/ft/wrench"].split(", ")
+    assert (kind, values.split(":")[0]) == ("geometry_msgs/WrenchStamped", "6 values")
+    assert 5.0 < float(rate.removesuffix("/s")) < 60.0

@@ -1,0 +1,124 @@
+"""Topics of a running ROS 2 graph that can be read: type, rate, newest values, and a proposal for each stream."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.ros.dds import Participant, TopicReader, default_domain
+from skincal.ros.messages import MessageReader, streams_of
+from skincal.ros.types import MessageError, MessageTypes
+
+LISTEN_S = 2.0
+"""s. Publishers are found within some 0.2 s, and a topic of 2 Hz sends twice."""
+POLL_S = 0.05
+MAX_TOPICS = 60
+"""Topics that are read while they are listed."""
+WRENCH_VALUES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class FoundTopic:
+    """A topic with a publisher."""
+
+    topic: str
+    type_name: str
+    stream: Stream | None
+    """Its likely stream; `None` if its type has no definition here, or it has not sent yet."""
+    rate: float
+    """Messages per second while it was listed."""
+    values: FloatArray | None
+    """(n,) float, newest values: N and N m, raw values of a skin, or degrees. `None` before the first message."""
+
+    @property
+    def address(self) -> str:
+        return f"ros2:{self.topic}"
+
+    @property
+    def words(self) -> str:
+        """Type, rate and newest values for the operator."""
+        kind = self.type_name.replace("/msg/", "/")
+        if self.values is None:
+            return f"{kind}, {'silent' if self.stream else 'its definition is needed: ?msg=FILE'}"
+        shown = " ".join(f"{value:.4g}" for value in self.values[:WRENCH_VALUES].tolist())
+        more = ", ..." if len(self.values) > WRENCH_VALUES else ""
+        return f"{kind}, {self.rate:.0f}/s, {len(self.values)} values: {shown}{more}"
+
+
+@dataclass(slots=True)
+class _Listened:
+    type_name: str
+    reader: TopicReader | None
+    count: int = 0
+    newest: bytes = b""
+    times_ns: list[int] = field(default_factory=list[int])
+    """Publisher's clock at the first and the newest message."""
+
+
+def list_ros_topics() -> list[FoundTopic]:
+    """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_S` and list the topics that can be read, by name.
+
+    Raises InputError: DDS is not installed or refuses.
+    """
+    types = MessageTypes()
+    participant = Participant(default_domain(), types)
+    heard: dict[str, _Listened] = {}
+    try:
+        end_s = time.monotonic() + LISTEN_S
+        while time.monotonic() < end_s:
+            for topic, name in participant.publishers():
+                if topic not in heard and name and len(heard) < MAX_TOPICS and _can_be_read(types, name):
+                    heard[topic] = _Listened(name, _open_reader(participant, topic, name))
+            time.sleep(POLL_S)
+            for each in heard.values():
+                for message in [] if each.reader is None else each.reader.take_messages():
+                    each.count, each.newest = each.count + 1, message.data
+                    each.times_ns = [*each.times_ns[:1], message.source_ns]
+    finally:
+        participant.close()
+    return [_describe(types, topic, each) for topic, each in sorted(heard.items())]
+
+
+def _can_be_read(types: MessageTypes, type_name: str) -> bool:
+    """Leave out types that ROS defines and that no sensor or skin is published as."""
+    return bool(streams_of(types, type_name)) or not types.is_standard(type_name)
+
+
+def _open_reader(participant: Participant, topic: str, type_name: str) -> TopicReader | None:
+    try:
+        return participant.reader(topic, type_name)
+    except (MessageError, InputError):
+        return None
+
+
+def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
+    streams = streams_of(types, heard.type_name)
+    values = None
+    if heard.newest and streams:
+        try:
+            # As a skin: the values of any type without a meaning.
+            reader = MessageReader(types, heard.type_name, streams[0] if len(streams) == 1 else Stream.SKIN)
+            values = reader.values_of(types.decode(heard.newest, heard.type_name))
+        except (MessageError, InputError):
+            streams = ()
+    stream = streams[0] if streams else None
+    if len(streams) > 1 and values is not None and len(values) == WRENCH_VALUES:
+        stream = Stream.WRENCH
+    passed_s = (heard.times_ns[-1] - heard.times_ns[0]) * 1e-9 if len(heard.times_ns) > 1 else 0.0
+    return FoundTopic(topic, heard.type_name, stream, (heard.count - 1) / passed_s if passed_s > 0 else 0.0, values)
+
+
+def propose_topics(found: Sequence[FoundTopic]) -> dict[Stream, FoundTopic]:
+    """Choose a topic for each stream: of those that send, the widest skin, and the fastest wrench and joints."""
+    proposed: dict[Stream, FoundTopic] = {}
+    for stream in Stream:
+        sending = [(each, each.values) for each in found if each.stream is stream and each.values is not None]
+        if sending:
+            by_width = stream is Stream.SKIN
+            best = max(sending, key=lambda pair: (len(pair[1]) if by_width else 0, pair[0].rate, pair[0].topic))
+            proposed[stream] = best[0]
+    return proposed
