@@ -1,6 +1,6 @@
 """Order of the targets of a robot: by travel, and all pokes of a place in a row.
 
-A hand is asked for each taxel in turn. A robot makes the first pokes of a taxel or a module in one visit, each with another
+A hand visits all taxels in turn. A robot makes the first pokes of a taxel or a module in one visit, each with another
 tilt where tilt helps. Then it goes to the nearest one that is open. Further pokes are later visits, when the neighbours are
 better known. A taxel that never answers is visited last.
 """
@@ -62,7 +62,7 @@ def nearest_open_module(
     modules : (n,) index of each taxel's module, from 0
     places : (n, 3) float, metres, believed; NaN if unknown
     """
-    of_module = _visits(*(np.bincount(modules, count).astype(np.int64) for count in (asked, own)), in_a_row)
+    of_module = _visits(np.bincount(modules, asked), np.bincount(modules, own), in_a_row)
     first = _fewest(of_module[modules[rows]])
     module = modules[rows[first[seconds[first].argmin()]]]
     here = first[modules[rows[first]] == module]
@@ -74,9 +74,9 @@ def nearest_open_module(
     return int(rows[here[np.sum(off * off, axis=2).min(axis=1).argmax()]])
 
 
-def _visits(asked: IntArray, own: IntArray, in_a_row: int) -> IntArray:
+def _visits(asked: IntArray | FloatArray, own: IntArray | FloatArray, in_a_row: int) -> IntArray:
     # A first miss is repeated at once, since the aim may have been off; each later one counts as a visit.
-    return np.maximum(own - in_a_row + 1, 0) + np.maximum(asked - own - 1, 0)
+    return (np.maximum(own - in_a_row + 1, 0) + np.maximum(asked - own - 1, 0)).astype(np.int64)
 
 
 def _fewest(visits: IntArray) -> IntArray:

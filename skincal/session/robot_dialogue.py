@@ -131,7 +131,7 @@ class RobotDialogue:
         return lines
 
     def halt(self) -> list[AskedLine]:
-        """Stop the robot, whatever it does; give the lines to send at once. A robot that does not know `stop` waits."""
+        """Stop the robot at once; give the lines to send at once. A robot that does not know `stop` waits."""
         self.is_halted, self._last_line = True, NoTarget.STOP
         self._withdraw()
         return [NoTarget.WAIT, NoTarget.STOP]
@@ -172,7 +172,7 @@ class RobotDialogue:
     def _skipped(self, answer: Answer) -> Meaning:
         is_new = answer.text not in {"", *self._reasons}
         self._reasons.add(answer.text)
-        warning = f"The robot cannot do target {answer.number}: {answer.text}. It is asked for another." if is_new else ""
+        warning = f"The robot cannot do target {answer.number}: {answer.text}. It gets another one." if is_new else ""
         return Meaning(wants_other_target=True, impossible=answer.text, warning=warning)
 
     def _wanted_line(

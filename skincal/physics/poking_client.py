@@ -1,0 +1,448 @@
+"""Client of the target lines: an arm that pokes what skincal asks for, as a state machine.
+
+A poke: travel outside the clearance hull, tare before the part, approach along the asked direction until something is felt,
+press with force control until skincal says `held`, let go, and answer. `run_period` does one control period. It needs no port
+and no clock of its own, so a study may run it in virtual time.
+
+Safety: a force above the limit makes it let go. It moves towards the part only while force readings are fresh. A new target,
+`wait`, `stop` and a lost connection end every motion; a tip on the part lets go first.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+
+from skincal.geometry import FloatArray, length_of
+from skincal.guide.robot_order import RobotPace
+from skincal.mesh.surface import Surface
+from skincal.physics.arm import PokingArm
+from skincal.physics.clearance import Clearance, ViaPoint
+from skincal.robot import target_lines
+from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTarget, PokeTarget, Refused, RobotLine
+
+OUT_OF_REACH = "out of reach"
+WAY_BLOCKED = "the part is in the way"
+"""Reasons why a target is impossible, for `skip`."""
+NOT_THERE = "the arm does not get there"
+TOUCHED_EARLY = "something was touched before the place"
+NOTHING_FELT = "nothing was felt at the place"
+TOO_STRONG = "the force exceeded the limit"
+NO_FRESH_READING = "no fresh force reading"
+"""Reasons why a target failed, for `fault`."""
+MEASURE_AGAIN = "{count} targets in a row failed ({reason}): measure the tip and the pose of the part again"
+CHECKED_M = 0.06
+"""m, between the points of a way that the arm must reach."""
+MIN_DIRECTION = 0.1
+"""Two directions whose mean is shorter are opposite: nothing is known of the turn between them."""
+
+
+@dataclass(frozen=True, slots=True)
+class PokeSettings:
+    """Speeds, distances and limits of a client, SI units."""
+
+    clearance: float = 0.030
+    """m, between the convex hull of the part and a travelling tip."""
+    standoff: float = 0.012
+    """m, before the place: from here on the tip is slow."""
+    search: float = 0.012
+    """m, behind the place, at which the search for the part ends."""
+    travel_speed: float = 0.20
+    enter_speed: float = 0.05
+    """m/s, from the clearance to the standoff."""
+    approach_speed: float = 0.015
+    press_speed: float = 0.008
+    retreat_speed: float = 0.08
+    tare_s: float = 0.20
+    touch_force: float = 1.0
+    """N, filtered, at which the part is touched."""
+    force_limit: float = 25.0
+    """N, unfiltered, above the tare: the client lets go."""
+    force_tolerance: float = 0.06
+    """Share of the wanted force within which the client holds."""
+    force_gain: float = 4.0
+    """1/s, of the force control, for the measured stiffness of the contact."""
+    filter_s: float = 0.02
+    """s, time constant of the force's low-pass filter."""
+    fresh_s: float = 0.10
+    """s. Older readings allow no motion towards the part."""
+    silence_s: float = 1.0
+    """s of old readings after which the client gives the target up."""
+    held_wait_s: float = 1.5
+    """s after the asked hold to wait for `held`."""
+    settle_s: float = 4.0
+    """s at most to reach the wanted force."""
+    slip_share: float = 0.5
+    """Share of the wanted force below which a held tip has slipped."""
+    arrive: float = 0.0015
+    """m, from a goal at which it is reached."""
+    late_s: float = 3.0
+    """s after the expected arrival at which the arm does not get there."""
+    tip_report_s: float = 0.1
+    max_failures: int = 3
+    """Targets in a row that fail at the part before the client reports a fault."""
+
+
+class Phase(Enum):
+    """State of the client; the value is its name."""
+
+    IDLE = "waiting"
+    TRAVEL = "travelling"
+    TARE = "taring"
+    ENTER = "going to the part"
+    APPROACH = "approaching"
+    PRESS = "pressing"
+    HOLD = "holding"
+    RELEASE = "letting go"
+
+
+AT_PART = (Phase.ENTER, Phase.APPROACH, Phase.PRESS, Phase.HOLD)
+"""Phases near the part."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PokePlan:
+    """Places of one poke, for the tip's centre."""
+
+    target: PokeTarget
+    way: list[ViaPoint]
+    """Points to travel; at the last one the client tares."""
+    standoff: FloatArray
+    """(3,) float, metres: from here on the tip is slow."""
+    deepest: FloatArray
+    """(3,) float, metres: end of the search."""
+    speed: float
+    """m/s, on the way."""
+
+
+class PokingClient:
+    """State machine of a robot that pokes.
+
+    Parameters
+    ----------
+    surface : mesh of the part, for the way around it; `None` without one
+    say : sends a line to skincal
+    """
+
+    def __init__(
+        self, arm: PokingArm, surface: Surface | None, say: Callable[[RobotLine], object], settings: PokeSettings | None = None
+    ) -> None:
+        self.arm, self.settings = arm, settings or PokeSettings()
+        self._say = say
+        self._clearance = Clearance(surface, self.settings.clearance)
+        self._lines: queue.SimpleQueue[AskedLine] = queue.SimpleQueue()
+        self.phase = Phase.IDLE
+        self.is_finished = False
+        """skincal needs no more pokes."""
+        self._goal: PokeTarget | None = None
+        """Target that is not planned yet."""
+        self._plan: PokePlan | None = None
+        self._answer: Answer | None = None
+        """To send once the tip has let go."""
+        self._since_s = self._expected_s = self._reported_s = arm.time_s
+        self._fresh_s = arm.time_s
+        """Time of the newest reading."""
+        self._tare = np.zeros(3)
+        self._sum, self._count = np.zeros(3), 0
+        self._excess, self.force = 0.0, 0.0
+        """N: newest reading above the tare, and the filtered force along the push."""
+        self._setpoint = np.zeros(3)
+        self._touch_depth = 0.0
+        self._is_held = self._is_tared = False
+        self._failures = 0
+        self._handlers: dict[Phase, Callable[[], object]] = {
+            Phase.IDLE: self._idle,
+            Phase.TRAVEL: self._travel,
+            Phase.TARE: self._take_tare,
+            Phase.ENTER: self._go_to_standoff,
+            Phase.APPROACH: self._approach,
+            Phase.PRESS: self._press,
+            Phase.HOLD: self._hold_force,
+            Phase.RELEASE: self._release,
+        }
+
+    @property
+    def pace(self) -> RobotPace:
+        """Pace to greet skincal with, on every connection: then the guide orders the targets by travel."""
+        own = self.settings
+        poke_s = own.tare_s + own.clearance / own.enter_speed + own.standoff / own.approach_speed + 2.0
+        return RobotPace(own.travel_speed, poke_s)
+
+    def receive_line(self, line: AskedLine) -> None:
+        """Take a line of skincal, from any thread."""
+        self._lines.put(line)
+
+    def lose_connection(self) -> None:
+        """Stop until skincal is there again, from any thread."""
+        self._lines.put(NoTarget.WAIT)
+
+    def run_period(self) -> None:
+        """Do one control period: read, decide, command, and advance the arm."""
+        self._read_wrench()
+        while not self._lines.empty():
+            self._follow_line(self._lines.get())
+        if self._check_safety():
+            self._handlers[self.phase]()
+        self._report_tip()
+        self.arm.step()
+
+    # Lines
+
+    def _follow_line(self, line: AskedLine) -> None:
+        match line:
+            case PokeTarget():
+                self._goal, self.is_finished = line, False
+                self._break_off()
+            case Held():
+                self._is_held |= self._plan is not None and line.number == self._plan.target.number
+            case NoTarget() | Refused():
+                self._goal, self.is_finished = None, line is NoTarget.ENOUGH
+                self._break_off()
+            case _:
+                pass
+
+    def _break_off(self) -> None:
+        """End the present poke; a tip that touches the part lets go first."""
+        if self._is_touching:
+            self._let_go(None)
+        elif self.phase is not Phase.RELEASE:
+            self.arm.stop()
+            self._plan = None
+            self._enter(Phase.IDLE)
+        else:
+            self._answer = None
+
+    # Safety
+
+    def _read_wrench(self) -> None:
+        reading = self.arm.read_wrench()
+        if reading is None or reading.time_s <= self._fresh_s:
+            return
+        passed_s, self._fresh_s = reading.time_s - self._fresh_s, reading.time_s
+        off = reading.force - self._tare
+        self._sum, self._count = self._sum + reading.force, self._count + 1
+        self._excess = length_of(off)
+        if self._plan is not None:
+            share = 1.0 - np.exp(-passed_s / self.settings.filter_s)
+            self.force += float(share * (off @ self._plan.target.push - self.force))
+
+    @property
+    def _is_touching(self) -> bool:
+        is_felt = self.phase in AT_PART and self.force > self.settings.touch_force
+        return is_felt or self.phase in (Phase.PRESS, Phase.HOLD)
+
+    @property
+    def _is_fresh(self) -> bool:
+        return self.arm.time_s - self._fresh_s <= self.settings.fresh_s
+
+    def _check_safety(self) -> bool:
+        """Let go where the force is too large or unknown; return whether the present phase may go on."""
+        if self._excess > self.settings.force_limit and self._is_tared and self.phase is not Phase.RELEASE:
+            self._fail(TOO_STRONG)
+            return False
+        if self.phase not in AT_PART or self._is_fresh:
+            return True
+        if self.phase in (Phase.PRESS, Phase.HOLD) or self.arm.time_s - self._fresh_s > self.settings.silence_s:
+            self._fail(NO_FRESH_READING)
+        else:
+            self.arm.stop()
+            # The time of waiting does not count.
+            self._expected_s += self.arm.period_s
+        return False
+
+    # Phases
+
+    def _enter(self, phase: Phase, expected_s: float = 0.0) -> None:
+        self.phase, self._since_s = phase, self.arm.time_s
+        self._expected_s = self._since_s + expected_s
+
+    def _go(self, position: FloatArray, speed: float) -> bool:
+        """Command a motion along the poke's direction, or to a point of the way; return whether the tip is there."""
+        plan = self._plan
+        assert plan is not None
+        direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
+        self.arm.command(position, direction, speed)
+        tip = self.arm.read_tip()
+        is_turned = tip.direction @ direction > 0.999
+        return length_of(tip.position - position) < self.settings.arrive and bool(is_turned)
+
+    def _idle(self) -> None:
+        if self._goal is None or not self._is_fresh:
+            return
+        goal, self._goal = self._goal, None
+        plan = self._plan_poke(goal)
+        if isinstance(plan, str):
+            self._say(Answer(AnswerKind.SKIP, goal.number, plan))
+            return
+        self._plan, self._is_held, self.force = plan, False, 0.0
+        self._start_travel()
+
+    def _plan_poke(self, target: PokeTarget) -> PokePlan | str:
+        """Plan a poke, or give the reason why it is impossible."""
+        arm, own, push = self.arm, self.settings, target.push
+        touch = target.place - arm.tip_radius_m * push
+        standoff, deepest = touch - own.standoff * push, touch + own.search * push
+        out = self._clearance.exit_point(touch, push)
+        if not (arm.is_reachable(touch, push) and arm.is_reachable(standoff, push) and arm.is_reachable(out, push)):
+            return OUT_OF_REACH
+        if not self._clearance.is_approach_free(target.place, out):
+            return WAY_BLOCKED
+        here = arm.read_tip()
+        start, way = here.position, list[ViaPoint]()
+        if not self._clearance.is_outside(start):
+            if self._clearance.is_straight_way_free(start, standoff, own.standoff / 2.0):
+                # Near the part, as for the next poke at the same place.
+                return PokePlan(target, [ViaPoint(standoff, push)], standoff, deepest, own.enter_speed)
+            start = self._clearance.exit_point(start, here.direction)
+            way.append(ViaPoint(start, here.direction))
+        for around in self._clearance.ways(start, out):
+            if self._can_follow([ViaPoint(start, here.direction), *around, ViaPoint(out, push)]):
+                return PokePlan(target, [*way, *around, ViaPoint(out, push)], standoff, deepest, own.travel_speed)
+        return OUT_OF_REACH
+
+    def _can_follow(self, way: list[ViaPoint]) -> bool:
+        """Whether the arm reaches the corners of a way and points between them."""
+        for a, b in pairwise(way):
+            count = 1 + int(length_of(b.position - a.position) / CHECKED_M)
+            for share in np.arange(1, count + 1) / count:
+                direction = (1.0 - share) * a.direction + share * b.direction
+                size = length_of(direction)
+                place = a.position + share * (b.position - a.position)
+                if size > MIN_DIRECTION and not self.arm.is_reachable(place, direction / size):
+                    return False
+        return True
+
+    def _start_travel(self) -> None:
+        plan, here = self._plan, self.arm.read_tip()
+        assert plan is not None
+        way_s = length_of(plan.way[0].position - here.position) / plan.speed
+        turn = float(np.arccos(np.clip(here.direction @ plan.way[0].direction, -1.0, 1.0)))
+        self._enter(Phase.TRAVEL, way_s + 2.0 * turn)
+
+    def _travel(self) -> None:
+        plan = self._plan
+        assert plan is not None
+        if self._go(plan.way[0].position, plan.speed):
+            if len(plan.way) > 1:
+                plan.way.pop(0)
+                self._start_travel()
+                return
+            self._begin_tare()
+        elif self.arm.time_s > self._expected_s + self.settings.late_s:
+            self._fail(NOT_THERE)
+
+    def _begin_tare(self) -> None:
+        self._sum, self._count = np.zeros(3), 0
+        self._enter(Phase.TARE, self.settings.tare_s)
+
+    def _take_tare(self) -> None:
+        if self.arm.time_s >= self._expected_s and self._is_fresh and self._count:
+            self._tare, self._excess, self.force, self._is_tared = self._sum / self._count, 0.0, 0.0, True
+            self._enter(Phase.ENTER, 2.0 * self.settings.clearance / self.settings.enter_speed)
+
+    def _go_to_standoff(self) -> None:
+        plan = self._plan
+        assert plan is not None
+        if self.force > 2.0 * self.settings.touch_force:
+            self._fail(TOUCHED_EARLY)
+        elif self._go(plan.standoff, self.settings.enter_speed):
+            way = self.settings.standoff + self.settings.search
+            self._enter(Phase.APPROACH, way / self.settings.approach_speed)
+        elif self.arm.time_s > self._expected_s + self.settings.late_s:
+            self._fail(NOT_THERE)
+
+    def _approach(self) -> None:
+        plan, own = self._plan, self.settings
+        assert plan is not None
+        if self.force > own.touch_force:
+            self._setpoint = self.arm.read_tip().position
+            self._touch_depth = float(self._setpoint @ plan.target.push)
+            self._enter(Phase.PRESS, own.settle_s)
+        elif self._go(plan.deepest, own.approach_speed) or self.arm.time_s > self._expected_s + own.late_s:
+            self._fail(NOTHING_FELT)
+
+    def _press(self) -> None:
+        plan, own = self._plan, self.settings
+        assert plan is not None
+        missing = plan.target.force - self.force
+        if abs(missing) < own.force_tolerance * plan.target.force:
+            self._enter(Phase.HOLD, plan.target.hold + own.held_wait_s)
+        elif self.arm.time_s > self._expected_s or self._is_held:
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
+        else:
+            self._move_by_force(missing, own.press_speed)
+
+    def _hold_force(self) -> None:
+        plan, own = self._plan, self.settings
+        assert plan is not None
+        missing = plan.target.force - self.force
+        is_over = self._is_held or self.arm.time_s > self._expected_s
+        # A tip that has slipped lets go, too: skincal sees the slip and says what it wants now.
+        if is_over or self.force < own.slip_share * plan.target.force:
+            self._let_go(Answer(AnswerKind.REACHED, plan.target.number))
+        elif abs(missing) > own.force_tolerance * plan.target.force:
+            self._move_by_force(missing, own.press_speed / 4.0)
+
+    def _move_by_force(self, missing: float, most: float) -> None:
+        """Move the set point along the push: in proportion to the missing force, for the stiffness that is felt."""
+        plan, own = self._plan, self.settings
+        assert plan is not None
+        push = plan.target.push
+        depth = max(float(self._setpoint @ push) - self._touch_depth, 0.5e-3)
+        stiffness = max(self.force, own.touch_force) / depth
+        speed = float(np.clip(own.force_gain * missing / stiffness, -most, most))
+        self._setpoint = self._setpoint + speed * self.arm.period_s * push
+        beyond = float((self._setpoint - plan.deepest) @ push)
+        self._setpoint = self._setpoint - max(beyond - own.search, 0.0) * push
+        self.arm.command(self._setpoint, push, own.press_speed)
+
+    def _let_go(self, answer: Answer | None) -> None:
+        """Draw back along the push: to the standoff, or further out if the tip did not get there."""
+        plan = self._plan
+        assert plan is not None
+        self._answer, self._setpoint = answer, plan.way[0].position if self.phase is Phase.ENTER else plan.standoff
+        self._enter(Phase.RELEASE, 2.0 * (self.settings.clearance + self.settings.search) / self.settings.retreat_speed)
+
+    def _release(self) -> None:
+        plan = self._plan
+        assert plan is not None
+        is_late = self.arm.time_s > self._expected_s + self.settings.late_s
+        if self._go(self._setpoint, self.settings.retreat_speed) or is_late:
+            self._failures = 0 if self._answer is not None and self._answer.kind is AnswerKind.REACHED else self._failures
+            self._end_poke(self._answer)
+
+    def _fail(self, reason: str) -> None:
+        """End a poke that failed: at the part let go, else stop. After several in a row report a fault."""
+        plan = self._plan
+        if plan is None:
+            # A touch between two pokes.
+            self.arm.stop()
+            return
+        self._failures += 1
+        answer = Answer(AnswerKind.SKIP, plan.target.number)
+        if self._failures >= self.settings.max_failures:
+            text = MEASURE_AGAIN.format(count=self._failures, reason=reason)
+            answer, self._failures = Answer(AnswerKind.FAULT, plan.target.number, text), 0
+        if self.phase in AT_PART and (self._is_touching or self._excess > self.settings.force_limit):
+            self._let_go(answer)
+        else:
+            self.arm.stop()
+            self._end_poke(answer)
+
+    def _end_poke(self, answer: Answer | None) -> None:
+        self._plan = self._answer = None
+        self._enter(Phase.IDLE)
+        if answer is not None:
+            self._say(answer)
+
+    def _report_tip(self) -> None:
+        if self.arm.time_s - self._reported_s >= self.settings.tip_report_s:
+            self._reported_s = self.arm.time_s
+            tip = self.arm.read_tip()
+            end = tip.position + self.arm.tip_radius_m * tip.direction
+            self._say(target_lines.TipPose(end, tip.direction))

@@ -1,0 +1,63 @@
+"""An arm without a physics engine: its tip goes where it is told, and a spring answers where it meets the part."""
+
+import numpy as np
+
+from skincal.mesh.search import nearest_points
+from skincal.physics.arm import TipPose, WrenchReading
+
+STIFFNESS = 3000.0
+WEIGHT = np.array([1.0, -7.0, 2.0])
+"""N, what the sensor reads without a contact."""
+
+
+class PlainArm:
+    tip_radius_m, period_s = 0.002, 0.004
+
+    def __init__(self, surface, start=(0.0, 0.0, 0.3), tip_error=(0.0, 0.0, 0.0)):
+        self.surface, self.time_s, self.tip_error = surface, 0.0, np.array(tip_error)
+        self.position, self.direction = np.array(start), np.array([0.0, 0.0, -1.0])
+        self.goal, self.speed = None, 0.0
+        self.is_silent, self.grip, self.reach, self.obstacle = False, 1.0, lambda _place, _direction: True, None
+        self.wrench, self.course = WrenchReading(0.0, WEIGHT, np.zeros(3)), []
+
+    def read_tip(self):
+        return TipPose(self.position, self.direction)
+
+    def read_wrench(self):
+        return self.wrench
+
+    def is_reachable(self, position, direction):
+        return self.reach(position, direction)
+
+    def command(self, position, direction, speed_m_s):
+        self.goal, self.speed = (position, direction), speed_m_s
+
+    def stop(self):
+        self.goal = None
+
+    def contact(self):
+        """Distance of the tip's outside from the part, and the force on the part."""
+        centre = self.position + self.tip_error
+        (near,), (triangle,) = nearest_points(self.surface, centre[None])
+        normal, away = self.surface.normals[triangle], centre - near
+        gap = float(np.copysign(np.linalg.norm(away), away @ normal)) - self.tip_radius_m
+        force = -self.grip * STIFFNESS * max(0.0, -gap) * normal
+        if self.obstacle is not None and self.obstacle(centre):
+            force = force + np.array([0.0, 0.0, -40.0])
+        return gap, force
+
+    def step(self):
+        self.time_s += self.period_s
+        if self.goal is not None:
+            way, turned = self.goal[0] - self.position, self.goal[1]
+            size = np.linalg.norm(way)
+            share = min(1.0, self.speed * self.period_s / size) if size else 1.0
+            self.position = self.position + share * way
+            direction = self.direction + min(1.0, max(share, 0.02)) * (turned - self.direction)
+            if np.linalg.norm(direction) < 1e-3:
+                direction = direction + np.array([0.01, 0.02, 0.0])
+            self.direction = direction / np.linalg.norm(direction)
+        gap, force = self.contact()
+        self.course.append((self.position, gap, float(np.linalg.norm(force))))
+        if not self.is_silent:
+            self.wrench = WrenchReading(self.time_s, WEIGHT + force, np.zeros(3))

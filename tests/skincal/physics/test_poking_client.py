@@ -1,0 +1,223 @@
+"""The client of the target lines on an arm without a physics engine: a poke, and everything that may go wrong in one."""
+
+import numpy as np
+import pytest
+
+from skincal.mesh.surface import make_surface
+from skincal.physics.clearance import Clearance
+from skincal.physics.poking_client import MEASURE_AGAIN, OUT_OF_REACH, WAY_BLOCKED, Phase, PokeSettings, PokingClient
+from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
+from tests.skincal.physics.plain_arm import PlainArm
+
+UP, DOWN = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
+HALF = np.array([0.03, 0.06, 0.02])
+"""m, of the part: a box."""
+
+
+def box(*boxes):
+    """A surface of boxes, each given by its middle and its half sides."""
+    corner = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = np.array([[(a, b, c), (a, c, d)] for a, b, c, d in quads]).reshape(-1, 3)
+    vertices = np.concatenate([middle + corner * half for middle, half in boxes])
+    return make_surface(vertices, np.concatenate([faces + 8 * number for number in range(len(boxes))]))
+
+
+BOX = box((np.zeros(3), HALF))
+
+
+def target(number, place=(0.01, 0.02, 0.02), push=DOWN, force=9.5):
+    return PokeTarget(number, 3, np.array(place, dtype=float), np.array(push, dtype=float), force=force, hold=0.6)
+
+
+class Bench:
+    """A client, its arm, and what it says."""
+
+    def __init__(self, surface=BOX, **options):
+        self.arm, self.answers, self.tips = PlainArm(surface, **options), [], []
+        self.client = PokingClient(self.arm, surface, self.hear, PokeSettings())
+
+    def hear(self, line):
+        (self.tips if isinstance(line, TipPose) else self.answers).append(line)
+
+    def run(self, until, limit_s=40.0):
+        """Do periods until something is true."""
+        end = self.arm.time_s + limit_s
+        while not until(self):
+            assert self.arm.time_s < end, (self.client.phase, self.answers, self.arm.position)
+            self.client.run_period()
+        return self
+
+    def ask(self, line):
+        self.client.receive_line(line)
+        return self
+
+    def until_phase(self, phase):
+        return self.run(lambda bench: bench.client.phase is phase)
+
+    def rest(self, seconds):
+        end = self.arm.time_s + seconds
+        return self.run(lambda bench: bench.arm.time_s >= end, seconds + 1.0)
+
+    @property
+    def forces(self):
+        return np.array([force for _, _, force in self.arm.course])
+
+
+def answered(bench):
+    return bool(bench.answers)
+
+
+def test_a_poke_presses_as_asked_lets_go_when_held_and_stands_off():
+    bench = Bench().ask(target(1))
+    bench.until_phase(Phase.HOLD).rest(0.3)
+    assert bench.client.force == pytest.approx(9.5, rel=0.08)
+    bench.ask(Held(1)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 1)]
+    assert bench.forces.max() < 1.2 * 9.5
+    np.testing.assert_allclose(bench.arm.position, [0.01, 0.02, 0.034], atol=2e-3)
+    bench.rest(0.2)
+    np.testing.assert_allclose(bench.tips[-1].place, bench.arm.position + 0.002 * DOWN, atol=1e-12)
+    touched = np.flatnonzero(bench.forces)
+    assert (np.diff(touched) == 1).all(), "one touch"
+
+
+def test_without_held_the_poke_ends_after_its_hold():
+    bench = Bench().ask(target(1)).until_phase(Phase.HOLD)
+    begin = bench.arm.time_s
+    bench.run(answered)
+    assert 0.6 < bench.arm.time_s - begin < 4.0
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.45], ids=["straight", "tilted"])
+def test_the_way_to_the_other_side_of_the_part_keeps_its_distance(tilt):
+    lean = np.array([np.sin(tilt), 0.0, np.cos(tilt)])
+    bench = Bench().ask(target(1)).run(answered)
+    bench.arm.course.clear()
+    bench.ask(target(2, (0.0, 0.01, -0.02), lean)).until_phase(Phase.ENTER)
+    gaps = np.array([gap for _, gap, _ in bench.arm.course])
+    away = gaps > 0.027
+    assert (np.diff(away.astype(int)) == 1).sum() == 1, "out once, straight"
+    assert away[away.argmax() :].all(), "and around, with the clearance"
+    assert gaps.min() > 0.009
+    bench.run(lambda bench: len(bench.answers) == 2)
+    assert bench.answers[1] == Answer(AnswerKind.REACHED, 2)
+
+
+def test_pokes_side_by_side_need_no_way_around():
+    bench = Bench().ask(target(1)).run(answered)
+    bench.arm.course.clear()
+    bench.ask(target(2, (0.012, 0.035, 0.02))).run(lambda bench: len(bench.answers) == 2)
+    assert max(place[2] for place, _, _ in bench.arm.course) < 0.036
+
+
+COURT = box(
+    (np.array([0.0, 0.0, -0.02]), np.array([0.1, 0.1, 0.01])), (np.array([0.03, 0.0, 0.03]), np.array([0.005, 0.1, 0.05]))
+)
+IMPOSSIBLE = {
+    "out of reach": (BOX, target(1), lambda place, _: place[2] > 0.05, OUT_OF_REACH),
+    "no way around": (BOX, target(1, (0.0, 0.0, -0.02), UP), lambda place, _: abs(place[2]) > 0.02, OUT_OF_REACH),
+    "the part is in the way": (COURT, target(1, (0.02, 0.0, -0.01), (-0.5, 0.0, -0.8660254)), None, WAY_BLOCKED),
+}
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_an_impossible_target_is_skipped_with_its_reason_and_without_a_motion(case):
+    surface, asked, reach, reason = IMPOSSIBLE[case]
+    bench = Bench(surface)
+    bench.arm.reach = reach or bench.arm.reach
+    bench.ask(asked).run(answered)
+    assert bench.answers == [Answer(AnswerKind.SKIP, 1, reason)]
+    assert (np.ptp([place for place, _, _ in bench.arm.course], axis=0) == 0.0).all()
+
+
+@pytest.mark.parametrize("line", [NoTarget.STOP, NoTarget.WAIT, None], ids=["stop", "wait", "connection lost"])
+@pytest.mark.parametrize("phase", [Phase.TRAVEL, Phase.TARE, Phase.ENTER, Phase.APPROACH, Phase.PRESS, Phase.HOLD])
+def test_a_stop_ends_every_motion_and_lets_go_of_the_part(phase, line):
+    bench = Bench().ask(target(1)).until_phase(phase).rest(0.02)
+    bench.arm.course.clear()
+    if line is None:
+        bench.client.lose_connection()
+    else:
+        bench.ask(line)
+    bench.rest(3.0)
+    heights = np.array([place[2] for place, _, _ in bench.arm.course])
+    assert (np.diff(heights) >= -1e-12).all(), "never towards the part"
+    assert (heights[300:] == heights[300]).all(), "and then it stands"
+    assert bench.forces[300:].max() == 0.0
+    assert bench.answers == []
+    bench.ask(target(2)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 2)]
+
+
+@pytest.mark.parametrize("phase", [Phase.ENTER, Phase.APPROACH, Phase.PRESS, Phase.HOLD])
+def test_without_a_fresh_reading_nothing_moves_towards_the_part(phase):
+    bench = Bench().ask(target(1)).until_phase(phase).rest(0.02)
+    bench.arm.is_silent = True
+    bench.rest(PokeSettings().fresh_s + 0.01)
+    bench.arm.course.clear()
+    bench.run(answered)
+    assert (np.diff([place[2] for place, _, _ in bench.arm.course]) >= -1e-12).all()
+    assert bench.answers == [Answer(AnswerKind.SKIP, 1)]
+    bench.ask(target(2)).rest(2.0)
+    assert bench.client.phase is Phase.IDLE, "it waits for readings"
+    bench.arm.is_silent = False
+    bench.run(lambda bench: len(bench.answers) == 2)
+    assert bench.answers[1] == Answer(AnswerKind.REACHED, 2)
+
+
+def test_it_retreats_from_a_force_above_the_limit():
+    bench = Bench().ask(target(1)).until_phase(Phase.ENTER)
+    bench.arm.obstacle = lambda centre: centre[2] < 0.04
+    bench.run(answered)
+    assert bench.answers == [Answer(AnswerKind.SKIP, 1)]
+    struck = np.flatnonzero(bench.forces > 25.0)
+    heights = np.array([place[2] for place, _, _ in bench.arm.course])
+    assert (np.diff(heights[struck[0] + 1 :]) >= -1e-12).all()
+
+
+@pytest.mark.parametrize(("error", "reason"), [(-0.03, "nothing was felt"), (0.025, "touched before")])
+def test_three_failures_in_a_row_ask_to_measure_the_tip_and_the_part_again(error, reason):
+    """The arm believes that its tip is 25 mm lower, or higher, than it is."""
+    bench = Bench(tip_error=(0.0, 0.0, -error))
+    for number in (1, 2, 3):
+        bench.ask(target(number)).run(lambda bench, number=number: len(bench.answers) == number)
+    assert [answer.kind for answer in bench.answers] == [AnswerKind.SKIP, AnswerKind.SKIP, AnswerKind.FAULT]
+    assert reason in bench.answers[2].text
+    assert bench.answers[2].text.endswith(MEASURE_AGAIN.rpartition(":")[2])
+    assert all(not answer.text for answer in bench.answers[:2]), "the guide may ask for them again"
+    assert bench.forces.max() < 25.0
+
+
+@pytest.mark.parametrize("error", [0.005, -0.005])
+def test_a_tip_that_is_wrong_by_five_millimetres_still_pokes(error):
+    bench = Bench(tip_error=(0.003, 0.0, error)).ask(target(1)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 1)]
+    assert bench.forces.max() < 1.2 * 9.5
+
+
+def test_a_tip_that_slips_lets_go_and_the_poke_is_left_to_skincal():
+    bench = Bench().ask(target(1)).until_phase(Phase.HOLD)
+    bench.arm.grip = 0.2
+    begin = bench.arm.time_s
+    bench.run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 1)]
+    assert bench.arm.time_s - begin < 0.5
+
+
+def test_another_target_replaces_one_that_is_pressed():
+    bench = Bench().ask(target(1)).until_phase(Phase.HOLD)
+    bench.ask(target(2, (0.0, -0.02, 0.02))).run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 2)]
+    np.testing.assert_allclose(bench.arm.position, [0.0, -0.02, 0.034], atol=2e-3)
+
+
+def test_a_way_around_a_box_is_hardly_longer_than_the_shortest():
+    clearance, margin = Clearance(BOX, 0.03), 0.03
+    top = np.array([0.0, 0.0, HALF[2] + margin])
+    way = clearance.ways(top, -top)[0]
+    corners = np.array([top, *(each.position for each in way), -top])
+    length = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
+    shortest = 2.0 * (HALF[0] + HALF[2]) + np.pi * margin
+    assert shortest < length < 1.05 * shortest
+    assert clearance.ways(top, top + 0.05 * np.eye(3)[0]) == [[]]
