@@ -39,7 +39,7 @@ from app.theme import GAP
 from app.workers.threads import ThreadService
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, shortened
-from skincal.model.readings import Stream
+from skincal.model.readings import SENSOR_STREAMS, Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
@@ -216,7 +216,7 @@ class NewSessionDialog(QDialog):
         self._scene: Scene | None = None
         self._note = secondary_label(wrap=True)
         self.scene = ScenePicker(scene)
-        self.rows = {stream: StreamRow(stream) for stream in Stream}
+        self.rows = {stream: StreamRow(stream) for stream in SENSOR_STREAMS}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)

@@ -15,7 +15,7 @@ from skincal.cli.record import stopping
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import InputError, plural
-from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Stream
+from skincal.model.readings import SENSOR_STREAMS, Batch, Chunk, LinkEvent, LinkState, Stream
 
 if TYPE_CHECKING:
     from skincal.streams.decoders.auto_detect import LinkDecoder
@@ -58,7 +58,7 @@ class Watched:
         # Without the width of a skin everything fits: who names one stream hears of another in its place.
         named = carries if len(carries) == 1 else ()
         self._monitor = LinkMonitor(
-            named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, tuple(Stream))
+            named, {Stream.WRENCH: WRENCH_VALUES}, lambda: LinkDecoder(format_of(address, AUTO), None, SENSOR_STREAMS)
         )
         self._make = lambda: LinkDecoder(format_of(address, AUTO), None, carries)
         self._decoder: LinkDecoder = self._make()
@@ -143,7 +143,7 @@ def watch(
     from skincal.streams.links import ChunkQueue, LinkSpec, Reader, parse_address
 
     parse_address(link)
-    streams = tuple(Stream) if carries is Carries.ANY else (Stream(carries.value),)
+    streams = SENSOR_STREAMS if carries is Carries.ANY else (Stream(carries.value),)
     items = ChunkQueue()
     watched, reader = Watched(link, streams), Reader(LinkSpec("link", link, streams), items)
     end_s = float("inf") if seconds is None else time.monotonic() + seconds
@@ -213,7 +213,7 @@ def _on_port(name: str, description: str) -> dict[str, str]:
     from skincal.streams.links import LinkSpec, open_link
     from skincal.streams.transports.baud_search import BaudSearchLink
 
-    streams = tuple(Stream)
+    streams = SENSOR_STREAMS
     watched = Watched(name, streams)
     try:
         link = open_link(LinkSpec("link", name, streams))

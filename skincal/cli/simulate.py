@@ -18,7 +18,7 @@ from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stop
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
-from skincal.model.readings import Stream
+from skincal.model.readings import SENSOR_STREAMS, Stream
 
 if TYPE_CHECKING:
     import numpy as np
@@ -209,7 +209,7 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
         return {}
     from skincal.simulate.emulated_devices import assign_devices
 
-    streams = tuple(stream for stream in Stream if stream is not Stream.JOINTS or scene.arm is not None)
+    streams = tuple(stream for stream in SENSOR_STREAMS if stream is not Stream.JOINTS or scene.arm is not None)
     return assign_devices(tuple(name.strip() for name in named.split(",")), streams)
 
 

@@ -169,6 +169,7 @@ def judge(press: FinishedPress, scene: Scene, after: Tare | None, final: bool, i
         "pose": "" if mean is None else mean.pose,
     }
     if failure is None:
-        return Contact(**common, responses=press.responses[used], tare_change=tare_change)
+        tip = None if mean is None else mean.tip
+        return Contact(**common, responses=press.responses[used], tare_change=tare_change, tip=tip)
     value, limit = float(failure.value), float(failure.limit)
     return Rejection(**common, reason=failure.reason, value=value, limit=limit, unit=failure.unit)

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from skincal.contacts.tare import Tare, mean_time, window_length
 from skincal.geometry import FloatArray, IntArray, axis_point, crossed, length_of, mean_rows
+from skincal.model.codec import OPTIONAL
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
@@ -129,6 +131,8 @@ class StillMean:
     """1, relative spread of the force."""
     travel: float
     """m, travel of the force axis."""
+    tip: FloatArray | None = field(default=None, metadata=OPTIONAL)
+    """(3,) float, metres, fixed frame: mean position of the tip; `None` unless all its samples have one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,4 +270,10 @@ class Press:
             pose=middle.name,
             spread=spread,
             travel=travel,
+            tip=_mean_tip(samples),
         )
+
+
+def _mean_tip(samples: Sequence[Sample]) -> FloatArray | None:
+    tips = [sample.tip for sample in samples if sample.tip is not None]
+    return np.array(tips).mean(axis=0) if len(tips) == len(samples) else None

@@ -36,6 +36,7 @@ DEFAULT_UNITS = {
     Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
     Stream.SKIN: "raw values",
     Stream.JOINTS: "joint angles in degrees",
+    Stream.TIP: "x y z of the tip in m",
 }
 UNIT_MAX_CHARS = 20
 """Characters kept of a unit that a device names."""
@@ -49,6 +50,7 @@ _WIDTH_ADVICE = {
     Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
     Stream.WRENCH: "a wrench is fx fy fz mx my mz",
     Stream.JOINTS: "the number of joints changed",
+    Stream.TIP: "a tip is x y z",
 }
 PACKET_HEAD = struct.Struct("<BI")
 """Kind and length of the payload."""
@@ -322,7 +324,7 @@ class FrameDecoder(ABC):
         self._status = ""
         """What the device reports of itself now, a sentence; empty if nothing."""
         self._carries = carries
-        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None}
+        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None, Stream.TIP: None}
         self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
         # Readings of each stream since the last batch: number, device's clock, values, status.
         self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)

@@ -22,7 +22,9 @@ from skincal.model.tables import shown
 T = TypeVar("T")
 PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError)
 """Errors of `from_json` on JSON that skincal never wrote."""
-ARRAY_SHAPES = {"force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
+OPTIONAL: Mapping[str, Any] = {"optional": True}
+"""Metadata of a field that is left out while it is `None`, so that older files keep their bytes."""
+ARRAY_SHAPES = {"tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
 """Shapes of arrays by the name of their field; all others have one dimension."""
 MAX_POSE_M = 1e3
 """m. Largest number in a pose: no sensor is a kilometre away."""
@@ -40,7 +42,9 @@ def to_json(value: Any) -> Any:
         return [to_json(item) for item in cast("list[Any]", value)]
     if isinstance(value, Enum):
         return value.name
-    return {item.name: to_json(getattr(value, item.name)) for item in fields(value) if item.metadata.get("stored", True)}
+    stored = [item for item in fields(value) if item.metadata.get("stored", True)]
+    absent = {item.name for item in stored if item.metadata.get("optional") and getattr(value, item.name) is None}
+    return {item.name: to_json(getattr(value, item.name)) for item in stored if item.name not in absent}
 
 
 def from_json(kind: type[T], document: Mapping[str, Any]) -> T:

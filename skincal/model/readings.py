@@ -25,6 +25,12 @@ class Stream(Enum):
     WRENCH = "wrench"
     SKIN = "skin"
     JOINTS = "joints"
+    TIP = "tip"
+    """Position of the poking tip in a fixed frame, such as a robot's base; optional."""
+
+
+SENSOR_STREAMS = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
+"""Streams that can be recognized by their values. A tip needs a link of its own: its three numbers could be anything."""
 
 
 class Loss(Enum):
@@ -88,7 +94,7 @@ class Batch:
     """(n,) device's clock, seconds, unwrapped; NaN if the format has none."""
     values: FloatArray
     """(n, width) float. Wrench: fx fy fz (N) mx my mz (N m), sensor frame. Skin: raw value of each channel, in the device's own
-    unit; NaN: the device says that the channel is dead. Joints: radians."""
+    unit; NaN: the device says that the channel is dead. Joints: radians. Tip: x y z, metres; further values are not used."""
     saturated: NDArray[np.bool_]
     """(n,) the device says that a wrench is beyond its range; such a reading is kept and never used."""
     invalid: NDArray[np.bool_]
@@ -118,6 +124,8 @@ class Sample:
     """A wrench reading of the interval was saturated or invalid."""
     angles: FloatArray | None = None
     """(joints,) float, radians, last streamed joint angles; `None` without a joint stream."""
+    tip: FloatArray | None = None
+    """(3,) float, metres, last position of the tip in its fixed frame; `None` without a recent one."""
 
 
 TEMPERATURE = "temperature, degC"

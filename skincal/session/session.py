@@ -23,6 +23,8 @@ from skincal.model.errors import InputError
 from skincal.model.scene import Scene
 from skincal.rig.correction import FRAME, RIG, Correction, CorrectionErrors, UsedCorrection
 from skincal.rig.correction_fit import LandmarkPoke, RigRequest
+from skincal.rig.tip_frame import TipFrame, TipState, fit_tip_frame, pokes_of_fit
+from skincal.rig.tip_fusion import TipFusion
 from skincal.session.decisions import ActionContext, Decisions, apply_action, is_undoable, take_back, with_excluded
 from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -75,6 +77,10 @@ class Session:
         layout = scene.skin.layout
         self._layout = None if layout is None else tuple(int(channel) for channel in layout.channels)
         self._solving.taxels_changed(self.channels)
+        self.tip_frame: TipFrame | None = None
+        """Frame of the tip positions; `None` before the first contact with one."""
+        self._has_tips = False
+        self._tips_fitted: tuple[Contact, ...] = ()
         self._assumed: Correction | None = None
         self._clocks: tuple[tuple[int, WallClock | None], ...] = ()
         self._touched: IntArray = np.empty(0, dtype=np.int64)
@@ -146,6 +152,7 @@ class Session:
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         asked = self.asked if before is None else before.asked
         self._reported[poke] = outcome
+        self._has_tips |= now and outcome.tip is not None
         self._store_record(PokeRecord(self._corrected(poke), poke in self.decisions.excluded, asked))
         # The tare after a poke can turn an accepted poke into a rejection, which cannot be undone.
         if now and not was:
@@ -270,6 +277,7 @@ class Session:
         if self._snapshot is not None:
             return self._snapshot
         channels = self.channels
+        self._fit_tips()
         self._solving.solve(
             channels, self._records.keys(), self._counting, self.dead, math.inf if self._last is None else within_s
         )
@@ -292,8 +300,24 @@ class Session:
             at_landmarks={poke.poke: poke.name for poke in landmark_pokes(outcomes, self.decisions.landmarks, named)},
             tried_distances=self._solving.tried_distances,
             clocks=self._clocks,
+            tip_frame=self.tip_frame,
         )
         return self._snapshot
+
+    def _fit_tips(self) -> None:
+        """Fit the frame of the tip positions again when enough pokes came, or one of its pokes changed."""
+        if not self._has_tips:
+            return
+        contacts = [contact for contact in self.contacts if contact.tip is not None]
+        used = tuple(contacts[: pokes_of_fit(len(contacts))])
+        if self.tip_frame is not None and list(map(id, used)) == list(map(id, self._tips_fitted)):
+            return
+        self._tips_fitted, self.tip_frame = used, fit_tip_frame(used, self.scene.noise)
+        self._solving.tips = None
+        if self.tip_frame.state is TipState.USED:
+            self._solving.tips = TipFusion(self.tip_frame, self.scene.noise)
+        for contact in contacts:
+            self._solving.poke_changed(contact.poke, contact.channels.tolist())
 
     def evidence(self, channels: Collection[int]) -> Evidence:
         """Give the rows of the last snapshot's contacts for those of `channels` that answered; all of them count fully."""

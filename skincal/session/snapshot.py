@@ -18,6 +18,7 @@ from skincal.taxels.result import Estimate, Method
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
+    from skincal.rig.tip_frame import TipFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,8 @@ class Snapshot:
     """For each known distance between modules, whether the modules method uses it."""
     clocks: tuple[tuple[int, WallClock | None], ...] = ()
     """For each part of the session the last poke before it, and its clock; `None` if the recording does not say."""
+    tip_frame: TipFrame | None = None
+    """Frame of the tip positions; `None` without a tip stream."""
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:

@@ -15,6 +15,7 @@ from skincal.methods import estimate_from
 from skincal.model.scene import Scene
 from skincal.modules.estimate import FittedModule, estimate_modules
 from skincal.modules.pose import ModuleModel
+from skincal.rig.tip_fusion import TipFusion
 from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import PER_TAXEL, Estimate, Method
 from skincal.taxels.shared_errors import SharedRows, add_shared_errors
@@ -53,6 +54,8 @@ class Solving:
         self._noise, self._surface = scene.noise, surface
         self.shared: SharedRows | None = None
         """Errors shared by all pokes, which the covariances include."""
+        self.tips: TipFusion | None = None
+        """Positions of the tip; `None` while they are not used."""
         self._alone = [method for method in self.methods if method in PER_TAXEL]
         self._table = self._shown = ContactTable()
         """Input of the next solution, and of the shown one; they differ only while taxels wait."""
@@ -100,11 +103,11 @@ class Solving:
         parts = self._parts(sorted(self._channels), within_s)
         if len(parts) > 1 and self._table is self._shown:
             # The old table answers `evidence` until everything is solved.
-            self._table = ContactTable(kept(known))
+            self._table = ContactTable(self._with_tips(kept(known)))
         else:
             for poke in self._pokes:
                 self._table.drop(poke)
-            self._table.add(kept(self._pokes))
+            self._table.add(self._with_tips(kept(self._pokes)))
         self._pokes.clear()
         for part in parts:
             self._solve(part, dead)
@@ -115,6 +118,9 @@ class Solving:
             self._shown = self._table
             if parts and self._fitted is not None:
                 self._refine()
+
+    def _with_tips(self, contacts: Sequence[Contact]) -> Sequence[Contact]:
+        return contacts if self.tips is None else self.tips.moved_axes(contacts)
 
     def _refine(self) -> None:
         # Imported only where a scene knows distances.
@@ -156,6 +162,8 @@ class Solving:
         for method, estimates in solved.items():
             self._alike[method].update(estimates)
             moved = add_shared_errors(evidence, list(estimates.values()), self._noise, self.shared)
+            if self.tips is not None and method is Method.FREE:
+                moved = self.tips.with_depth(moved, evidence)
             self._estimates[method].update((estimate.channel, estimate) for estimate in moved)
         if self.module_model is not None:
             modules = self.module_model.modules_of(channels)

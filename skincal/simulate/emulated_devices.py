@@ -17,7 +17,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
-from skincal.model.readings import Stream
+from skincal.model.readings import SENSOR_STREAMS, Stream
 from skincal.simulate.board_formats import Encoder
 
 NETFT_COUNTS_PER_UNIT = 1_000_000
@@ -386,7 +386,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "robotiq": Maker((Stream.WRENCH,), RobotiqEncoder, 100.0, serial=True),
         "robotiq-text": Maker((Stream.WRENCH,), RobotiqTextEncoder, 125.0),
         "rtde": Maker((Stream.WRENCH, Stream.JOINTS), RtdeEncoder, 125.0),
-        "yarp": Maker(tuple(Stream), YarpEncoder, 0.0),
+        "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0),
         "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0),
         "papillarray": Maker((Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True),
     }

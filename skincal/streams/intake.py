@@ -20,6 +20,7 @@ from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import (
+    SENSOR_STREAMS,
     Batch,
     Chunk,
     LinkEvent,
@@ -37,6 +38,7 @@ from skincal.streams.link_diagnosis import Differences, LinkMonitor
 from skincal.streams.links import LinkSpec, format_of
 from skincal.streams.pairing import Pairing
 
+TIP_WIDTH = 3
 RECENT_S = 10.0
 """s of wrenches that the live curves show."""
 RATE_WINDOW_NS = 2_000_000_000
@@ -104,7 +106,12 @@ class Intake:
         for stamp, values in zip(stamps.tolist(), batch.values, strict=True):
             if batch.stream is Stream.SKIN:
                 self._pairing.add_frame(stamp, arrived.arrival_s, values)
-            elif len(values) >= self._joints and all(map(math.isfinite, values.tolist())):
+            elif not all(map(math.isfinite, values.tolist())):
+                continue
+            elif batch.stream is Stream.TIP:
+                if len(values) >= TIP_WIDTH:
+                    self._pairing.add_tip(stamp, values[:TIP_WIDTH])
+            elif len(values) >= self._joints:
                 self._pairing.add_joints(stamp, values)
 
     def wrench_after(self, host_s: float) -> tuple[FloatArray, FloatArray]:
@@ -149,9 +156,9 @@ class LinkIntake:
         self._format = format_of(spec.address, spec.format)
         # Frames that need a recipe do not say what they hold, so no other decoder can read them.
         kind = None if self._format == AUTO else decoder_class(self._format)
-        streams = spec.carries if kind is not None and kind.single_stream else tuple(Stream)
+        streams = spec.carries if kind is not None and kind.single_stream else SENSOR_STREAMS
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
-        widths = {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints}
+        widths = {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH}
         self.monitor = LinkMonitor(spec.carries, widths, look)
         self._channels = channels
         self._decoder = self._new_decoder()

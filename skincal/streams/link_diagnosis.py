@@ -96,7 +96,7 @@ class LinkMonitor:
     Parameters
     ----------
     carries : wanted streams; none for those that come
-    widths : number of values of a reading of each stream, if it is known; for joints the least
+    widths : number of values of a reading of each stream, if it is known; for joints and a tip the least
     make_fallback : makes a decoder of every stream and width; `None` if the format cannot be read so
     noisy : streams whose readings always differ
     """
@@ -220,7 +220,8 @@ class LinkMonitor:
     def _diagnose_readings(self) -> LinkVerdict:
         for stream in self._wanted_streams:
             width = self._streams[stream].width
-            if stream is Stream.JOINTS and (width < self._widths.get(stream, 0) or self._is_skin(width, stream)):
+            has_any_width = stream in (Stream.JOINTS, Stream.TIP)
+            if has_any_width and (width < self._widths.get(stream, 0) or self._is_skin(width, stream)):
                 return self._wrong_width(stream, stream, width)
             if self._is_lifeless(stream):
                 return LinkVerdict(LinkAnswer.FROZEN, stream)

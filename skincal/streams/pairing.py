@@ -8,6 +8,7 @@ the wrench stream has passed its stamp. A frame that waited too long is counted 
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from statistics import median
 from typing import NamedTuple
@@ -32,6 +33,8 @@ STAMP_TOLERANCE_S = 1e-6
 FRAMES_WAITING_MAX = 4096
 """Largest number of waiting frames, independent of their stamps: a bound for memory."""
 JOINTS_KEPT = 512
+TIP_MAX_AGE_S = 0.2
+"""s. An older position of the tip does not belong to a skin frame: it moves by millimetres in that time."""
 WRENCHES_KEPT = 16384
 """10 s at 1.6 kHz."""
 
@@ -54,6 +57,7 @@ class Pairing:
         self._intervals: deque[float] = deque(maxlen=PERIOD_FRAMES)
         self._last_frame_s: float | None = None
         self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
+        self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
 
     def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
         """Add wrench readings. Readings that are not finite or not valid enter no mean."""
@@ -63,6 +67,10 @@ class Pairing:
     def add_joints(self, host_s: float, angles: FloatArray) -> None:
         """Add joint angles, radians."""
         self._joints.append((host_s, angles))
+
+    def add_tip(self, host_s: float, position: FloatArray) -> None:
+        """Add a position of the tip, (3,) float, metres."""
+        self._tips.append((host_s, position))
 
     def add_frame(self, host_s: float, arrival_s: float, values: FloatArray) -> None:
         """Add a skin frame, which `pop_paired` returns once its wrench is known."""
@@ -103,13 +111,17 @@ class Pairing:
             if between is None:
                 return None
             (wrench, among), readings = between, 2
-        return Sample(frame.host_s, frame.values, wrench, readings, self.ring.has_flagged(among), self._angles_at(frame.host_s))
+        flagged, angles = self.ring.has_flagged(among), _last_at(self._joints, frame.host_s)
+        tip = _last_at(self._tips, frame.host_s, TIP_MAX_AGE_S)
+        return Sample(frame.host_s, frame.values, wrench, readings, flagged, angles, tip)
 
-    def _angles_at(self, host_s: float) -> FloatArray | None:
-        """Return the last joint angles at or before an instant. Older ones are dropped, since frames come in order."""
-        while len(self._joints) > 1 and self._joints[1][0] <= host_s:
-            self._joints.popleft()
-        return self._joints[0][1] if self._joints and self._joints[0][0] <= host_s else None
+
+def _last_at(readings: deque[tuple[float, FloatArray]], host_s: float, max_age_s: float = math.inf) -> FloatArray | None:
+    """Find the last reading at or before an instant, not older than `max_age_s`; drop those before it: frames come in order."""
+    while len(readings) > 1 and readings[1][0] <= host_s:
+        readings.popleft()
+    is_there = readings and 0.0 <= host_s - readings[0][0] <= max_age_s
+    return readings[0][1] if is_there else None
 
 
 class WrenchRing:

@@ -37,9 +37,19 @@ def _why_silent(link: LinkHealth, *, brief: bool) -> str:
     return f"data arrived, but no readings of the {expected}. Check the baud rate and the format of the device"
 
 
-STREAM_NAMES = {Stream.WRENCH: "force/torque sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints"}
+STREAM_NAMES = {Stream.WRENCH: "force/torque sensor", Stream.SKIN: "skin", Stream.JOINTS: "joints", Stream.TIP: "tip"}
 _LINK_NAMES = {stream.value: name for stream, name in STREAM_NAMES.items()}
-EXPECTED_BY = {Stream.WRENCH: "a force/torque sensor has", Stream.SKIN: "the scene has", Stream.JOINTS: "the arm needs"}
+EXPECTED_BY = {
+    Stream.WRENCH: "a force/torque sensor has",
+    Stream.SKIN: "the scene has",
+    Stream.JOINTS: "the arm needs",
+    Stream.TIP: "a tip has",
+}
+    Stream.WRENCH: "a force/torque sensor has",
+    Stream.SKIN: "the scene has",
+    Stream.JOINTS: "the arm needs",
+    Stream.TIP: "a tip has",
+}
 
 
 def link_name(link: LinkHealth) -> str:

@@ -7,6 +7,7 @@ CRC-16/CCITT-FALSE of every byte before the `*`; lines that start with `#` are c
     T,<seq>,<t_us>,<v0>,...,<v(n-1)>                    skin, `nan` where a taxel is dead
     F,<seq>,<t_us>,<fx>,<fy>,<fz>,<tx>,<ty>,<tz>,<status>   wrench, N and N m; status bit 0 saturated, bit 1 invalid
     J,<seq>,<t_us>,<a0>,...                             joint angles, degrees
+    P,<seq>,<t_us>,<x>,<y>,<z>                          position of the tip, metres, in a fixed frame
     E,<code>,<text>                                     an error of the device
 
 Other records are skipped. `seq` counts each letter alone.
@@ -32,7 +33,7 @@ LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""
 TAIL_BYTES = 5
 """`*` and the checksum."""
-STREAM_OF_LETTER = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS}
+STREAM_OF_LETTER = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS, b"P": Stream.TIP}
 LEADING_FIELDS = 3
 """Fields before the values: letter, seq, t_us."""
 

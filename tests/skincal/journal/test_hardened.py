@@ -295,7 +295,7 @@ BAD = [
     b'{"type": "segment", "format": 3, "segment": 1, "links": 7, "scene": ""}',
     *(
         json.dumps({"type": "segment", "format": 3, "segment": 1, "links": links}).encode()
-        for links in ([LINK] * 4, [LINK | {"address": "x" * 1001}])
+        for links in ([LINK] * 5, [LINK | {"address": "x" * 1001}])
     ),
     b'{"type": "action"}',
     b'{"type": "action", "do": []}',

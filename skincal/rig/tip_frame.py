@@ -1,0 +1,252 @@
+"""Frame of a tip stream, fitted to the force axes.
+
+A robot or a tracker reports the position t_k of the tip in its own fixed frame. The pose (Q, d) of that frame in the sensor's
+frame is unknown. In the link frame the tip of poke k is at x_k = L_k (Q t_k + d), with the arm pose L_k. It lies on the poke's
+force axis, so that, with the axis's point a_k nearest to the origin and E_k two unit directions across it,
+
+    E_k (x_k - a_k) = 0,   noise D_k + sigma^2 I.
+
+D_k is the sensor's noise at x_k (`skincal.taxels.noise`). sigma is the standard deviation of a tip position, estimated from the
+residuals. The pose is found by Gauss-Newton steps from 24 rotations, with Huber's weights for outliers (Huber 1964). The
+position along an axis does not matter here: it is what the tip adds (`tip_fusion`).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry import FloatArray, cross_matrix, crossed, orthonormal_pair
+from skincal.model.scene import NoiseSettings
+from skincal.modules.pose import rotations
+from skincal.taxels.noise import row_precision
+
+MIN_POKES_FOR_FRAME = 12
+REFIT_GROWTH = 1.25
+"""Factor of the number of pokes between two fits: a fit moves every taxel, so there are few of them."""
+TIP_SD_MIN_M, TIP_SD_MAX_M = 0.0001, 0.010
+"""Below the first no tracker measures; above the second the positions are of another frame, or late."""
+FRAME_SHIFT_SD_MAX_M = 0.005
+"""sd of the frame's position at the pokes, across the mean push, above which it is not used."""
+MIN_CHI2_OF_OTHER_POSE = 16.0
+"""Another pose of the frame must fit this much worse: 4 standard deviations."""
+OTHER_POSE_ANGLE_RAD, OTHER_POSE_SHIFT_M = 0.2, 0.02
+UNIT_RATIO_MAX = 20.0
+"""Spread of the force axes over that of the tips, or its inverse, above which the unit is wrong."""
+START_STEPS, FIT_STEPS = 12, 30
+START_POKES_MAX = 150
+HUBER_LIMIT = 2.5
+"""Standard deviations beyond which a poke counts less."""
+
+
+class TipState(Enum):
+    """Use of a tip stream."""
+
+    FEW_POKES = "few pokes"
+    AMBIGUOUS = "not determined yet"
+    USED = "used"
+    WRONG_UNIT = "wrong unit"
+    DISAGREES = "disagrees"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipFrame:
+    """Pose of the tip's fixed frame in the sensor's frame, with its covariance."""
+
+    state: TipState
+    pokes: int
+    """Pokes with a tip position that it was fitted to."""
+    rotation: FloatArray
+    """(3, 3) float: Q."""
+    shift: FloatArray
+    """(3,) float, metres: d."""
+    centre: FloatArray
+    """(3,) float, metres, sensor frame: mean of Q t + d, about which the covariance is."""
+    covariance: FloatArray
+    """(6, 6) float: of a small rotation (rad) about the centre and a shift of it (m), sensor frame."""
+    tip_sd: float
+    """m, of one tip position, each direction."""
+    ratio: float = 1.0
+    """Spread of the force axes over that of the tips: 0.001 for millimetres."""
+
+    @property
+    def shift_sd(self) -> float:
+        """m, rms over the directions of the frame's position at the pokes."""
+        return float(np.sqrt(np.trace(self.covariance[3:, 3:]) / 3.0))
+
+    @property
+    def turn_sd(self) -> float:
+        """rad, rms over the axes of its rotation."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
+
+    def places(self, contacts: Sequence[Contact]) -> tuple[FloatArray, FloatArray]:
+        """Compute the tips of contacts, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the covariance's unknowns."""
+        poses = np.array([contact.link_from_sensor for contact in contacts])
+        tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
+        there = tips @ self.rotation.T + self.shift
+        gradients = np.concatenate([-cross_matrix(there - self.centre), np.broadcast_to(np.eye(3), (len(tips), 3, 3))], axis=2)
+        return (poses[:, :3, :3] @ there[:, :, None])[:, :, 0] + poses[:, :3, 3], poses[:, :3, :3] @ gradients
+
+
+def pokes_of_fit(count: int) -> int:
+    """Count the first pokes that a fit uses: 0 below `MIN_POKES_FOR_FRAME`, then in steps of `REFIT_GROWTH`."""
+    used = 0 if count < MIN_POKES_FOR_FRAME else MIN_POKES_FOR_FRAME
+    while used and int(used * REFIT_GROWTH) <= count:
+        used = int(used * REFIT_GROWTH)
+    return used
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipAxes:
+    """Force axes of n contacts, link frame."""
+
+    tips: FloatArray
+    poses: FloatArray
+    pairs: FloatArray
+    """(n, 2, 3) float: E."""
+    offsets: FloatArray
+    """(n, 2) float, metres: E (a - o), with o the sensor's origin."""
+    turned: FloatArray
+    """(n, 2, 3) float: E L, rows for a shift in the sensor's frame."""
+    nearest: FloatArray
+    forces: FloatArray
+
+    @classmethod
+    def of(cls, contacts: Sequence[Contact]) -> TipAxes:
+        poses = np.array([contact.link_from_sensor for contact in contacts])
+        turns, origins = poses[:, :3, :3], poses[:, :3, 3]
+        forces, moments = (np.array([getattr(contact, name) for contact in contacts]) for name in ("force", "moment"))
+        size = np.linalg.norm(forces, axis=1)
+        push = (turns @ forces[:, :, None])[:, :, 0] / size[:, None]
+        moment = (turns @ moments[:, :, None])[:, :, 0] / size[:, None] + crossed(origins, push)
+        nearest, pairs = crossed(push, moment), orthonormal_pair(push)
+        offsets = (pairs @ (nearest - origins)[:, :, None])[:, :, 0]
+        tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
+        return cls(tips, poses, pairs, offsets, pairs @ turns, nearest, size)
+
+    def take(self, rows: slice) -> TipAxes:
+        return TipAxes(*(getattr(self, name)[rows] for name in self.__slots__))
+
+
+def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame:
+    """Fit the frame of the tip positions of contacts, which all have one.
+
+    Parameters
+    ----------
+    contacts : accepted and not excluded, in the order of their numbers
+    noise : of the scene
+    """
+    none = TipFrame(TipState.FEW_POKES, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf)
+    if len(contacts) < MIN_POKES_FOR_FRAME:
+        return none
+    axes = TipAxes.of(contacts)
+    ratio = _spread(axes.nearest) / max(_spread(axes.tips), 1e-9)
+    if not 1.0 / UNIT_RATIO_MAX < ratio < UNIT_RATIO_MAX:
+        return TipFrame(TipState.WRONG_UNIT, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf, ratio)
+    turns, shifts = _start_poses(axes.take(slice(None, None, -(-len(contacts) // START_POKES_MAX))))
+    costs = [float(np.median(np.abs(_misses(axes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
+    best = int(np.argmin(costs))
+    turn, shift, centre, information, weights, sd = _refine(axes, turns[best], shifts[best], noise)
+    covariance = np.linalg.pinv(information, hermitian=True, rcond=1e-12)
+    state = TipState.USED
+    if sd > TIP_SD_MAX_M:
+        state = TipState.DISAGREES
+    elif _across_sd(axes, covariance) > FRAME_SHIFT_SD_MAX_M or _has_rival(axes, (turn, shift), (turns, shifts), weights):
+        state = TipState.AMBIGUOUS
+    return TipFrame(state, len(contacts), turn, shift, centre, covariance, sd, ratio)
+
+
+def _spread(points: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.var(points, axis=0).sum())))
+
+
+def _misses(axes: TipAxes, turn: FloatArray, shift: FloatArray) -> FloatArray:
+    """Compute (n, 2) E (x - a), metres."""
+    there = axes.tips @ turn.T + shift
+    return (axes.turned @ there[:, :, None])[:, :, 0] - axes.offsets
+
+
+def _start_poses(axes: TipAxes) -> tuple[FloatArray, FloatArray]:
+    """Fit the frame from each of 24 rotations without weights: (24, 3, 3) and (24, 3), metres."""
+    turns = np.array([made for made in _signed_permutations() if np.linalg.det(made) > 0])
+    shifts = np.zeros((len(turns), 3))
+    rows = axes.turned.reshape(-1, 3)
+    for step in range(START_STEPS):
+        turned = axes.tips @ turns.transpose(0, 2, 1)
+        misses = np.einsum("nij,bnj->bni", axes.turned, turned + shifts[:, None]) - axes.offsets
+        slopes = axes.turned[None] @ -cross_matrix(turned - turned.mean(axis=1, keepdims=True))
+        for b in range(len(turns)):
+            if step == 0:  # the place first: far off, a rotation would go astray
+                shifts[b] -= np.linalg.lstsq(rows, misses[b].ravel(), rcond=1e-9)[0]
+                continue
+            both = np.concatenate([slopes[b].reshape(-1, 3), rows], axis=1)
+            move = -np.linalg.lstsq(both, misses[b].ravel(), rcond=1e-9)[0]
+            turns[b], shifts[b] = _moved(turns[b], shifts[b], turned[b].mean(axis=0), move)
+    return turns, shifts
+
+
+def _signed_permutations() -> list[FloatArray]:
+    signs, orders = list(itertools.product((1.0, -1.0), repeat=3)), list(itertools.permutations(range(3)))
+    return [np.eye(3)[list(order)] * np.array(sign) for order in orders for sign in signs]
+
+
+def _moved(turn: FloatArray, shift: FloatArray, about: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotate by move[:3], rad, about the point Q t = `about`, and shift by move[3:], metres."""
+    by = rotations(move[None, :3])[0]
+    return by @ turn, shift + move[3:] + about - by @ about
+
+
+def _refine(
+    axes: TipAxes, turn: FloatArray, shift: FloatArray, noise: NoiseSettings
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
+    """Fit with weights: rotation, shift, centre, information (6, 6), the weights (n, 2, 2) in 1/m^2, and sigma, m."""
+    variance, count = TIP_SD_MAX_M**2, len(axes.tips)
+    for _ in range(FIT_STEPS):
+        turned = axes.tips @ turn.T
+        about, there = turned.mean(axis=0), turned + shift
+        lever = (axes.poses[:, :3, :3] @ there[:, :, None])[:, :, 0]
+        misses = (axes.turned @ there[:, :, None])[:, :, 0] - axes.offsets
+        weights = row_precision(axes.pairs, lever, axes.forces, np.full(count, variance), noise)
+        squares = np.einsum("ni,nij,nj->n", misses, weights, misses)
+        trust = np.minimum(1.0, HUBER_LIMIT / np.sqrt(np.maximum(squares, 1e-12)))
+        slopes = np.concatenate([axes.turned @ -cross_matrix(turned - about), axes.turned], axis=2)
+        weights = weights * trust[:, None, None]
+        information = np.einsum("nik,nij,njl->kl", slopes, weights, slopes)
+        pull = np.einsum("nik,nij,nj->k", slopes, weights, misses)
+        turn, shift = _moved(turn, shift, about, -np.linalg.pinv(information, hermitian=True, rcond=1e-12) @ pull)
+        sensor = np.linalg.inv(row_precision(axes.pairs, lever, axes.forces, np.zeros(count), noise))
+        freedom = (2.0 * count - 6.0) / (2.0 * count)
+        seen = np.sum(trust * (np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2))) / np.sum(trust)
+        variance = max(float(seen) / 2.0, TIP_SD_MIN_M**2)
+    return turn, shift, about + shift, information, weights, float(np.sqrt(variance))
+
+
+def _across_sd(axes: TipAxes, covariance: FloatArray) -> float:
+    """Compute the sd, m, of the frame's position in its worst direction across the mean push."""
+    across = np.einsum("nij,nik->jk", axes.turned, axes.turned) / len(axes.tips)
+    directions = np.linalg.eigh(across)[1][:, 1:]
+    return float(np.sqrt(np.linalg.eigvalsh(directions.T @ covariance[3:, 3:] @ directions)[-1]))
+
+
+def _has_rival(
+    axes: TipAxes, best: tuple[FloatArray, FloatArray], others: tuple[FloatArray, FloatArray], weights: FloatArray
+) -> bool:
+    """Whether one of the other poses, which differs from the best, fits about as well."""
+
+    def chi2(turn: FloatArray, shift: FloatArray) -> float:
+        misses = _misses(axes, turn, shift)
+        return float(np.einsum("ni,nij,nj->", misses, weights, misses))
+
+    least, centre = chi2(*best), axes.tips.mean(axis=0)
+    for turn, shift in zip(*others, strict=True):
+        angle = np.arccos(np.clip((np.trace(turn @ best[0].T) - 1.0) / 2.0, -1.0, 1.0))
+        apart = np.linalg.norm((turn - best[0]) @ centre + shift - best[1])
+        is_other = angle > OTHER_POSE_ANGLE_RAD or apart > OTHER_POSE_SHIFT_M
+        if is_other and chi2(turn, shift) - least < MIN_CHI2_OF_OTHER_POSE:
+            return True
+    return False
