@@ -29,7 +29,7 @@ from skincal.taxels.noise import row_precision
 MIN_POKES_FOR_FRAME = 12
 REFIT_GROWTH = 1.25
 """Factor of the number of pokes between two fits: a fit moves every taxel, so there are few of them."""
-TIP_SD_MIN_M, TIP_SD_MAX_M = 0.0001, 0.010
+TIP_SD_MIN_M, TIP_SD_MAX_M = 0.0003, 0.010
 """Below the first no tracker measures; above the second the positions are of another frame, or late."""
 FRAME_SHIFT_SD_MAX_M = 0.005
 """sd of the frame's position at the pokes, across the mean push, above which it is not used."""
@@ -85,7 +85,7 @@ class TipFrame:
         return float(np.sqrt(np.trace(self.covariance[:3, :3]) / 3.0))
 
     def places(self, contacts: Sequence[Contact]) -> tuple[FloatArray, FloatArray]:
-        """Compute the tips of contacts, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the covariance's unknowns."""
+        """Compute the tips of contacts, (n, 3), metres, link frame, and (n, 3, 6) their gradients by the six unknowns."""
         poses = np.array([contact.link_from_sensor for contact in contacts])
         tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
         there = tips @ self.rotation.T + self.shift
@@ -151,18 +151,20 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
     turns, shifts = _start_poses(axes.take(slice(None, None, -(-len(contacts) // START_POKES_MAX))))
     costs = [float(np.median(np.abs(_misses(axes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
     best = int(np.argmin(costs))
-    turn, shift, centre, information, weights, sd = _refine(axes, turns[best], shifts[best], noise)
-    covariance = np.linalg.pinv(information, hermitian=True, rcond=1e-12)
-    state = TipState.USED
+    fit = _Fit.at(axes, turns[best], shifts[best], TIP_SD_MAX_M**2, noise)
+    for _ in range(FIT_STEPS):
+        fit = fit.next(axes, noise)
+    state, sd = TipState.USED, float(np.sqrt(fit.variance))
     if sd > TIP_SD_MAX_M:
         state = TipState.DISAGREES
-    elif _across_sd(axes, covariance) > FRAME_SHIFT_SD_MAX_M or _has_rival(axes, (turn, shift), (turns, shifts), weights):
+    elif _across_sd(axes, fit.covariance) > FRAME_SHIFT_SD_MAX_M or _has_rival(axes, fit, turns, shifts):
         state = TipState.AMBIGUOUS
-    return TipFrame(state, len(contacts), turn, shift, centre, covariance, sd, ratio)
+    return TipFrame(state, len(contacts), fit.turn, fit.shift, fit.centre + fit.shift, fit.covariance, sd, ratio)
 
 
 def _spread(points: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.var(points, axis=0).sum())))
+    off = points - points.mean(axis=0)
+    return float(np.sqrt(np.mean(np.sum(off * off, axis=1))))
 
 
 def _misses(axes: TipAxes, turn: FloatArray, shift: FloatArray) -> FloatArray:
@@ -173,7 +175,7 @@ def _misses(axes: TipAxes, turn: FloatArray, shift: FloatArray) -> FloatArray:
 
 def _start_poses(axes: TipAxes) -> tuple[FloatArray, FloatArray]:
     """Fit the frame from each of 24 rotations without weights: (24, 3, 3) and (24, 3), metres."""
-    turns = np.array([made for made in _signed_permutations() if np.linalg.det(made) > 0])
+    turns: FloatArray = np.array([made for made in _signed_permutations() if np.linalg.det(made) > 0])
     shifts = np.zeros((len(turns), 3))
     rows = axes.turned.reshape(-1, 3)
     for step in range(START_STEPS):
@@ -185,7 +187,7 @@ def _start_poses(axes: TipAxes) -> tuple[FloatArray, FloatArray]:
                 shifts[b] -= np.linalg.lstsq(rows, misses[b].ravel(), rcond=1e-9)[0]
                 continue
             both = np.concatenate([slopes[b].reshape(-1, 3), rows], axis=1)
-            move = -np.linalg.lstsq(both, misses[b].ravel(), rcond=1e-9)[0]
+            move = -np.asarray(np.linalg.lstsq(both, misses[b].ravel(), rcond=1e-9)[0], dtype=np.float64)
             turns[b], shifts[b] = _moved(turns[b], shifts[b], turned[b].mean(axis=0), move)
     return turns, shifts
 
@@ -201,29 +203,45 @@ def _moved(turn: FloatArray, shift: FloatArray, about: FloatArray, move: FloatAr
     return by @ turn, shift + move[3:] + about - by @ about
 
 
-def _refine(
-    axes: TipAxes, turn: FloatArray, shift: FloatArray, noise: NoiseSettings
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, float]:
-    """Fit with weights: rotation, shift, centre, information (6, 6), the weights (n, 2, 2) in 1/m^2, and sigma, m."""
-    variance, count = TIP_SD_MAX_M**2, len(axes.tips)
-    for _ in range(FIT_STEPS):
-        turned = axes.tips @ turn.T
-        about, there = turned.mean(axis=0), turned + shift
-        lever = (axes.poses[:, :3, :3] @ there[:, :, None])[:, :, 0]
-        misses = (axes.turned @ there[:, :, None])[:, :, 0] - axes.offsets
-        weights = row_precision(axes.pairs, lever, axes.forces, np.full(count, variance), noise)
-        squares = np.einsum("ni,nij,nj->n", misses, weights, misses)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Weighted equations at a pose of the frame."""
+
+    turn: FloatArray
+    shift: FloatArray
+    variance: float
+    """m^2, of a tip position, each direction."""
+    centre: FloatArray
+    """(3,) float, metres: mean of Q t."""
+    weights: FloatArray
+    """(n, 2, 2) float, 1/m^2: with Huber's."""
+    covariance: FloatArray
+    move: FloatArray
+    """(6,) float: the Gauss-Newton step."""
+
+    @classmethod
+    def at(cls, axes: TipAxes, turn: FloatArray, shift: FloatArray, variance: float, noise: NoiseSettings) -> _Fit:
+        count, turned = len(axes.tips), axes.tips @ turn.T
+        centre: FloatArray = turned.mean(axis=0)
+        lever = (axes.poses[:, :3, :3] @ (turned + shift)[:, :, None])[:, :, 0]
+        misses = _misses(axes, turn, shift)
+        precision = row_precision(axes.pairs, lever, axes.forces, np.full(count, variance), noise)
+        squares = np.einsum("ni,nij,nj->n", misses, precision, misses)
         trust = np.minimum(1.0, HUBER_LIMIT / np.sqrt(np.maximum(squares, 1e-12)))
-        slopes = np.concatenate([axes.turned @ -cross_matrix(turned - about), axes.turned], axis=2)
-        weights = weights * trust[:, None, None]
+        slopes = np.concatenate([axes.turned @ -cross_matrix(turned - centre), axes.turned], axis=2)
+        weights = precision * trust[:, None, None]
         information = np.einsum("nik,nij,njl->kl", slopes, weights, slopes)
-        pull = np.einsum("nik,nij,nj->k", slopes, weights, misses)
-        turn, shift = _moved(turn, shift, about, -np.linalg.pinv(information, hermitian=True, rcond=1e-12) @ pull)
+        covariance = np.asarray(np.linalg.pinv(information, hermitian=True, rcond=1e-12), dtype=np.float64)
+        move = -covariance @ np.einsum("nik,nij,nj->k", slopes, weights, misses)
         sensor = np.linalg.inv(row_precision(axes.pairs, lever, axes.forces, np.zeros(count), noise))
         freedom = (2.0 * count - 6.0) / (2.0 * count)
-        seen = np.sum(trust * (np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2))) / np.sum(trust)
-        variance = max(float(seen) / 2.0, TIP_SD_MIN_M**2)
-    return turn, shift, about + shift, information, weights, float(np.sqrt(variance))
+        seen = np.sum(misses**2, axis=1) / freedom - np.trace(sensor, axis1=1, axis2=2)
+        variance = max(float(trust @ seen / trust.sum()) / 2.0, TIP_SD_MIN_M**2)
+        return cls(turn, shift, variance, centre, weights, covariance, move)
+
+    def next(self, axes: TipAxes, noise: NoiseSettings) -> _Fit:
+        """Give the equations after the Gauss-Newton step."""
+        return _Fit.at(axes, *_moved(self.turn, self.shift, self.centre, self.move), self.variance, noise)
 
 
 def _across_sd(axes: TipAxes, covariance: FloatArray) -> float:
@@ -233,19 +251,17 @@ def _across_sd(axes: TipAxes, covariance: FloatArray) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(directions.T @ covariance[3:, 3:] @ directions)[-1]))
 
 
-def _has_rival(
-    axes: TipAxes, best: tuple[FloatArray, FloatArray], others: tuple[FloatArray, FloatArray], weights: FloatArray
-) -> bool:
+def _has_rival(axes: TipAxes, best: _Fit, turns: FloatArray, shifts: FloatArray) -> bool:
     """Whether one of the other poses, which differs from the best, fits about as well."""
 
     def chi2(turn: FloatArray, shift: FloatArray) -> float:
         misses = _misses(axes, turn, shift)
-        return float(np.einsum("ni,nij,nj->", misses, weights, misses))
+        return float(np.einsum("ni,nij,nj->", misses, best.weights, misses))
 
-    least, centre = chi2(*best), axes.tips.mean(axis=0)
-    for turn, shift in zip(*others, strict=True):
-        angle = np.arccos(np.clip((np.trace(turn @ best[0].T) - 1.0) / 2.0, -1.0, 1.0))
-        apart = np.linalg.norm((turn - best[0]) @ centre + shift - best[1])
+    least, centre = chi2(best.turn, best.shift), axes.tips.mean(axis=0)
+    for turn, shift in zip(turns, shifts, strict=True):
+        angle = np.arccos(np.clip((np.trace(turn @ best.turn.T) - 1.0) / 2.0, -1.0, 1.0))
+        apart = np.linalg.norm((turn - best.turn) @ centre + shift - best.shift)
         is_other = angle > OTHER_POSE_ANGLE_RAD or apart > OTHER_POSE_SHIFT_M
         if is_other and chi2(turn, shift) - least < MIN_CHI2_OF_OTHER_POSE:
             return True

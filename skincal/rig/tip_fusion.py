@@ -15,8 +15,8 @@ for an axis stays the sensor's: predicted errors are upper bounds.
 
 s the offset of the contact from the taxel, each direction, in the skin with the normal n (`uncertainty.h`). An answer without a
 tip has W_k = E' (D + ...)^-1 E. Three errors are common to the answers of a taxel: Sigma, the neighbours' offsets
-(`uncertainty.h`), and s^2 / radius, the mean depth of an offset contact on a bent skin. This replaces the free method's estimate,
-also where the axes alone leave the depth unknown.
+(`uncertainty.h`), and s^2 / radius, the mean depth of an offset contact on a bent skin. This estimate replaces that of the
+free method, also where the axes alone leave the depth unknown.
 
 A tip that disagrees with its axis (chi-square above `OUTLIER_CHI2_2DOF`) is not used.
 """
@@ -92,15 +92,15 @@ class TipFusion:
         if rows is None:
             return estimate
         weights, points, noise, common = rows
-        information = weights.sum(axis=0)
+        information: FloatArray = weights.sum(axis=0)
         if not np.linalg.eigvalsh(information)[0] > SD_MAX**-2:
             return estimate
-        inverse = np.linalg.inv(information)
+        inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         position = inverse @ np.sum(weights @ points[:, :, None], axis=0)[:, 0]
         shifts = np.sum(weights @ common, axis=0)
-        covariance = inverse @ (np.sum(weights @ noise @ weights, axis=0) + shifts @ shifts.T) @ inverse
+        covariance: FloatArray = inverse @ (np.sum(weights @ noise @ weights, axis=0) + shifts @ shifts.T) @ inverse
         if estimate.moved is not None:
-            covariance = covariance + estimate.moved @ estimate.moved.T
+            covariance += estimate.moved @ estimate.moved.T
         values, axes = np.linalg.eigh(covariance)
         worst = axes[:, -1]
         return Estimate(
@@ -117,8 +117,8 @@ class TipFusion:
 
         Returns
         -------
-        weights (n, 3, 3) in 1/m^2, points (n, 3) in m, noise (n, 3, 3) in m^2, and the shifts by errors that all share, (n, 3, 10)
-        in m: of the frame, of neighbours, and of the bend.
+        weights (n, 3, 3) in 1/m^2, points (n, 3) in m, noise (n, 3, 3) in m^2, and the shifts by common errors, (n, 3, 10) in
+        m: of the frame, of neighbours, and of the bend.
         """
         tips = [self._tips.get(poke) for poke in evidence.pokes.tolist()]
         has_tip = np.array([tip is not None for tip in tips])

@@ -152,7 +152,7 @@ class Session:
         was, now = before is not None and isinstance(before.outcome, Contact), isinstance(outcome, Contact)
         asked = self.asked if before is None else before.asked
         self._reported[poke] = outcome
-        self._has_tips |= now and outcome.tip is not None
+        self._has_tips |= isinstance(outcome, Contact) and outcome.tip is not None
         self._store_record(PokeRecord(self._corrected(poke), poke in self.decisions.excluded, asked))
         # The tare after a poke can turn an accepted poke into a rejection, which cannot be undone.
         if now and not was:

@@ -45,11 +45,6 @@ EXPECTED_BY = {
     Stream.JOINTS: "the arm needs",
     Stream.TIP: "a tip has",
 }
-    Stream.WRENCH: "a force/torque sensor has",
-    Stream.SKIN: "the scene has",
-    Stream.JOINTS: "the arm needs",
-    Stream.TIP: "a tip has",
-}
 
 
 def link_name(link: LinkHealth) -> str:
