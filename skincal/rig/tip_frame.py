@@ -21,7 +21,7 @@ from enum import Enum
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, cross_matrix, crossed, orthonormal_pair
+from skincal.geometry import FloatArray, cross_matrix, crossed, mean_rows, orthonormal_pair
 from skincal.model.scene import NoiseSettings
 from skincal.modules.pose import rotations
 from skincal.taxels.noise import row_precision
@@ -163,8 +163,8 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
 
 
 def _spread(points: FloatArray) -> float:
-    off = points - points.mean(axis=0)
-    return float(np.sqrt(np.mean(np.sum(off * off, axis=1))))
+    """Compute the rms distance of points (n, 3) from their mean."""
+    return float(np.linalg.norm(points - mean_rows(points))) / len(points) ** 0.5
 
 
 def _misses(axes: TipAxes, turn: FloatArray, shift: FloatArray) -> FloatArray:

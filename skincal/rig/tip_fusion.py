@@ -34,7 +34,7 @@ from skincal.model.scene import NoiseSettings
 from skincal.rig.tip_frame import TipAxes, TipFrame
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.noise import offset_square, row_precision
-from skincal.taxels.result import SD_MAX, Cause, Estimate, Method, State
+from skincal.taxels.result import POSITION_MAX_SD_M, Cause, Estimate, Method, State
 
 OUTLIER_CHI2_2DOF = 18.4
 """Exceeded by one in 10,000 (chi-square, two degrees of freedom)."""
@@ -93,7 +93,7 @@ class TipFusion:
             return estimate
         weights, points, noise, common = rows
         information: FloatArray = weights.sum(axis=0)
-        if not np.linalg.eigvalsh(information)[0] > SD_MAX**-2:
+        if not np.linalg.eigvalsh(information)[0] > POSITION_MAX_SD_M**-2:
             return estimate
         inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
         position = inverse @ np.sum(weights @ points[:, :, None], axis=0)[:, 0]
