@@ -121,7 +121,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--skin", default="", help="device of the skin")
     parser.add_argument("--joints", default="", help="device that streams the arm's joints")
     parser.add_argument(
-        "--targets", default="", metavar="[HOST:]PORT", help="ask a robot to poke, by lines over TCP (docs/wire.md)"
+        "--targets",
+        default="",
+        metavar="[HOST:]PORT|ros2:",
+        help="ask a robot to poke, by lines over TCP (docs/wire.md) or topics (docs/ros.md)",
     )
     parser.add_argument("--new", type=Path, help="folder of the new session")
     parser.add_argument("--headless", action="store_true", help="run the simulated session without a window, to files in --new")

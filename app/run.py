@@ -65,9 +65,9 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     addresses = Addresses(options.wrench, options.skin, options.joints)
     check_addresses(addresses)
     if options.targets:
-        from skincal.robot.target_server import parse_port
+        from skincal.robot.targets import check_targets
 
-        parse_port(options.targets)
+        check_targets(options.targets)
         if not addresses and options.session is None:
             raise InputError("--targets asks a robot, and no device is named; expected --wrench and --skin with it.")
     if options.session is not None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from skincal.guide.verdict import Verdict
     from skincal.model.actions import Action
     from skincal.rig.correction_fit import RigAnswer
-    from skincal.robot.target_server import TargetServer
+    from skincal.robot.targets import Targets
     from skincal.session.guided_session import GuidedSession
     from skincal.session.part import Part
     from skincal.session.pipeline import Pipeline
@@ -153,7 +153,7 @@ class Controller(QObject):
         self._server: DeviceProcess | None = None
         self._recording: Recording | None = None
         self._reviewing: ReviewClient | None = None
-        self._targets: TargetServer | None = None
+        self._targets: Targets | None = None
         """Sends poke targets to a robot or the simulated operator."""
         self.running = Running.OPENING
         self.prepare: Callable[[], object] = lambda: None
@@ -272,16 +272,16 @@ class Controller(QObject):
         # The simulated operator gets targets as a robot does.
         self._serve_targets(ANY_PORT)
         targets = self._targets
-        self._server.start(command if targets is None else (*command, "--targets", f"{targets.host}:{targets.port}"))
+        self._server.start(command if targets is None else (*command, "--targets", targets.place))
 
     def _serve_targets(self, port: str) -> None:
-        """Send poke targets at a port, `[HOST:]PORT`, if one is named."""
+        """Send poke targets at a port or by ROS 2, if one is named."""
         if not port:
             return
-        from skincal.robot.target_server import TargetServer, parse_port
+        from skincal.robot.targets import open_targets
 
         try:
-            self._targets = TargetServer(*parse_port(port))
+            self._targets = open_targets(port)
         except InputError as error:
             self._say_failure(str(error))
 

@@ -34,7 +34,7 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.geometry import FloatArray
     from skincal.model.scene import Scene
-    from skincal.robot.target_server import TargetServer
+    from skincal.robot.targets import Targets
     from skincal.session.guided_session import RobotGuide
     from skincal.session.pipeline import Pipeline
     from skincal.streams.links import ChunkQueue, Reader
@@ -98,8 +98,8 @@ def record(
     targets: Annotated[
         str | None,
         typer.Option(
-            metavar="[HOST:]PORT",
-            help="Ask a robot to poke what the guide wants, by lines over TCP (docs/wire.md), until enough.",
+            metavar="[HOST:]PORT|ros2:",
+            help="Ask a robot for the pokes of the guide, by TCP (docs/wire.md) or ROS topics (docs/ros.md), until enough.",
         ),
     ] = None,
     method: Annotated[
@@ -148,19 +148,19 @@ def record(
 
 
 @contextlib.contextmanager
-def _asking(targets: str | None) -> Generator[TargetServer | None]:
-    """Yield the server of poke targets; `None` without `--targets`."""
+def _asking(targets: str | None) -> Generator[Targets | None]:
+    """Yield the way to ask a robot; `None` without `--targets`."""
     if targets is None:
         yield None
         return
-    from skincal.robot.target_server import TargetServer, parse_port
+    from skincal.robot.targets import open_targets
 
-    with contextlib.closing(TargetServer(*parse_port(targets))) as server:
-        say(f"targets: a robot is asked at {server.host}:{server.port}", err=True)
+    with contextlib.closing(open_targets(targets)) as server:
+        say(f"targets: a robot is asked at {server.place}", err=True)
         yield server
 
 
-def _guide(pipeline: Pipeline, server: TargetServer | None, method: Method | None) -> RobotGuide | None:
+def _guide(pipeline: Pipeline, server: Targets | None, method: Method | None) -> RobotGuide | None:
     from skincal.session.guided_session import RobotGuide
 
     return None if server is None else RobotGuide(pipeline, server, method)

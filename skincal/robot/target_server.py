@@ -93,6 +93,11 @@ class TargetServer:
         self._thread = threading.Thread(target=self._run, name="targets", daemon=True)
         self._thread.start()
 
+    @property
+    def place(self) -> str:
+        """Host and port, for sentences."""
+        return f"{self.host}:{self.port}"
+
     # Called from other threads
 
     def send(self, lines: Sequence[AskedLine]) -> None:

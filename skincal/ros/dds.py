@@ -31,8 +31,6 @@ TAKEN_MAX = 1000
 """Messages of one topic that are taken at once."""
 WAITING_MAX = 4000
 """Messages of one topic that wait for this program: four seconds at 1 kHz. Those beyond are counted."""
-LATCHED_MAX = 1
-"""A latched topic keeps its last message for readers that come later."""
 WRITE_MAX_MS = 100
 """ms. Longest wait of a writer for a slow reader."""
 _TYPE_LOCK = threading.RLock()
@@ -75,6 +73,10 @@ def ros_type_name(dds_name: str) -> str:
     if len(words) != 4 or words[1] != "msg" or words[2] != "dds_" or not words[3].endswith("_"):
         return ""
     return f"{words[0]}/msg/{words[3][:-1]}"
+
+
+def _reliability() -> Any:
+    return _module("core").Policy.Reliability.Reliable(_module("util").duration(milliseconds=WRITE_MAX_MS))
 
 
 class _StructBuilder:
@@ -145,18 +147,19 @@ class Participant:
                     self._publishers[key] = info.source_timestamp, topic, ros_type_name(each.type_name)
         return [(topic, type_name) for _, topic, type_name in sorted(self._publishers.values())]
 
-    def reader(self, topic: str, type_name: str, *, latched: bool = False) -> TopicReader:
-        """Open a reader that takes from any publisher; a latched one also gets the last message from before.
+    def reader(self, topic: str, type_name: str, *, reliable: bool = False, latched: bool = False) -> TopicReader:
+        """Open a reader, by default for any publisher.
+
+        Parameters
+        ----------
+        reliable : lost messages are sent again; a publisher of best effort is not read
+        latched : the last message from before is read, too; a publisher that keeps none is not read
 
         Raises InputError: DDS refuses; MessageError: the type cannot be read.
         """
-        core, duration = _module("core"), _module("util").duration
-        policy = core.Policy
-        reliability = (
-            policy.Reliability.Reliable(duration(milliseconds=WRITE_MAX_MS)) if latched else policy.Reliability.BestEffort
-        )
+        core, policy = _module("core"), _module("core").Policy
         qos = core.Qos(
-            reliability,
+            _reliability() if reliable or latched else policy.Reliability.BestEffort,
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
             # Not the last ones: a message that finds no room is counted, one that is overwritten is not.
             policy.History.KeepAll,
@@ -171,13 +174,16 @@ class Participant:
         return reader
 
     def writer(self, topic: str, type_name: str, *, latched: bool = False) -> TopicWriter:
-        """Open a reliable writer. Raises InputError: DDS refuses; MessageError: the type cannot be written."""
-        core, duration = _module("core"), _module("util").duration
-        policy = core.Policy
+        """Open a reliable writer; a latched one keeps its last message for readers that come later.
+
+        Raises InputError: DDS refuses; MessageError: the type cannot be written.
+        """
+        core, policy = _module("core"), _module("core").Policy
         qos = core.Qos(
-            policy.Reliability.Reliable(duration(milliseconds=WRITE_MAX_MS)),
+            _reliability(),
             policy.Durability.TransientLocal if latched else policy.Durability.Volatile,
-            policy.History.KeepLast(LATCHED_MAX if latched else TAKEN_MAX),
+            policy.History.KeepLast(TAKEN_MAX),
+            policy.DurabilityService(0, policy.History.KeepLast(1), -1, -1, -1),
         )
         with _in_words(topic):
             writer = TopicWriter(

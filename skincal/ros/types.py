@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from skincal.model.errors import InputError
 from skincal.model.given import read_regular
 
@@ -157,9 +159,18 @@ class MessageTypes:
         except (SerdeError, IndexError, OverflowError, MemoryError, RecursionError, AssertionError, ValueError):
             raise MessageError(f"{len(data)} bytes are no message of the type {name}") from None
 
-    def make(self, type_name: str, *values: Any) -> Any:
-        """Make a message of the values of its fields, in their order."""
-        return self._store.types[self._require(type_name)](*values)
+    def make(self, type_name: str, **values: Any) -> Any:
+        """Make a message of the values of some fields; the others are 0, false or empty."""
+        name = self._require(type_name)
+        zeros = {field.name: self._zero(field) for field in self.fields_of(name) if field.name not in values}
+        return self._store.types[name](**zeros, **values)
+
+    def _zero(self, field: Field) -> Any:
+        if field.is_array and field.kind == "number":
+            return np.zeros(field.length, np.uint8 if field.type_name in ("byte", "octet", "char") else field.type_name)
+        zero = 0.0 if field.type_name.startswith("float") else field.type_name != "bool" and 0
+        one = self.make(field.type_name) if field.kind == "message" else "" if field.kind == "text" else zero
+        return [one] * field.length if field.is_array else one
 
     def encode(self, message: Any, type_name: str) -> bytes:
         """Write a message of ROS 2 as CDR."""

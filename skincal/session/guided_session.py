@@ -16,8 +16,10 @@ from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface, point_on_skin
 from skincal.model.actions import AskLandmark, BeginClosing
 from skincal.model.errors import InputError
+from skincal.robot.ros_targets import RosTargets
 from skincal.robot.target_lines import NoTarget, TipPose
-from skincal.robot.target_server import RobotChange, TargetServer
+from skincal.robot.target_server import RobotChange
+from skincal.robot.targets import Targets
 from skincal.session.error_history import ErrorFollower, ModulesCheck, Run
 from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
@@ -89,7 +91,7 @@ class GuidedSession:
         self.tip: TipPose | None = None
         """Tip of the robot as it reports it; `None` without one."""
 
-    def handle_answers(self, pipeline: Pipeline, server: TargetServer, now_ns: int) -> list[str]:
+    def handle_answers(self, pipeline: Pipeline, server: Targets, now_ns: int) -> list[str]:
         """Handle what robots said since the last call; give sentences for the operator."""
         sentences = list[str]()
         for item in server.take():
@@ -124,7 +126,7 @@ class GuidedSession:
         """Whether the operator has stopped the robot."""
         return self._robot.is_halted
 
-    def halt_robot(self, server: TargetServer) -> None:
+    def halt_robot(self, server: Targets) -> None:
         """Stop the robot at once."""
         server.send(self._robot.halt())
 
@@ -137,7 +139,7 @@ class GuidedSession:
         pipeline: Pipeline,
         snapshot: Snapshot,
         now_ns: int,
-        server: TargetServer | None = None,
+        server: Targets | None = None,
         *,
         is_recording: bool = True,
         seen_ns: int | None = None,
@@ -171,6 +173,8 @@ class GuidedSession:
         held = measuring and pipeline.phase is PressPhase.HELD
         lines = self._robot.lines_to_send(self.guidance, snapshot, pose[0], now_ns * 1e-9, measuring=measuring, held=held)
         server.send(lines)
+        if isinstance(server, RosTargets):
+            server.show_taxels(pipeline.scene.link, snapshot.estimates.get(self.method, ()))
         return NoTarget.ENOUGH in lines
 
 
@@ -196,7 +200,7 @@ class RobotGuide:
     method : whose needs the guide follows; `None` for the one that the window shows first
     """
 
-    def __init__(self, pipeline: Pipeline, server: TargetServer, method: Method | None) -> None:
+    def __init__(self, pipeline: Pipeline, server: Targets, method: Method | None) -> None:
         part = lay_part(pipeline.scene, pipeline.session.surface, ())
         methods = methods_of(part.scene, part.surface)
         if method is not None and method not in methods:

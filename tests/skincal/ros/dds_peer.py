@@ -108,6 +108,37 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 @dataclass
 @final
+class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+@final
+class Point(IdlStruct, typename="geometry_msgs::msg::dds_::Point_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+@final
+class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
+    position: Point
+    orientation: Quaternion
+
+
+@dataclass
+@final
+class PoseStamped(IdlStruct, typename="geometry_msgs::msg::dds_::PoseStamped_"):
+    header: Header
+    pose: Pose
+
+
+@dataclass
+@final
 class Cells(IdlStruct, typename="lab_msgs::msg::dds_::Cells_"):
     """A laboratory's own type: `uint8[3] id`, `Pair[] pairs`."""
 

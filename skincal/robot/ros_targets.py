@@ -1,0 +1,187 @@
+"""Targets for a robot by ROS 2 topics, in place of lines over TCP; and the positions of the taxels for RViz.
+
+`/skincal/target` (PoseStamped, latched) is the place of the poke; its z axis points in the direction of the push.
+`/skincal/verdict` (String, latched) is JSON: the target's number, channel, force, hold and arm pose; verdicts; wait and stop.
+`/skincal/reached` (String) is the robot's answer, a line as over TCP: `reached 7`, `skip 7 REASON`, `fault 7 TEXT`.
+`/skincal/taxels` (MarkerArray, latched) has a sphere at each known taxel.
+
+A robot pokes while the last message on `/skincal/verdict` has a target.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError, plain_text
+from skincal.robot.target_lines import (
+    AskedLine,
+    Held,
+    Judged,
+    NoTarget,
+    PokeTarget,
+    Refused,
+    RobotLine,
+    read_answer_line,
+)
+from skincal.robot.target_server import RobotChange
+from skincal.ros.dds import Participant, default_domain, read_domain
+from skincal.ros.types import MessageError, MessageTypes
+from skincal.taxels.result import Estimate, State
+
+ROS_TARGETS = "ros2:"
+"""Begin of `--targets` for this way."""
+POSE, STRING = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
+POINT, MARKERS = "geometry_msgs/msg/Point", "visualization_msgs/msg/MarkerArray"
+SPHERE_LIST = 7
+"""`Marker.SPHERE_LIST`."""
+TAXEL_DIAMETER_M = 0.004
+TAXEL_COLOR = (0.1, 0.6, 0.3, 1.0)
+"""Red, green, blue and opacity."""
+ANSWER_MAX_CHARS = 512
+
+
+def parse_ros_targets(text: str) -> int:
+    """Read the domain of `ros2:` or `ros2:?domain=N`. Raises InputError."""
+    option = text.removeprefix(ROS_TARGETS)
+    if not option:
+        return default_domain()
+    name, _, number = option.removeprefix("?").partition("=")
+    if name != "domain" or not option.startswith("?"):
+        raise InputError(f"{text!r} names no targets; expected ros2:, or ros2:?domain=N.")
+    return read_domain(number, "The domain of the targets")
+
+
+def quaternion_of(push: FloatArray) -> tuple[float, float, float, float]:
+    """Return x, y, z, w of the shortest turn that brings z to the unit vector `push`, (3,) float."""
+    px, py, pz = push.tolist()
+    if pz < -1.0 + 1e-9:
+        return 1.0, 0.0, 0.0, 0.0
+    size = math.sqrt(2.0 * (1.0 + pz))
+    return -py / size, px / size, 0.0, (1.0 + pz) / size
+
+
+def line_as_json(line: AskedLine) -> dict[str, Any]:
+    """Write a line as a JSON object; metres, newtons and seconds."""
+    match line:
+        case PokeTarget():
+            return {
+                "target": line.number,
+                "channel": line.channel,
+                "known_point": line.known,
+                "frame": line.frame,
+                "pose": line.pose,
+                "place": line.place.tolist(),
+                "push": line.push.tolist(),
+                "force": line.force,
+                "hold": line.hold,
+            }
+        case NoTarget():
+            return {"state": line.value}
+        case Held():
+            return {"held": line.number}
+        case Judged():
+            verdict = "rejected" if line.reason else "accepted"
+            return {"verdict": verdict, "number": line.number, "reason": line.reason}
+        case Refused():
+            return {"refused": line.reason}
+
+
+class RosTargets:
+    """Publishes targets and reads a robot's answers, as `TargetServer` does over TCP. For one thread.
+
+    Raises InputError: DDS is not installed, or refuses.
+    """
+
+    def __init__(self, domain: int) -> None:
+        self._types = MessageTypes()
+        self._participant = Participant(domain, self._types)
+        try:
+            self._target = self._participant.writer("/skincal/target", POSE, latched=True)
+            self._verdict = self._participant.writer("/skincal/verdict", STRING, latched=True)
+            self._taxels = self._participant.writer("/skincal/taxels", MARKERS, latched=True)
+            self._answers = self._participant.reader("/skincal/reached", STRING, reliable=True)
+        except BaseException:
+            self._participant.close()
+            raise
+        self.place = f"/skincal/target of ROS 2 domain {domain}"
+        """For sentences."""
+        self._has_robot = False
+        self._said: list[str] = []
+        self._shown: Sequence[Estimate] = ()
+
+    def send(self, lines: Sequence[AskedLine]) -> None:
+        """Publish lines. Raises InputError."""
+        for line in lines:
+            if isinstance(line, PokeTarget):
+                self._target.write(self._pose_of(line))
+            self._verdict.write(self._types.make(STRING, data=json.dumps(line_as_json(line))))
+
+    def take(self) -> list[RobotLine | RobotChange | str]:
+        """Return the answers since the last call, and sentences on robots that connected or left."""
+        found: list[RobotLine | RobotChange | str] = [*self._said]
+        self._said.clear()
+        has_robot = self._answers.publishers > 0
+        if has_robot != self._has_robot:
+            self._has_robot = has_robot
+            found += [RobotChange.CAME, "A robot came, by ROS 2."] if has_robot else [RobotChange.LEFT, "The robot left ROS 2."]
+        for message in self._answers.take_messages():
+            try:
+                text = str(self._types.decode(message.data, STRING).data)
+                answer = read_answer_line(text[:ANSWER_MAX_CHARS])
+            except (InputError, MessageError) as error:
+                found.append(plain_text(f"A message on /skincal/reached is not used: {error}"))
+                continue
+            if answer is not None:
+                found.append(answer)
+        return found
+
+    def refuse(self, reason: str) -> None:
+        """Tell the robot that its answer is impossible."""
+        self.send([Refused(reason)])
+        self._said.append(plain_text(f"An answer on /skincal/reached is not used: {reason}"))
+
+    def show_taxels(self, frame: str, estimates: Sequence[Estimate]) -> None:
+        """Publish the positions of the taxels in the frame of the part, if they changed."""
+        if estimates is self._shown:
+            return
+        self._shown = estimates
+        places = [each.position for each in estimates if each.state is State.ESTIMATED and each.position is not None]
+        self._taxels.write(self._types.make(MARKERS, markers=[self._marker(frame, places)]))
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._participant.close()
+
+    def _header(self, frame: str) -> Any:
+        seconds, rest_ns = divmod(time.time_ns(), 10**9)
+        stamp = self._types.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest_ns)
+        return self._types.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def _vector(self, type_name: str, names: str, values: Sequence[float]) -> Any:
+        return self._types.make(type_name, **dict(zip(names, values, strict=True)))
+
+    def _pose(self, place: Sequence[float], quaternion: tuple[float, float, float, float]) -> Any:
+        orientation = self._vector("geometry_msgs/msg/Quaternion", "xyzw", quaternion)
+        return self._types.make("geometry_msgs/msg/Pose", position=self._vector(POINT, "xyz", place), orientation=orientation)
+
+    def _pose_of(self, target: PokeTarget) -> Any:
+        pose = self._pose(target.place.tolist(), quaternion_of(target.push))
+        return self._types.make(POSE, header=self._header(target.frame), pose=pose)
+
+    def _marker(self, frame: str, places: Sequence[FloatArray]) -> Any:
+        return self._types.make(
+            "visualization_msgs/msg/Marker",
+            header=self._header(frame),
+            ns="skincal",
+            type=SPHERE_LIST,
+            pose=self._pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
+            scale=self._vector("geometry_msgs/msg/Vector3", "xyz", [TAXEL_DIAMETER_M] * 3),
+            color=self._vector("std_msgs/msg/ColorRGBA", "rgba", TAXEL_COLOR),
+            frame_locked=True,
+            points=[self._vector(POINT, "xyz", place.tolist()) for place in places],
+        )

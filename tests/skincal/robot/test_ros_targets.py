@@ -1,0 +1,116 @@
+"""Targets by ROS 2: a robot's own node reads them and answers, on the loopback interface."""
+
+import json
+import time
+from contextlib import closing
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
+
+from skincal.model.errors import InputError
+from skincal.robot.ros_targets import RosTargets, parse_ros_targets, quaternion_of
+from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
+from skincal.robot.target_server import RobotChange, TargetServer
+from skincal.robot.targets import check_targets, open_targets
+from skincal.ros.dds import Participant
+from skincal.ros.types import MessageTypes
+from skincal.taxels.result import State
+from tests.skincal.meanwhile import PATIENCE_S
+from tests.skincal.ros.dds_peer import DOMAIN, Peer, PoseStamped, String
+
+PLACE, PUSH = np.array([0.01, -0.02, 0.03]), np.array([0.6, 0.0, -0.8])
+TARGET = PokeTarget(7, 12, PLACE, PUSH, False, "forearm", "1", 9.5, 0.6)
+
+
+def until(found, take, count):
+    """Take until so many were found."""
+    end_s = time.monotonic() + PATIENCE_S
+    while len(found) < count:
+        assert time.monotonic() < end_s, found
+        found += take()
+        time.sleep(0.01)
+    return found
+
+
+def test_a_robot_reads_targets_and_verdicts_also_later_and_answers():
+    with closing(RosTargets(DOMAIN)) as targets:
+        targets.send([TARGET])
+        peer = Peer()  # comes later: the target is latched
+        reader = peer.reader("/skincal/target", PoseStamped, latched=True)
+        (target,) = until([], lambda: reader.take(10), 1)
+        assert target.header.frame_id == "forearm"
+        assert abs(target.header.stamp.sec - time.time()) < PATIENCE_S
+        place, turn = target.pose.position, target.pose.orientation
+        assert (place.x, place.y, place.z) == tuple(PLACE)
+        x, y, z, w = turn.x, turn.y, turn.z, turn.w
+        assert np.allclose([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], PUSH, atol=1e-12)
+        words = peer.reader("/skincal/verdict", String, latched=True)
+        first = until([], lambda: words.take(10), 1)
+        targets.send([Held(7), Judged(7), Judged(8, "too light"), NoTarget.WAIT])
+        told = [json.loads(each.data) for each in until(first, lambda: words.take(10), 5)]
+        assert told[0] == {
+            "target": 7, "channel": 12, "known_point": False, "frame": "forearm", "pose": "1",
+            "place": PLACE.tolist(), "push": PUSH.tolist(), "force": 9.5, "hold": 0.6,
+        }  # fmt: skip
+        assert told[1:] == [
+            {"held": 7},
+            {"verdict": "accepted", "number": 7, "reason": ""},
+            {"verdict": "rejected", "number": 8, "reason": "too light"},
+            {"state": "wait"},
+        ]
+        peer.publish("/skincal/reached", String("robot 0.1 2"))
+        came = until([], targets.take, 2)
+        assert came[:2] == [RobotChange.CAME, "A robot came, by ROS 2."]
+        for text in ("reached 7", "skip 8 too far", "dance", ""):
+            peer.publish("/skincal/reached", String(text))
+        found = until(came[2:], targets.take, 3)
+        assert [each for each in found if isinstance(each, Answer)] == [
+            Answer(AnswerKind.REACHED, 7),
+            Answer(AnswerKind.SKIP, 8, "too far"),
+        ]
+        assert "A message on /skincal/reached is not used: it says 'dance'" in "".join(x for x in found if isinstance(x, str))
+        targets.refuse("it answers 9")
+        assert until([], targets.take, 1) == ["An answer on /skincal/reached is not used: it answers 9"]
+        peer.drop("/skincal/reached")
+        assert RobotChange.LEFT in until([], targets.take, 2)
+
+
+def test_positions_of_taxels_are_latched_markers():
+    estimates = [
+        SimpleNamespace(state=State.ESTIMATED, position=PLACE),
+        SimpleNamespace(state=State.UNSEEN, position=None),
+        SimpleNamespace(state=State.ESTIMATED, position=-PLACE),
+    ]
+    types = MessageTypes()
+    with closing(RosTargets(DOMAIN)) as targets, closing(Participant(DOMAIN, types)) as viewer:
+        targets.show_taxels("forearm", estimates[:2])
+        targets.show_taxels("forearm", estimates)
+        targets.show_taxels("forearm", estimates)
+        reader = viewer.reader("/skincal/taxels", "visualization_msgs/msg/MarkerArray", latched=True)
+        found = until([], reader.take_messages, 1)
+        assert len(found) == 1
+        (marker,) = types.decode(found[0].data, "visualization_msgs/msg/MarkerArray").markers
+    assert (marker.header.frame_id, marker.type, marker.action, marker.scale.x) == ("forearm", 7, 0, 0.004)
+    assert [(each.x, each.y, each.z) for each in marker.points] == [tuple(PLACE), tuple(-PLACE)]
+
+
+@pytest.mark.parametrize("push", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -0.6, -0.8)])
+def test_z_of_the_pose_is_the_direction_of_the_push(push):
+    x, y, z, w = quaternion_of(np.array(push, float))
+    assert x * x + y * y + z * z + w * w == pytest.approx(1.0)
+    assert [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)] == pytest.approx(list(push), abs=1e-9)
+
+
+def test_the_option_names_a_port_or_a_domain(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    assert (parse_ros_targets("ros2:"), parse_ros_targets("ros2:?domain=7")) == (DOMAIN, 7)
+    with closing(open_targets("0")) as server:
+        assert isinstance(server, TargetServer)
+    with closing(open_targets("ros2:")) as targets:
+        assert targets.place == f"/skincal/target of ROS 2 domain {DOMAIN}"
+    for wrong in ("ros2:7", "ros2:?domain=400", "ros2:?port=1", "ros2:/x"):
+        with pytest.raises(InputError, match="expected"):
+            check_targets(wrong)
