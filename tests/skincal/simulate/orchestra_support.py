@@ -27,6 +27,12 @@ OWN = {"skb": "skb", "lines": "text"}
 """Boards of one's own, and the format that they speak."""
 
 
+def pairs_of_each():
+    """Each kind of wrench and of skin at least once; `tests/long` tries all pairs."""
+    most = max(len(WRENCHES), len(SKINS))
+    return [(WRENCHES[at % len(WRENCHES)], SKINS[at % len(SKINS)]) for at in range(most)]
+
+
 @contextmanager
 def reading(links, items=None):
     items = queue.SimpleQueue() if items is None else items

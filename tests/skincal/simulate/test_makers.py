@@ -18,7 +18,16 @@ from skincal.simulate.serve import Server
 from skincal.streams.intake import Intake
 from tests.skincal.meanwhile import meanwhile
 from tests.skincal.sim_support import make_rig
-from tests.skincal.simulate.orchestra_support import PATIENCE_S, PTYS, SKINS, WRENCHES, Brought, Orchestra, reading
+from tests.skincal.simulate.orchestra_support import (
+    PATIENCE_S,
+    PTYS,
+    SKINS,
+    WRENCHES,
+    Brought,
+    Orchestra,
+    pairs_of_each,
+    reading,
+)
 
 SERIAL = ("bota", "robotiq", "papillarray")
 POKES = 2
@@ -81,9 +90,8 @@ def played():
     return orchestra, brought.items
 
 
-@pytest.mark.parametrize("skin", SKINS)
-@pytest.mark.parametrize("wrench", WRENCHES)
-def test_a_session_over_each_pair_finds_the_pokes(played, wrench, skin):
+@pytest.mark.parametrize(("wrench", "skin"), pairs_of_each())
+def test_a_session_over_each_kind_finds_the_pokes(played, wrench, skin):
     orchestra, brought = played
     links = (orchestra.links[f"wrench {wrench}"], orchestra.links[f"skin {skin}"])
     pipeline = Pipeline(orchestra.line.rig.scene, links, None, None)

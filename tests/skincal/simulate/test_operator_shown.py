@@ -7,9 +7,6 @@ import pytest
 
 from skincal.contacts.outcome import Reason
 from skincal.geometry import move_wrench
-from skincal.guide.believed_positions import plan_from_layout
-from skincal.guide.guide import Guide
-from skincal.mesh.lay import place_layout
 from skincal.mesh.search import nearest_points
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState
@@ -32,7 +29,6 @@ from skincal.simulate.operator import (
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import tangents
 from skincal.streams.links import LinkSpec
-from skincal.taxels.result import Method
 from tests.approved import approved_pattern
 from tests.skincal.sim_support import ask_on, make_rig
 
@@ -241,42 +237,6 @@ def test_each_number_is_poked_once_and_said_to_be_reached_when_the_hand_is_back(
     assert answers == [Answer(AnswerKind.REACHED, 7)]
     assert guided.next(again.free) is None
     assert answers[1:] == [Answer(AnswerKind.REACHED, 8)]
-
-
-def guided_session(rig, pokes, seed=1):
-    """Return how many of so many pokes were answered most by the taxel that was asked for, through bytes and detector."""
-    scene = rig.scene
-    operator = GuidedOperator(rig, Habits.careful(), np.random.default_rng(seed), pokes)
-    line = DeviceTimeline(rig, operator, np.random.default_rng(seed + 1))
-    pipeline = Pipeline(
-        scene, [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()], rig.surface
-    )
-    plan = plan_from_layout(scene.skin.layout, place_layout(scene.skin.layout, scene.skin.anchor, rig.surface))
-    guide = Guide(plan, scene.noise, Method.FREE, scene.skin.layout.spacing)
-    for link in line.links:
-        pipeline.feed(LinkEvent(link, 0, LinkState.OPEN))
-    asked, hits, counted, known, number = None, 0, 0, -1, 0
-    while not line.finished:
-        for at_ns, link, data in line.advance():
-            pipeline.feed(Chunk(link, at_ns, data))
-        pipeline.tick(round(line.now * 1e9))
-        snapshot = pipeline.snapshot()
-        if snapshot.generation == known:
-            continue
-        contacts = {p.outcome.poke: p.outcome for p in snapshot.pokes if hasattr(p.outcome, "responses")}
-        hits += sum(c.channels[c.responses.argmax()] == asked for n, c in contacts.items() if n > counted)
-        known, counted = snapshot.generation, max(contacts, default=0)
-        guidance = guide.update(contacts, snapshot.estimates, pipeline.session.evidence, lambda _: None)
-        asked = guidance.target.channel
-        number += 1
-        operator.show(PokeTarget(number, asked, guidance.target.place, guidance.target.push))
-    return hits, len(contacts)
-
-
-def test_most_pokes_of_a_guided_session_are_those_that_were_asked_for():
-    hits, counted = guided_session(make_rig(RigErrors.noise(), name="flat-patch"), 40)
-    assert counted >= 36
-    assert hits >= 0.6 * counted
 
 
 def test_a_known_point_that_is_asked_for_comes_out_of_the_bytes_as_an_axis_through_it():
