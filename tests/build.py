@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from skincal.contacts.outcome import Outcome, Reason, Rejection
+from skincal.journal.documents import DetectorResult
 from skincal.journal.writer import create_session
 from skincal.mesh.surface import Surface
 from skincal.model.actions import Action, AtLandmark
@@ -57,6 +58,14 @@ def feed(pipeline: Pipeline, items: Sequence[Chunk | LinkEvent], actions: Iterab
         for at, action in due:
             if at == k:
                 pipeline.act(action, item.host_ns)
+    return pipeline
+
+
+def noted_session(folder: Path, scene: Scene, surface: Surface | None, outcomes: Sequence[Outcome]) -> Pipeline:
+    """A recorded session, still open, whose pokes are written as a detector's, without bytes: opened without a replay."""
+    pipeline, taken = Pipeline(scene, LINKS, surface, create_session(folder, scene, LINKS)), DetectorResult(list(outcomes))
+    pipeline.apply_note(taken)
+    pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
     return pipeline
 
 

@@ -1,23 +1,22 @@
 """Scenes and rigs that the tests of the simulator share."""
 
+import shutil
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from skincal.journal.reader import SessionLog
-from skincal.journal.writer import create_session
 from skincal.mesh.load import load_surface
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.robot.target_lines import PokeTarget
-from skincal.session.pipeline import Pipeline
-from skincal.session.replay import apply_item
+from skincal.session.replay import load
 from skincal.simulate.contacts import RECIPE_TILT, RECIPE_TURN
 from skincal.simulate.operator import Habits, presses_at
 from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import PressedPlaces, Rig
+from tests.build import noted_session
 
 RECIPE_HAND = float(np.radians(6.0))
 """rad, sd of the push about the one asked for, in each direction: a hand without a guide. Assumed."""
@@ -45,14 +44,20 @@ def recipe(rig: Rig, per_taxel: int, rng: np.random.Generator) -> PressedPlaces:
     return presses_at(rig, targets, beside, tilts, azimuths, rng.uniform(*habits.force, count), rng)
 
 
-def recorded_anew(folder: Path, into: Path) -> Path:
-    """Record a session's bytes with its scene as it says now, so that it is opened without playing them again."""
-    log = SessionLog(folder)
-    pipeline = Pipeline(log.scene, log.links, load_surface(log.scene.surface)[0], create_session(into, log.scene, log.links))
-    for item in log.items():
-        apply_item(pipeline, item)
-    pipeline.close()
-    return into
+def sample_with(folder: Path, file: str, *changes: tuple[str, str]) -> Path:
+    """The pokes of the sample session in a scene that says something else: `changes` of the text of one of its files."""
+    sample = resource("sessions/sample")
+    path = shutil.copytree(sample / "scene", folder / "scene") / file
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path.write_text(text, encoding="utf-8")
+    scene = load_scene(folder / "scene" / "scene.toml")
+    outcomes = [record.outcome for record in load(sample).snapshot().pokes]
+    noted_session(folder / "session", scene, load_surface(scene.surface)[0], outcomes).close()
+    shutil.copy(sample / "truth.json", folder / "session")
+    return folder / "session"
 
 
 def ask_on(hand):

@@ -29,17 +29,17 @@ def numbers(said):
 
 @pytest.mark.parametrize("speakers", ["netft,xela", "yarp"])
 def test_a_session_over_makers_devices_is_recorded_and_plays_to_the_same(tmp_path, capsys, speakers):
-    command = ["simulate", "--serve", "--operator", "told", "--careful", "--seed", "4", "--scene", str(PATCH), "--as", speakers]
+    command = ["simulate", "--serve", "--operator", "told", "--careful", "--pace", "4", "--scene", str(PATCH), "--as", speakers]
     folder = tmp_path / "live"
     with subprocess.Popen(
         [sys.executable, "-m", "skincal.cli", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as server:
         try:
             links = {link["name"]: link["address"] for link in json.loads(server.stdout.readline())["links"]}
-            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\n" * 3)  # on a busy machine some are rejected
+            server.stdin.write("poke 3 0 0 9\npoke 3 25 90 9\n" * 2)  # on a busy machine some are rejected
             server.stdin.flush()
             arguments = ["--wrench", links["wrench"], "--skin", links["skin"], "--scene", str(PATCH), "--out", str(folder)]
-            assert main(["record", *arguments, "--pokes", "5", "--seconds", "30", "--json"]) == 0
+            assert main(["record", *arguments, "--pokes", "3", "--seconds", "30", "--json"]) == 0
         finally:
             server.terminate()
     live = json.loads(capsys.readouterr().out)

@@ -30,7 +30,6 @@ from app.text.compare_text import (
     spacing_words,
 )
 from skincal.files.reference import TaxelPositions
-from skincal.model.scene import resource
 from skincal.model.skin import Anchor, load_layout
 from skincal.modules.health import LayoutRepair, MisplacedModule, MisplacementKind, ModuleChange, Unrepaired, UnrepairedKind
 from skincal.rig.correction_fit import RigAnswer
@@ -46,7 +45,7 @@ from tests.app.view3d_on_screen import pixels as picture
 from tests.app.whole_window import OPEN_MS, Bench
 from tests.app.window_support import NAMES, PLAN, SCENE, Paints, Queue, context, frame, part, session, shown
 from tests.approved import approved
-from tests.skincal.sim_support import recorded_anew
+from tests.skincal.sim_support import sample_with
 
 METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 BOTH = METHODS[:2]
@@ -412,12 +411,7 @@ def open_compare(bench: Bench, folder) -> ComparePanel:
 @pytest.fixture(scope="module")
 def mirrored_once(tmp_path_factory):
     """The sample session, which has a poke on each taxel, recorded with its first module mirrored in the layout."""
-    made = tmp_path_factory.mktemp("mirrored")
-    folder = shutil.copytree(resource("sessions/sample"), made / "sample")
-    layout = folder / "scene" / "modules.toml"
-    text = layout.read_text(encoding="utf-8")
-    layout.write_text(text.replace("mirror = false", "mirror = true  # so", 1), encoding="utf-8")
-    return recorded_anew(folder, made / "session")
+    return sample_with(tmp_path_factory.mktemp("mirrored"), "modules.toml", ("mirror = false", "mirror = true  # so"))
 
 
 def test_in_the_window_a_click_selects_and_the_corrected_layout_is_saved_by_keys(bench, mirrored_once, tmp_path, monkeypatch):

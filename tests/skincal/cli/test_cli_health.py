@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
+import re
 from pathlib import Path
 
 import pytest
@@ -12,17 +12,9 @@ from skincal.cli import main
 from skincal.model.scene import resource
 from skincal.modules.distances import DistanceUse
 from tests.approved import approved
+from tests.skincal.sim_support import sample_with
 
-
-def sample(folder: Path, file: str, old: str, new: str) -> Path:
-    """A copy of the sample session whose scene says something else in one place."""
-    made = folder / "session"
-    shutil.copytree(resource("sessions/sample"), made)
-    path = made / "scene" / file
-    text = path.read_text(encoding="utf-8")
-    assert text.count(old) >= 1
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    return made
+LAYOUT = resource("sessions/sample") / "scene" / "scene.toml"
 
 
 def solved(folder: Path, capsys) -> dict:
@@ -32,11 +24,11 @@ def solved(folder: Path, capsys) -> dict:
 
 def test_a_known_distance_that_pokes_contradict_is_said(tmp_path, capsys):
     told = "[[distances]]\nmodules = [17, 28]\nmm = {}\nsd_mm = 0.3\n\n[surface]"
-    (plain,) = solved(sample(tmp_path / "a", "scene.toml", "[surface]", told.format(60)), capsys)["distances"]
+    (plain,) = solved(sample_with(tmp_path / "a", "scene.toml", ("[surface]", told.format(60))), capsys)["distances"]
     assert plain["modules"] == [17, 28]
     assert plain["told_mm"] == pytest.approx(60.0)
     assert plain["use"] == DistanceUse.OFF.value
-    right = sample(tmp_path / "b", "scene.toml", "[surface]", told.format(plain["found_mm"]))
+    right = sample_with(tmp_path / "b", "scene.toml", ("[surface]", told.format(plain["found_mm"])))
     assert solved(right, capsys)["distances"][0]["use"] == DistanceUse.USED.value
     assert main(["solve", str(right)]) == 0
     assert approved("distances.used", used=1, count="1 known distance") in capsys.readouterr().out
@@ -52,11 +44,8 @@ def test_modules_that_lie_as_planned_are_left_alone(capsys):
 
 
 def test_without_a_layout_nothing_is_said_of_modules(tmp_path, capsys):
-    folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
-    scene = folder / "scene" / "scene.toml"
-    text = scene.read_text(encoding="utf-8")
-    start = text.index("[skin.anchor]")
-    scene.write_text(text[:start] + text[text.index("[surface]") :], encoding="utf-8")
+    layout = re.search(r"\[skin.anchor\].*?(?=\[surface\])", LAYOUT.read_text(encoding="utf-8"), re.DOTALL)[0]
+    folder = sample_with(tmp_path, "scene.toml", ('modules = "modules.toml"\n', ""), (layout, ""))
     said = solved(folder, capsys)
     assert said["misfits"] == []
     assert set(said["methods"]) == {"free", "surface"}

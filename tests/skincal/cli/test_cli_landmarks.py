@@ -14,15 +14,14 @@ import pytest
 
 from skincal.cli import main
 from skincal.contacts.outcome import Contact
-from skincal.journal.writer import create_session
 from skincal.model.actions import AtLandmark, Undo
 from skincal.model.scene import load_scene
-from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay, resume
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors
 from tests.approved import approved
-from tests.skincal.poke_script import LINKS, Script, as_chunks, same_estimates, write_scene
+from tests.build import recording
+from tests.skincal.poke_script import Script, as_chunks, same_estimates, write_scene
 from tests.skincal.sim_support import make_rig
 
 EPOCH = 1_420_000_000.0
@@ -206,21 +205,23 @@ SCENE_LANDMARKS = (
 
 
 @pytest.fixture
-def small(tmp_path):
+def small(small_once, tmp_path):
+    return shutil.copytree(small_once, tmp_path / "s")
+
+
+@pytest.fixture(scope="module")
+def small_once(tmp_path_factory):
     """Two pokes that no taxel answered, one on the skin, one more that none answered, and one that slid."""
-    scene = write_scene(tmp_path / "source")
+    made = tmp_path_factory.mktemp("small")
+    scene = write_scene(made / "source")
     scene.path.write_text(scene.path.read_text(encoding="utf-8") + SCENE_LANDMARKS, encoding="utf-8")
     scene = load_scene(scene.path)
     script = Script(scene).quiet()
     head, tail = np.array([0.0, 0.0, 0.1]), np.array([0.05, 0.0, 0.1])
     for point, answers, slide in ((head, {}, 0), (tail, {}, 0), (head, {3: 80.0}, 0), (tail, {}, 0), (tail, {}, 0.05)):
         script.press(np.array([0.5, 1.0, -8.0]), point, answers, slide=np.array([slide, 0.0, 0.0])).quiet()
-    folder = tmp_path / "s"
-    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
-    for item in as_chunks(script.samples):
-        pipeline.feed(item)
-    pipeline.close()
-    return folder
+    recording(scene, made / "s", as_chunks(script.samples)).close()
+    return made / "s"
 
 
 def named(folder: Path) -> dict[int, str]:
@@ -279,12 +280,9 @@ def test_a_poke_that_a_taxel_answered_is_not_found_from_its_axis_and_can_be_said
 
 
 def test_without_landmarks_in_the_scene_one_can_be_added_first(tmp_path, capsys):
-    scene = write_scene(tmp_path / "source")
-    folder = tmp_path / "s"
-    pipeline = Pipeline(scene, LINKS, None, create_session(folder, scene, LINKS))
-    for item in as_chunks(Script(scene).quiet().press(np.array([0.0, 0.0, -8.0]), np.zeros(3), {}).quiet().samples):
-        pipeline.feed(item)
-    pipeline.close()
+    scene, folder = write_scene(tmp_path / "source"), tmp_path / "s"
+    script = Script(scene).quiet().press(np.array([0.0, 0.0, -8.0]), np.zeros(3), {}).quiet()
+    recording(scene, folder, as_chunks(script.samples)).close()
     assert approved("landmark.none_in_scene") in run(capsys, "landmarks", folder)[1]
     code, out, _ = run(capsys, "landmarks", folder, "--find")
     assert (code, out.splitlines()[0]) == (0, approved("landmark.none_in_scene"))

@@ -14,11 +14,13 @@ import pytest
 from skincal.cli import main
 from skincal.model.scene import load_scene, resource
 from skincal.model.skin import load_layout
+from skincal.simulate.device import DeviceSettings
+from skincal.simulate.rig_errors import RigErrors
+from skincal.simulate.virtual_session import simulate_session
 from skincal.taxels.result import Method
 from tests.approved import approved
-from tests.skincal.cli.test_cli_health import sample
 from tests.skincal.files.json_reader import read_json
-from tests.skincal.sim_support import recorded_anew
+from tests.skincal.sim_support import sample_with, scene_and_surface
 
 SAMPLE = resource("sessions/sample")
 TRUTH = SAMPLE / "truth.json"
@@ -44,14 +46,7 @@ class Damaged:
 def damaged(tmp_path_factory):
     """The sample session with a layout that is wrong in three of seven modules, and the corrected one."""
     made = tmp_path_factory.mktemp("damaged")
-    folder = sample(made, "modules.toml", *DAMAGE[0])
-    path = folder / "scene" / "modules.toml"
-    text = path.read_text(encoding="utf-8")
-    for old, new in DAMAGE[1:]:
-        assert text.count(old) == 1
-        text = text.replace(old, new)
-    path.write_text(text, encoding="utf-8")
-    folder = recorded_anew(folder, made / "recorded")
+    folder = sample_with(made, "modules.toml", *DAMAGE)
     out, said = made / "corrected.modules.toml", io.StringIO()
     with redirect_stdout(said):
         assert main(["solve", str(folder), "--layout-out", str(out)]) == 0
@@ -137,17 +132,20 @@ def test_an_export_with_a_layout_is_of_that_layout(damaged, tmp_path, capsys):
     assert np.abs(wrong - right).max() > 0.003
 
 
-def test_bytes_are_judged_by_the_layout_that_is_given(damaged, capsys):
-    plain, replayed = (result_of(capsys, "solve", SAMPLE, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
+def test_bytes_are_judged_by_the_layout_that_is_given(damaged, tmp_path, capsys):
+    folder, settings = tmp_path / "s", DeviceSettings(wrench_hz=200.0, joints_hz=20.0)
+    at = (341, 337, 338, 340)  # at the edge of a module whose channels are exchanged
+    simulate_session(*scene_and_surface(), folder, 4, 1, RigErrors.noise(), channels=at, settings=settings)
+    plain, replayed = (result_of(capsys, "solve", folder, "--layout", damaged.out, *more) for more in ((), ("--replay",)))
     assert plain["methods"] == replayed["methods"]
     plan = damaged.folder / "scene" / "modules.toml"
-    wrong, judged = (result_of(capsys, "solve", SAMPLE, "--layout", plan, *more) for more in ((), ("--replay",)))
+    wrong, judged = (result_of(capsys, "solve", folder, "--layout", plan, *more) for more in ((), ("--replay",)))
     assert wrong["rejected"] == plain["rejected"]
     assert judged["rejected"] != plain["rejected"], "neighbours of the wrong layout are no neighbours"
 
 
 def test_a_session_without_a_layout_is_solved_with_one(tmp_path, capsys):
-    folder = sample(tmp_path, "scene.toml", 'modules = "modules.toml"\n', "")
+    folder = sample_with(tmp_path, "scene.toml", ('modules = "modules.toml"\n', ""))
     plan = SAMPLE / "scene" / "modules.toml"
     said = result_of(capsys, "solve", folder, "--layout", plan, "--reference", TRUTH)
     assert error(said) < 1.0

@@ -30,13 +30,16 @@ from skincal.session.corrections import offered
 from skincal.session.error_history import MEAN, TAXELS
 from skincal.session.replay import load, resume
 from skincal.session.results import use_offered
+from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
+from skincal.simulate.rig_errors import RigErrors
 from skincal.streams.links import LinkSpec
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_sentence, frame_sentence
 from skincal.words.taxel_words import state_sentence
 from skincal.words.verdict_words import agreement_words, check_words, figures, verdict_sentence
 from tests.approved import approved
-from tests.skincal.cli.test_cli_landmarks import Log
+from tests.build import landmark_outcome, noted_session
+from tests.skincal.sim_support import make_rig
 
 SAMPLE = resource("sessions/sample")
 SECTIONS = (
@@ -240,11 +243,10 @@ def test_the_front_is_where_the_skin_looks_and_each_view_is_upright(facts):
 
 
 @pytest.mark.parametrize("pokes", [1, 40])
-def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, pokes):
-    session = tmp_path / "patch"
-    assert main(["simulate", "--scene", "flat-patch", "--pokes", str(pokes), "--out", str(session)]) == 0
-    (session / "truth.json").unlink()
-    out = tmp_path / "report.html"
+def test_a_part_without_mesh_arm_and_landmarks_has_a_report_too(tmp_path, rng, pokes):
+    rig, session, out = make_rig(RigErrors.noise(), name="flat-patch"), tmp_path / "patch", tmp_path / "report.html"
+    contacts = simulate_contacts(rig, unguided(rig, 1, rng).subset(slice(0, pokes)), rng)
+    noted_session(session, rig.scene, None, contacts).close()
     verdict = write_report(session, out)
     text = out.read_text(encoding="utf-8")
     found = Page(text)
@@ -265,17 +267,17 @@ def test_taxels_without_a_place_are_told_by_their_reason(facts):
 
 
 @pytest.fixture(scope="module")
-def imported(tmp_path_factory) -> tuple[Log, Path]:
-    """An imported log, and its session in which pokes at landmarks are named."""
-    folder = tmp_path_factory.mktemp("imported")
-    (folder / "log").mkdir()
-    log, session = Log(folder / "log"), folder / "session"
-    assert main(["import", "yarp", *log.arguments(), "--scene", "icub-forearm", "--out", str(session)]) == 0
-    pipeline = resume(session)
-    for number, (poke, name) in enumerate(log.names.items()):
-        pipeline.act(AtLandmark(poke, name), number + 1)
+def imported(tmp_path_factory) -> tuple[int, Path]:
+    """A session of a rig with the paper's errors, and how many pokes it has at landmarks."""
+    rig, rng = make_rig(RigErrors.paper(), 1), np.random.default_rng(8)
+    contacts = simulate_contacts(rig, unguided(rig, 1, rng), rng)
+    landmarks = poke_landmarks(rig, rig.scene.landmarks, 3, rng, 5001)
+    folder = tmp_path_factory.mktemp("imported") / "session"
+    pipeline = noted_session(folder, rig.scene, rig.surface, [*contacts, *map(landmark_outcome, landmarks)])
+    for poke in landmarks:
+        pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
     pipeline.close()
-    return log, session
+    return len(landmarks), folder
 
 
 def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_asked_for(imported, tmp_path, capsys):
@@ -301,15 +303,15 @@ def test_the_report_of_an_imported_log_is_under_the_correction_where_that_is_ask
 
 
 def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
-    log, session = imported[0], shutil.copytree(imported[1], tmp_path / "session")
+    count, session = imported[0], shutil.copytree(imported[1], tmp_path / "session")
     pipeline = resume(session)
     answer = correct_rig(pipeline.session.rig_request())
-    action = offered(None, answer, len(log.names), {})
+    action = offered(None, answer, count, {})
     pipeline.act(action, 1000)
     pipeline.close()
     facts = gather_facts(session)
     found = Page(report_page(facts)).text
-    assert sum(map(len, facts.misses.values())) == len(log.names)
+    assert sum(map(len, facts.misses.values())) == count
     for name, misses in facts.misses.items():
         assert name in found
         assert ", ".join(f"{miss * 1e3:.1f}" for miss in misses) in found
@@ -318,7 +320,7 @@ def test_landmarks_and_a_correction_in_use_are_told(imported, tmp_path):
     assert agreement_words(facts.verdict.landmarks) in found
     assert frame_sentence(facts.results.frame) in found
     # Pokes at landmarks are no rejected pokes, though no taxel answered.
-    assert f"{len(log.names)} at landmarks, 0 rejected" in found
+    assert f"{count} at landmarks, 0 rejected" in found
 
 
 def test_the_command_writes_the_report_and_says_in_a_sentence_what_is_wrong(tmp_path, capsys):

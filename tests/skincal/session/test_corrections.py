@@ -10,17 +10,13 @@ from skincal.cli import main
 from skincal.contacts.outcome import Contact, PressPhase, Progress
 from skincal.files.export import write_calibration
 from skincal.geometry import axis_point, move_wrench
-from skincal.journal.documents import DetectorResult
-from skincal.journal.writer import create_session
 from skincal.methods import estimate_taxels
 from skincal.model.actions import AtLandmark, Correct, Exclude, Uncorrect, Undo, action_from_json, action_to_json
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk
 from skincal.rig.correction import FRAME, MAX_ARM_POSES_WITH_UNCERTAINTY, RIG, Correction, CorrectionErrors
 from skincal.rig.correction_fit import RigRequest, correct_rig
 from skincal.rig.frame_check import diagnose, frame_correction
 from skincal.session.corrections import correct_action, corrected_progress, used_of
-from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.session.session import Session
 from skincal.simulate.contacts import poke_landmarks, simulate_contacts, unguided
@@ -28,12 +24,11 @@ from skincal.simulate.rig_errors import RigErrors
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
 from tests.approved import approved
-from tests.build import landmark_outcome, recording, session_of
+from tests.build import landmark_outcome, noted_session, recording, session_of
 from tests.skincal.files.json_reader import read_json
-from tests.skincal.poke_script import LINKS, as_chunks, same_estimates, small_scene, some_pokes, write_scene
+from tests.skincal.poke_script import as_chunks, same_estimates, small_scene, some_pokes, write_scene
 from tests.skincal.sim_support import make_rig
 
-FORCE, POINT = np.array([1.0, 2.0, -8.0]), np.array([0.02, 0.05, 0.10])
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -373,11 +368,8 @@ def recorded(poked, tmp_path_factory):
     """A recorded session on the bad rig: its pokes are written as a detector's, without bytes."""
     rig, contacts, landmarks = poked
     folder = tmp_path_factory.mktemp("bad") / "s"
-    pipeline = Pipeline(rig.scene, LINKS, rig.surface, create_session(folder, rig.scene, LINKS))
     outcomes = [*contacts, *(landmark_outcome(landmark) for landmark in landmarks)]
-    taken = DetectorResult(outcomes)
-    pipeline.apply_note(taken)
-    pipeline.journal.write(Chunk("wrench", 1, b""), [taken])
+    pipeline = noted_session(folder, rig.scene, rig.surface, outcomes)
     for poke in landmarks:
         pipeline.act(AtLandmark(poke.poke, poke.name), 2 + poke.poke)
     pipeline.close()

@@ -8,16 +8,19 @@ from pathlib import Path
 import pytest
 
 from skincal.cli import main
+from skincal.journal.writer import create_session
 from skincal.model.actions import Action, AddLandmark, AskPoke, SetPose, SkipLandmark, SkipPoke
 from skincal.model.scene import resource
 from skincal.reporting.session_facts import gather_facts
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
+from skincal.session.pipeline import Pipeline
 from skincal.session.replay import replay, resume
 from skincal.session.results import verdicts_of
 from skincal.taxels.result import Method
 from skincal.words.verdict_words import verdict_sentence
 from tests.approved import approved
+from tests.skincal.poke_script import LINKS, write_scene
 
 SAMPLE = str(resource("sessions/sample"))
 
@@ -125,8 +128,8 @@ def test_landmarks_that_are_still_asked_for_are_not_enough_wherever_it_is_said(s
 
 @pytest.mark.parametrize("again", [replay, resume])
 def test_what_was_skipped_and_asked_for_is_kept(tmp_path, again):
-    shutil.copytree(SAMPLE, tmp_path / "s")
-    pipeline = resume(tmp_path / "s")
+    scene = write_scene(tmp_path / "source")
+    pipeline = Pipeline(scene, LINKS, None, create_session(tmp_path / "s", scene, LINKS))
     asked = AskPoke(3, (0.1, 0.2, 0.3), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0))
     skips = SkipPoke("free", 3, asked.place, asked.push), SkipLandmark("", "1", tuple(map(float, range(16))))
     for now, action in enumerate((asked, *skips)):

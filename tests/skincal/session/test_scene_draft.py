@@ -245,7 +245,10 @@ def test_a_robot_is_shown_at_the_given_joints(tmp_path, urdf, capsys):
 
 def test_a_simulated_session_of_a_robot_is_calibrated(tmp_path, urdf, capsys):
     scene = write_scene(draft(tmp_path, urdf, grid=parse_grid("4x4@8mm")))
-    assert main(["simulate", "--scene", str(scene.path), "--pokes", "24", "--out", str(tmp_path / "s"), "--json"]) == 0
+    assert (
+        main(["simulate", "--scene", str(scene.path), "--pokes", "12", "--careful", "--out", str(tmp_path / "s"), "--json"])
+        == 0
+    )
     capsys.readouterr()
     assert main(["solve", str(tmp_path / "s"), "--replay", "--reference", str(tmp_path / "s/truth.json"), "--json"]) == 0
     modules = json.loads(capsys.readouterr().out)["methods"]["modules"]

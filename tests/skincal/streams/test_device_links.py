@@ -271,7 +271,7 @@ def test_what_comes_while_the_program_stands_still_waits_in_the_system_and_none_
     assert {loss: count for loss, count in health.losses.items() if loss is not Loss.UNPAIRED} == {}
 
 
-@pytest.mark.parametrize("maker", ["netft", "yarp", "rtde", "xela", "robotiq-text"])
+@pytest.mark.parametrize("maker", ["netft", "xela", "robotiq-text"])
 def test_a_device_whose_bytes_were_dropped_is_read_on(maker, monkeypatch):
     """The program stood still: what comes after the gap is read, whether or not the protocol has a mark."""
     monkeypatch.setattr(links, "QUEUED_MAX_BYTES", 4000)
