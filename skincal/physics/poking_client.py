@@ -189,7 +189,7 @@ class PokingClient:
         if self._check_safety():
             self._handlers[self.phase]()
         self._report_tip()
-        self.arm.step()
+        self.arm.advance()
 
     # Lines
 

@@ -46,7 +46,7 @@ class PlainArm:
             force = force + np.array([0.0, 0.0, -40.0])
         return gap, force
 
-    def step(self):
+    def advance(self):
         self.time_s += self.period_s
         if self.goal is not None:
             way, turned = self.goal[0] - self.position, self.goal[1]
