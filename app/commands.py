@@ -71,6 +71,10 @@ class Command:
 
 # fmt: off
 COMMANDS = (
+    Command("part", "Session", "New part…", "Ctrl+Shift+N", "Describe your own part: mesh or URDF, sensor, skin, landmarks",
+            lambda w: w.ask_part()),
+    Command("change part", "Session", "Change a part…", "Ctrl+Shift+O", "Open a scene file, to change what it says of the part",
+            lambda w: w.ask_scene()),
     Command("new", "Session", "New session…", "Ctrl+N", "Choose a scene, the devices and a folder", lambda w: w.ask_new()),
     Command("open", "Session", "Open session…", "Ctrl+O", "Continue a recorded session", lambda w: w.ask_session()),
     Command("import", "Session", "Import a recording…", "Ctrl+I", "Make a session from logs of yarpdatadumper or CSV files",
@@ -144,7 +148,7 @@ COMMANDS = (
     Command("turn", "View", "Turn to the target", "T", "Turn the 3D view between pokes if the target is hidden",
             view(lambda v: v.follow_switches()), switch=True, setting="window/turn"),
     Command("camera", "View", "Whole part", "Home", "Show the whole part in the 3D view",
-            view(lambda v: v.workspace.view.reset_camera())),
+            lambda w: w.reset_camera()),
     Command("larger", "View", "Larger text", "Ctrl++ Ctrl+=", f"Up to {STEPS[-1]} % in the whole window",
             lambda w: w.text_size.larger(), lambda w: w.text_size.percent < STEPS[-1]),
     Command("smaller", "View", "Smaller text", "Ctrl+-", f"Down to {STEPS[0]} % in the whole window",

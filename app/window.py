@@ -38,11 +38,13 @@ from app.session.opening import OpenRequest, dated_folder, find_scene
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
-from app.text.message import NO_ADDRESSES, Message, connect_words, keep_question, look_words
+from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, connect_words, keep_question, look_words
 from app.text_size import TextSize
 from app.theme import DARK, GAP, LIGHT, Choice, Colours
+from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
+    from app.builder.page import BuilderPage
     from app.dialogs.import_dialog import ImportDialog
     from app.session.opening import Addresses
     from app.session_view import SessionView
@@ -170,6 +172,7 @@ class Window(QMainWindow):
         self._theme, self._settings, self._documents = theme, settings, documents
         self.text_size = TextSize(settings, self)
         self.session_view: SessionView | None = None
+        self.builder: BuilderPage | None = None
         self.has_sound = True  # There is a sound device; true until the player has looked
         self._first_minute: FirstMinute | None = None
         self._question: QMessageBox | None = None  # The open question whether to keep a session
@@ -329,6 +332,8 @@ class Window(QMainWindow):
         self.messages.show_newest()
         if self.session_view is not None:
             self.session_view.recolour()
+        if self.builder is not None:
+            self.builder.recolour()
 
     # Commands
 
@@ -459,6 +464,70 @@ class Window(QMainWindow):
         self.open(OpenRequest(session=imported.folder))
         self.tell(Message(imported_words(imported)))
 
+    def ask_part(self, path: Path | None = None) -> None:
+        """Describe a new part, from a mesh or a URDF if one is given; the open session is closed."""
+        self._confirm_unsaved(lambda: self._open_builder(lambda page: None if path is None else page.take_part(path)))
+
+    def ask_scene(self) -> None:
+        """Ask for a scene file, and change it on the page for parts."""
+        path, _ = QFileDialog.getOpenFileName(self, "Change a part", str(self._documents / "scenes"), "Scene (*.toml)")
+        if path:
+            self.change_part(Path(path))
+
+    def change_part(self, path: Path) -> None:
+        """Change what a scene file says; the open session is closed."""
+        self._confirm_unsaved(lambda: self._open_builder(lambda page: page.open_scene(path)))
+
+    def _open_builder(self, start: Callable[[BuilderPage], object]) -> None:
+        from app.builder.page import BuilderPage
+
+        page = BuilderPage(self._documents / "scenes", self)
+        try:
+            start(page)
+        except InputError as error:
+            page.close_page()
+            page.deleteLater()
+            self.tell_failure(str(error))
+            return
+        self._drop_session()
+        self.controller.leave()
+        self.where.setText("")
+        self.builder = page
+        page.failed.connect(self.tell_failure)
+        page.left.connect(lambda: self._confirm_unsaved(self._leave_builder))
+        page.start_wanted.connect(self._ask_devices)
+        self.setWindowTitle("New part \N{EN DASH} skincal")
+        self.stack.addWidget(page)
+        self.stack.setCurrentWidget(page)
+        QTimer.singleShot(0, page, page.begin)
+
+    def _leave_builder(self) -> None:
+        self._drop_builder()
+        self._show_opening()
+
+    def _drop_builder(self) -> None:
+        page, self.builder = self.builder, None
+        if page is not None:
+            page.close_page()
+            self.stack.removeWidget(page)
+            page.deleteLater()
+            self.setWindowTitle("skincal")
+
+    def _ask_devices(self, scene: Path, addresses: Addresses) -> None:
+        """Ask for the devices of a described part, and start."""
+        from app.dialogs.new_session import NewSessionDialog
+
+        dialog = NewSessionDialog(scene, self._new_folder(), self, self._known_addresses(), proposed=addresses)
+        dialog.request_chosen.connect(self.open)
+        dialog.open()
+
+    def reset_camera(self) -> None:
+        """Show the whole part in the 3D view."""
+        if self.builder is not None:
+            self.builder.view.reset_camera()
+        elif self.session_view is not None:
+            self.session_view.workspace.view.reset_camera()
+
     def ask_pedals(self) -> None:
         from app.dialogs.pedals import PedalsDialog
 
@@ -528,7 +597,10 @@ class Window(QMainWindow):
         self.controller.open(request)
 
     def _confirm_unsaved(self, then: Callable[[], object]) -> None:
-        """Ask whether to keep a provisional session that has pokes, then call `then`."""
+        """Ask whether to keep a provisional session that has pokes, or a part that was not saved; then call `then`."""
+        if self.builder is not None and self.builder.is_changed:
+            self._offer("Part not saved", PART_NOT_SAVED, "Do not save", then)
+            return
         pokes = self.controller.unsaved_pokes
         if not pokes:
             then()
@@ -564,6 +636,7 @@ class Window(QMainWindow):
         self.close()
 
     def _drop_session(self) -> None:
+        self._drop_builder()
         view, self.session_view = self.session_view, None
         self._first_minute = None
         if view is not None:
@@ -577,7 +650,8 @@ class Window(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask whether to keep a provisional session; then stop the timers, close the 3D view, then the journal."""
-        if not self._leaves and self.controller.unsaved_pokes:
+        is_unsaved = self.controller.unsaved_pokes or (self.builder is not None and self.builder.is_changed)
+        if not self._leaves and is_unsaved:
             self._confirm_unsaved(self.leave)
             event.ignore()
             return
@@ -593,6 +667,8 @@ class Window(QMainWindow):
         if self.session_view is not None:
             self.session_view.save()
             self.session_view.close()
+        if self.builder is not None:
+            self.builder.close_page()
         self.controller.close()
         self.player.close()
         super().closeEvent(event)

@@ -193,6 +193,7 @@ class NewSessionDialog(QDialog):
     known : addresses that the operator agreed to before
     present : addresses and scene of the open session, to change its addresses
     paused : the recording of the open session is paused for this dialog
+    proposed : addresses that the operator agreed to on the page before
     """
 
     request_chosen = Signal(object)
@@ -208,6 +209,7 @@ class NewSessionDialog(QDialog):
         present: tuple[Addresses, Scene] | None = None,
         *,
         paused: bool = False,
+        proposed: Addresses | None = None,
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("New session" if present is None else "Device addresses")
@@ -243,6 +245,8 @@ class NewSessionDialog(QDialog):
         self._port_search.submit(list_ports, self._set_ports, lambda _: None)
         self._topic_search.submit(list_topics, self._set_topics, lambda _: None)
         if present is None:
+            for stream, row in self.rows.items():
+                row.set_address("" if proposed is None else getattr(proposed, stream.value), agreed=True)
             self.scene.read()
             return
         for stream, row in self.rows.items():

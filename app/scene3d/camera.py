@@ -142,7 +142,11 @@ def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_
     aspect : width over height of the picture
     min_half_height : metres, half the height of the picture at least
     """
-    centre, axes = first_frame(points, facing_)
+    return fit_from(points, *first_frame(points, facing_), aspect, min_half_height)
+
+
+def fit_from(points: FloatArray, centre: FloatArray, axes: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
+    """Return the pose with these axes, (3, 3), that looks at `centre`, (3,), and has all points in the picture; see `fit`."""
     seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
     distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * FIT_MARGIN / VIEW_SLOPE + seen[:, 2]
     return CameraPose(axes, centre, max(float(distances.max()), min_half_height / VIEW_SLOPE))

@@ -139,20 +139,18 @@ def load(
         import pyvistaqt  # noqa: F401
         import vtkmodules.vtkInteractionWidgets  # noqa: F401
 
-        import app.scene3d.scene_renderer  # noqa: F401
-
+        _renderer_class(static)
         return Loaded(None)
     egl_probe = start_egl_probe()
     from app.scene3d.mesh_actors import window_of
     from app.scene3d.offscreen import choose_offscreen, make_plotter
-    from app.scene3d.scene_renderer import SceneRenderer
 
     choose_offscreen(egl_probe)
     # Only EGL and OSMesa are not bound to a thread: elsewhere the window's thread draws the first picture.
     if not sys.platform.startswith("linux"):
         return Loaded(None)
     plotter = make_plotter(size if min(size) > 1 else DEFAULT_SIZE)
-    renderer = SceneRenderer(plotter, static, colours)
+    renderer = _renderer_class(static)(plotter, static, colours)
     renderer.compile_shaders()
     if state is not None:
         renderer.show(state)
@@ -163,12 +161,21 @@ def load(
     return Loaded(renderer)
 
 
+def _renderer_class(static: StaticScene) -> type[SceneRenderer]:
+    from app.scene3d.draft_renderer import DraftRenderer
+    from app.scene3d.draft_state import DraftStatic
+    from app.scene3d.scene_renderer import SceneRenderer
+
+    return DraftRenderer if isinstance(static, DraftStatic) else SceneRenderer
+
+
 def mount(
     canvas: Canvas, loaded: Loaded, static: StaticScene, colours: SceneColours, parent: QWidget
 ) -> tuple[AnyCanvas, SceneRenderer]:
     """Make the widget, and the renderer where `load` could not."""
-    from app.scene3d.scene_renderer import PLOTTER_SHAPE, SceneRenderer
+    from app.scene3d.scene_renderer import PLOTTER_SHAPE
 
+    make = _renderer_class(static)
     if canvas is Canvas.OPENGL:
         from pyvistaqt import QtInteractor
 
@@ -178,11 +185,11 @@ def mount(
         )  # fmt: skip
         # pyvistaqt would load a mesh that is dropped on it.
         widget.setAcceptDrops(False)
-        renderer = SceneRenderer(widget, static, colours)
+        renderer = make(widget, static, colours)
     else:
         from app.scene3d.offscreen import make_plotter
 
-        renderer = loaded.renderer or SceneRenderer(make_plotter(DEFAULT_SIZE), static, colours)
+        renderer = loaded.renderer or make(make_plotter(DEFAULT_SIZE), static, colours)
         widget = RasterCanvas(renderer.plotter, parent)
     renderer.scales = lambda: (widget.devicePixelRatioF(), text_scale())
     return widget, renderer

@@ -29,18 +29,28 @@ class SurfaceLayer(Layer):
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, surface: Surface) -> None:
         super().__init__(plotter, static)
-        mesh = pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
-        mesh.compute_normals(split_vertices=True, feature_angle=EDGE_ANGLE_DEG, consistent_normals=False, inplace=True)
+        self.mesh = _shaded(surface)
         plotter.subplot(0, PART)
         self.inside = plotter.add_mesh(
-            mesh, culling="front", ambient=0.8, diffuse=0.2, reset_camera=False, render=False
+            self.mesh, culling="front", ambient=0.8, diffuse=0.2, copy_mesh=False, reset_camera=False, render=False
         )  # fmt: skip
         self.outside = plotter.add_mesh(
-            mesh, culling="back", opacity=FRONT_OPACITY, ambient=0.25, diffuse=0.75, reset_camera=False, render=False
-        )
+            self.mesh, culling="back", opacity=FRONT_OPACITY, ambient=0.25, diffuse=0.75, copy_mesh=False, reset_camera=False,
+            render=False,
+        )  # fmt: skip
+
+    def set_surface(self, surface: Surface) -> None:
+        """Draw another mesh."""
+        self.mesh.shallow_copy(_shaded(surface))
 
     def set_colours(self, colours: SceneColours) -> None:
         self.inside.prop.color, self.outside.prop.color = colours.back, colours.front
+
+
+def _shaded(surface: Surface) -> pv.PolyData:
+    mesh = pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
+    mesh.compute_normals(split_vertices=True, feature_angle=EDGE_ANGLE_DEG, consistent_normals=False, inplace=True)
+    return mesh
 
 
 OUTLINE_LIFT = 4e-4
@@ -61,6 +71,16 @@ class ModulesLayer(Layer):
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
         super().__init__(plotter, static)
         self.outlines, self.dots = Segments(plotter, PART, 2.0), Dots(plotter, PART, 3.0, is_lit=False)
+        self._set_modules(layout, laid)
+
+    def set_layout(self, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
+        """Draw another layout, or the same one elsewhere."""
+        self.static = static
+        self._set_modules(layout, laid)
+        self.set_colours(self.colours)
+        self.draw()
+
+    def _set_modules(self, layout: Layout, laid: PlacedLayout) -> None:
         self.outlines.show(*_outline_segments(layout, laid))
         self._module_size = 0.0
         self._numbers: list[tuple[Label, FloatArray]] = []
@@ -73,6 +93,7 @@ class ModulesLayer(Layer):
                 self._module_size = float(np.ptp(corners, axis=0).max())
 
     def set_colours(self, colours: SceneColours) -> None:
+        self.colours = colours
         known = np.isfinite(self.static.places[:, 0])
         points = (self.static.places + OUTLINE_LIFT * self.static.normals)[known]
         shades = HUE_SHARE * self.static.hues[known] + (1 - HUE_SHARE) * np.array(colours.faint)

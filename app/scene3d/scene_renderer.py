@@ -35,6 +35,8 @@ POINTS_PER_INCH = 72.0
 class SceneRenderer:
     """Layers, light and camera of a scene in a plotter of shape `PLOTTER_SHAPE`."""
 
+    first_lean_deg = FIRST_LEAN_DEG
+
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, colours: SceneColours) -> None:
         self.plotter, self.static, self.window = plotter, static, window_of(plotter)
         self.is_moved = False  # The operator moved the camera
@@ -51,9 +53,7 @@ class SceneRenderer:
             renderer.SetUseOIT(False)
         self.camera = self.renderer.camera
         plotter.link_views()
-        self.estimates, self.target = EstimatesLayer(plotter, static), TargetLayer(plotter, static)
-        self.landmarks, self.compare = LandmarksLayer(plotter, static), CompareLayer(plotter, static)
-        self.layers = self._build_layers()
+        self.layers = self.build_layers()
         self.labels = Labels(plotter)
         self._labels_key: list[tuple[str, bytes, float]] | None = None
         self._hidden: frozenset[str] = frozenset()
@@ -66,8 +66,11 @@ class SceneRenderer:
         self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(colours)
 
-    def _build_layers(self) -> tuple[Layer, ...]:
-        plotter, static, layout = self.plotter, self.static, self.static.scene.skin.layout
+    def build_layers(self) -> tuple[Layer, ...]:
+        """Make the layers that the scene supports."""
+        plotter, static, layout = self.plotter, self.static, self.static.layout
+        self.estimates, self.target = EstimatesLayer(plotter, static), TargetLayer(plotter, static)
+        self.landmarks, self.compare = LandmarksLayer(plotter, static), CompareLayer(plotter, static)
         layers: list[Layer] = []
         if static.surface is not None:
             layers.append(SurfaceLayer(plotter, static, static.surface))
@@ -111,7 +114,7 @@ class SceneRenderer:
     def turn(self, state: View3DState, now_s: float) -> bool:
         """Turn the camera to the target if needed; return whether it moved."""
         height = self.window.GetSize()[1] / self.scales()[0]
-        return self.auto_camera.advance(self.camera, self._aspect(), height, state, now_s)
+        return self.auto_camera.advance(self.camera, self.aspect(), height, state, now_s)
 
     def note_manual_move(self, now_s: float) -> None:
         self.is_moved = True
@@ -121,14 +124,16 @@ class SceneRenderer:
         """Bring the whole part into the picture."""
         self.is_moved = False
         has_extent = len(self.static.extent) > 0
-        points = self.static.extent if has_extent else self._known_places()
-        pose = camera.fit(
-            points, self.static.facing, self._aspect(), MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS
-        )  # fmt: skip
+        pose = self.fitted_pose(MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS)
         place(self.camera, pose)
         self._known_reach = pose.focus, camera.VIEW_SLOPE * pose.distance
         if has_extent:
-            camera.rotate(self.camera, *FIRST_LEAN_DEG)
+            camera.rotate(self.camera, *self.first_lean_deg)
+
+    def fitted_pose(self, min_half_height: float) -> camera.CameraPose:
+        """Return the camera pose that shows the whole part; `min_half_height` is in metres."""
+        points = self.static.extent if len(self.static.extent) else self._known_places()
+        return camera.fit(points, self.static.facing, self.aspect(), min_half_height)
 
     def compile_shaders(self) -> None:
         """Draw a picture with something of every kind in it, so that no later one waits for a shader to be compiled."""
@@ -169,7 +174,8 @@ class SceneRenderer:
         """Return the positions of estimates and landmarks, (n, 3) float, metres."""
         return np.concatenate([self.estimates.places, self.landmarks.places])
 
-    def _aspect(self) -> float:
+    def aspect(self) -> float:
+        """Return the picture's width over its height."""
         width, height = self.window.GetSize()
         return max(width, 1) / max(height, 1)
 

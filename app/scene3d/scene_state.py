@@ -124,6 +124,7 @@ class StaticScene:
         self, scene: Scene, surface: Surface | None, laid: PlacedLayout | None, channels: Sequence[int] | IntArray
     ) -> None:
         self.scene = scene
+        self.layout = scene.skin.layout
         self.surface = surface
         self.laid = laid
         self.channels: IntArray = np.asarray(channels, dtype=np.int64)
@@ -133,7 +134,7 @@ class StaticScene:
     @cached_property
     def hues(self) -> ColourArray:
         """(n, 3) uint8, the module's hue for each of `channels`."""
-        return module_hues(self.scene.skin.layout, self.channels)
+        return module_hues(self.layout, self.channels)
 
     @cached_property
     def places(self) -> FloatArray:

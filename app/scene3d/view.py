@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import QMouseEvent, QShowEvent, QWheelEvent
@@ -45,6 +45,24 @@ WHEEL_NOTCH = 120.0  # Qt's units of a notch
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
 
+class PointerTool:
+    """Gets mouse events before the camera does; positions are device pixels from the lower left."""
+
+    def press(self, x: float, y: float) -> bool:  # noqa: ARG002
+        """Take a press of the left button, and the drag that follows; return whether it is taken."""
+        return False
+
+    def drag(self, x: float, y: float) -> None:
+        """Follow the pointer after a press that was taken."""
+
+    def release(self) -> None:
+        """End a drag."""
+
+    def turn_wheel(self, notches: float, x: float, y: float) -> bool:  # noqa: ARG002
+        """Take a turn of the wheel; return whether it is taken."""
+        return False
+
+
 class Pointer(QObject):
     """Turns mouse events of a canvas into camera moves and clicks.
 
@@ -60,6 +78,9 @@ class Pointer(QObject):
         self._moved, self._clicked = moved, clicked
         self._start = self._last = QPointF()
         self._dragged = False
+        self.tool = PointerTool()
+        self._is_tools = False
+        """The drag belongs to the tool."""
         canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         canvas.installEventFilter(self)
 
@@ -67,11 +88,15 @@ class Pointer(QObject):
         """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
-            camera.zoom(self._camera(), WHEEL_STEP ** (event.angleDelta().y() / WHEEL_NOTCH))
-            self._note_move()
+            notches = event.angleDelta().y() / WHEEL_NOTCH
+            if not self.tool.turn_wheel(notches, *self._pixels(event.position())):
+                camera.zoom(self._camera(), WHEEL_STEP**notches)
+                self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
             self._dragged = False
+            is_left = event.button() == Qt.MouseButton.LeftButton
+            self._is_tools = is_left and self.tool.press(*self._pixels(event.position()))
             self._renderer.auto_camera.held = True
         elif kind == QEvent.Type.MouseMove and isinstance(event, QMouseEvent):
             self._drag(event)
@@ -86,6 +111,9 @@ class Pointer(QObject):
     def _drag(self, event: QMouseEvent) -> None:
         buttons = event.buttons()
         if buttons == Qt.MouseButton.NoButton:
+            return
+        if self._is_tools:
+            self.tool.drag(*self._pixels(event.position()))
             return
         if not self._dragged and (event.position() - self._start).manhattanLength() < MAX_CLICK_MOVE_PX:
             return
@@ -103,10 +131,17 @@ class Pointer(QObject):
 
     def _release(self, event: QMouseEvent) -> None:
         self._renderer.auto_camera.held = event.buttons() != Qt.MouseButton.NoButton
-        if self._dragged or event.button() != Qt.MouseButton.LeftButton:
+        if self._is_tools and event.button() == Qt.MouseButton.LeftButton:
+            self._is_tools = False
+            self.tool.release()
             return
+        if not self._dragged and event.button() == Qt.MouseButton.LeftButton:
+            self._clicked(*self._pixels(event.position()))
+
+    def _pixels(self, position: QPointF) -> tuple[float, float]:
+        """Convert a position in the widget to device pixels from the lower left."""
         density = self._canvas.devicePixelRatioF()
-        self._clicked(event.position().x() * density, (self._canvas.height() - event.position().y()) * density)
+        return position.x() * density, (self._canvas.height() - position.y()) * density
 
     def _camera(self) -> vtkCamera:
         return self._renderer.camera
@@ -133,12 +168,13 @@ class View3D(QWidget):
         self._choice = canvas
         self._colours = DARK
         self._static: StaticScene | None = None
-        self._state: View3DState | None = None
+        self._state: Any = None  # `View3DState`, or the subclass's own
         self._difference = False
         self._comparison: Comparison | None = None
         self._turning = True
         self._hidden: frozenset[str] = frozenset()
         self._picking = False
+        self.tool = PointerTool()
         self._renderer: SceneRenderer | None = None
         self._canvas: AnyCanvas | None = None
         self._threads: ThreadService | None = None  # Loads the picture; one for each `begin`
@@ -153,8 +189,12 @@ class View3D(QWidget):
 
         Returns at once; `ready` follows. A second call replaces the scene.
         """
+        self.begin_static(StaticScene(scene, surface, laid, channels))
+
+    def begin_static(self, static: StaticScene) -> None:
+        """Start to build the layers of a static scene; see `begin`."""
         self.close_view()
-        self._static = static = StaticScene(scene, surface, laid, channels)
+        self._static = static
         self._choice = choice = self._choice or best_canvas()
         size, colours, state = self._pixels(), self._colours, self._state
 
@@ -312,7 +352,7 @@ class View3D(QWidget):
         if self._choice is None or self._static is None:
             return
         self._canvas, self._renderer = mount(self._choice, loaded, self._static, self._colours, self)
-        Pointer(self._canvas, self._renderer, self._request, self._pick)
+        Pointer(self._canvas, self._renderer, self._request, self._pick).tool = self.tool
         self._stack.addWidget(self._canvas)
         self._stack.setCurrentWidget(self._canvas)
         # Theme, size and what is shown may have changed since the loading began.

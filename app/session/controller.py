@@ -214,6 +214,11 @@ class Controller(QObject):
             self._start_server(request.server)
         self.compute(lambda: self._load_scene(request), lambda part: self._take_part(part, request.pose))
 
+    def leave(self) -> None:
+        """Close the open session and open no other; what takes long ends in the background."""
+        self._release()
+        self._set_running(Running.OFFLINE)
+
     def _release(self) -> None:
         """Let go of the open session; what takes long ends in the background."""
         self._threads.renew()

@@ -51,6 +51,8 @@ class Preview:
     """Time of the update, host's monotonic clock."""
     curve: tuple[float, ...]
     """Newest value of each update: force in N, largest change of a raw value, or largest joint motion in degrees."""
+    frames: tuple[FloatArray, ...] = ()
+    """Readings of the last update, (n,) float each; raw values of a skin, radians of joints."""
 
 
 class _Preview:
@@ -60,6 +62,7 @@ class _Preview:
         self._inbox, self._intake = ChunkQueue(), LinkIntake(channels, spec, joints, joint_names)
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
+        self._frames: dict[Stream, list[FloatArray]] = {stream: [] for stream in spec.carries}
         self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=CURVE_POINTS) for stream in spec.carries}
         self.reader = Reader(spec, self._inbox)
         self.reader.start()
@@ -67,6 +70,8 @@ class _Preview:
     def update(self) -> None:
         end_s = time.perf_counter() + MAX_UPDATE_S
         self._now.clear()
+        for frames in self._frames.values():
+            frames.clear()
         while not self._inbox.empty() and time.perf_counter() < end_s:
             item: Chunk | LinkEvent = self._inbox.get()
             for arrived in self._intake.feed(item):
@@ -76,6 +81,7 @@ class _Preview:
 
     def _take_batch(self, batch: Batch) -> None:
         stream, newest = batch.stream, batch.values[-1]
+        self._frames[stream].extend(batch.values)
         if stream is Stream.WRENCH:
             self._now[stream] = float(np.linalg.norm(newest[:3]))
             return
@@ -86,7 +92,7 @@ class _Preview:
 
     def stream_preview(self, stream: Stream) -> Preview:
         now_ns = time.monotonic_ns()
-        return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]))
+        return Preview(self._intake.health(now_ns), now_ns, tuple(self._curves[stream]), tuple(self._frames[stream]))
 
 
 _Key: TypeAlias = tuple[LinkSpec, int, int, tuple[str, ...]]
@@ -111,13 +117,26 @@ class Previews:
         InputError
             An address has an unknown form.
         """
+        if scene is None:
+            self.choose_widths({}, 1, 0)
+            return
+        joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
+        names = () if scene.robot is None else scene.robot.columns
+        self.choose_widths(addresses, scene.skin.channels, joints, names)
+
+    def choose_widths(
+        self, addresses: Mapping[Stream, str], channels: int, joints: int, joint_names: tuple[str, ...] = ()
+    ) -> None:
+        """Preview these addresses and no others; see `choose`.
+
+        Parameters
+        ----------
+        channels, joints : numbers of values of a skin frame, and of joints at least
+        joint_names : of the columns of a joint stream
+        """
         if self._closed:
             return
-        wanted: set[_Key] = set()
-        if scene is not None:
-            joints = 0 if scene.arm is None else max(scene.arm.arm.joints, default=-1) + 1
-            names = () if scene.robot is None else scene.robot.columns
-            wanted = {(spec, scene.skin.channels, joints, names) for spec in describe_links(addresses)}
+        wanted: set[_Key] = {(spec, channels, joints, joint_names) for spec in describe_links(addresses)}
         for gone in self._open.keys() - wanted:
             self._end(gone)
         for new in wanted - self._open.keys():

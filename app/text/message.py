@@ -16,6 +16,7 @@ REPORTING = "Writing the report. A message follows when it is finished."
 ADDRESS_LINE_LENGTH = 120
 """Characters a line of the question about addresses: fits a window of 1280 pixels."""
 NO_ADDRESSES = "This session has no device with an address. Ctrl+N: new session with devices."
+PART_NOT_SAVED = "What you said of this part is not saved. Leave the page all the same?"
 NO_SESSION = "No session is open; open one first."
 STILL_SOLVING = "All taxels are being recomputed. Try again in a few seconds."
 

@@ -187,6 +187,12 @@ class Robot:
     meshes: Mapping[str, LinkMesh]
     """By link."""
 
+    @property
+    def root(self) -> str:
+        """The link that is no joint's child."""
+        children = {joint.child for joint in self.joints.values()}
+        return next(link for link in self.links if link not in children)
+
     def joint_above(self, link: str) -> UrdfJoint | None:
         """Find the joint whose child a link is; `None` for the root."""
         return next((joint for joint in self.joints.values() if joint.child == link), None)

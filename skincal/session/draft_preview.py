@@ -15,7 +15,7 @@ import numpy as np
 from skincal.files.layout_sources import parse_layout
 from skincal.geometry import Arm, FloatArray
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
-from skincal.mesh.load import load_surface
+from skincal.mesh.load import FindingKind, load_surface
 from skincal.mesh.readers import read_mesh
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
@@ -32,6 +32,8 @@ T = TypeVar("T")
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
 """m. Most parts with skin are between a finger and a torso; the unit of a mesh is guessed by it."""
 UNIT_ORDER = ("mm", "m", "cm", "in")
+UNREPORTED = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
+"""Findings about a mesh that change nothing for the person: the size is shown anyway."""
 CACHE_SIZE = 8
 """Kept results of each kind of work."""
 
@@ -291,7 +293,7 @@ def _load_shape(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotShap
 
 def _load_surface(path: Path, scale: float, pose: tuple[tuple[float, ...], ...]) -> tuple[Surface, tuple[str, ...]]:
     surface, findings = load_surface(SurfaceSpec(path, scale, np.array(pose)))
-    return surface, tuple(finding.sentence for finding in findings)
+    return surface, tuple(finding.sentence for finding in findings if finding.kind not in UNREPORTED)
 
 
 def completed_draft(preview: PartPreview) -> PartDraft:

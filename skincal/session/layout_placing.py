@@ -15,13 +15,15 @@ from skincal.geometry import FloatArray, IntArray, tangent_axes
 from skincal.mesh.geodesics import geodesics_of
 from skincal.mesh.lay import PlacedLayout, place_anchor
 from skincal.mesh.search import nearest_points
-from skincal.mesh.surface import Surface
+from skincal.mesh.surface import Surface, pairs_within
 from skincal.model.errors import InputError, plural
 from skincal.model.skin import Anchor, Layout, Module
 from skincal.session.part_draft import AnchorDraft
 
 OFF_MESH_M = 0.0005
 """m. A taxel further from the mesh is off it: covers are no thinner."""
+OVERLAP_SHARE = 0.4
+"""Of the spacing: taxels of two modules that are nearer lie on each other."""
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -128,7 +130,23 @@ def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surfa
         modules = sorted({layout.modules[int(index)].id for index in layout.module_of[off]})
         verb = "lies" if len(off) == 1 else "lie"
         sentences.append(f"{plural(len(off), 'taxel')} of {_modules(modules)} {verb} off the mesh: slide or turn the layout.")
+    sentences += _overlaps(layout, laid)
     return LaidFindings(off, tuple(sentences))
+
+
+def _overlaps(layout: Layout, laid: PlacedLayout) -> list[str]:
+    """Find modules whose taxels lie on those of another module."""
+    known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
+    if len(layout.modules) < 2 or not len(known):
+        return []
+    pairs = pairs_within(laid.places[known], OVERLAP_SHARE * layout.spacing)
+    owners = layout.module_of[known[pairs]]
+    both = sorted({(int(min(pair)), int(max(pair))) for pair in owners if pair[0] != pair[1]})
+    if not both:
+        return []
+    first, second = (layout.modules[index].id for index in both[0])
+    more = f", and {len(both) - 1} more pairs" if len(both) > 1 else ""
+    return [f"Modules {first} and {second}{more} lie on each other: turn the layout, or move modules alone."]
 
 
 def _modules(ids: list[int]) -> str:

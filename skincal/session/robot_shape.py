@@ -76,8 +76,7 @@ def link_poses(robot: Robot, angles: Mapping[str, float], root: str) -> dict[str
     children: dict[str, list[str]] = {}
     for joint in robot.joints.values():
         children.setdefault(joint.parent, []).append(joint.name)
-    top = next(link for link in robot.links if robot.joint_above(link) is None)
-    poses, waiting = {top: np.eye(4)}, [top]
+    poses, waiting = {robot.root: np.eye(4)}, [robot.root]
     while waiting:
         at = waiting.pop()
         for name in children.get(at, []):

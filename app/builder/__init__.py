@@ -1,0 +1,1 @@
+"""The page where a part is described: one file a step."""

@@ -1,0 +1,188 @@
+"""Step 6: landmarks, the summary, and the folder of the scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtWidgets import QFileDialog, QFormLayout, QLabel, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+
+from app.builder.fields import VectorField, button, row_of
+from app.builder.step import Step
+from app.dialogs.form_widgets import path_row
+from app.dialogs.landmark_dialog import free_name, name_problem
+from app.panels.widgets import set_bold
+from app.scene3d.draft_view import Mode
+from app.theme import GAP
+from skincal.geometry import FloatArray
+from skincal.mesh.search import nearest_points
+from skincal.session.draft_preview import PartPreview, completed_draft
+from skincal.session.draft_summary import State, summarize
+from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
+
+NORMAL_DIGITS = 3
+SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
+MAX_LIST_HEIGHT_PX = 110
+
+
+class CheckStep(Step):
+    """Landmarks and summary."""
+
+    name = "check"
+    title = "Landmarks and check"
+    hint = (
+        "Click screw heads and corners: known points that you can poke. Three or more show a common shift, a turned sensor "
+        "frame and joint errors."
+    )
+
+    def __init__(self, scenes: Path) -> None:
+        super().__init__()
+        self._scenes = scenes
+        self._is_typed_folder = False
+        self._summary_labels: list[QLabel] = []
+        self.mode = Mode.POINT
+        self.list = QListWidget()
+        self.list.setAccessibleName("landmarks")
+        self.list.setMaximumHeight(MAX_LIST_HEIGHT_PX)
+        self.list.currentRowChanged.connect(self._show_chosen)
+        self.mark_name = QLineEdit()
+        self.mark_name.setAccessibleName("name of the landmark")
+        self.mark_name.editingFinished.connect(self._rename)
+        self.place = VectorField("position of the landmark")
+        self.place.edited.connect(self._move)
+        self.add = button("&Add at the position")
+        self.add.clicked.connect(lambda: self.take_point(np.array(self.place.value()) * 1e-3, on_mesh=False))
+        self.remove = button("&Remove")
+        self.remove.clicked.connect(self._remove)
+        form = QFormLayout()
+        form.addRow(self.list)
+        form.addRow("&Name", self.mark_name)
+        form.addRow("&Position", self.place)
+        form.addRow("", row_of(self.add, self.remove))
+        self.column.addLayout(form)
+        head = QLabel("Summary")
+        set_bold(head)
+        self.column.addWidget(head)
+        self._summary = QWidget()
+        self._summary.setAccessibleName("summary")
+        self._lines = QVBoxLayout(self._summary)
+        self._lines.setContentsMargins(0, 0, 0, 0)
+        self._lines.setSpacing(GAP // 2)
+        self.column.addWidget(self._summary)
+        self.folder = QLineEdit()
+        self.folder.textEdited.connect(self._type_folder)
+        label, row = path_row("&Folder", self.folder, self._choose_folder)
+        where = QFormLayout()
+        where.addRow(label, row)
+        self.column.addLayout(where)
+        self.column.addStretch(1)
+
+    def scene_path(self) -> Path:
+        """Give the scene file to write."""
+        source = self.draft.source
+        folder = Path(self.folder.text())
+        if source is not None and folder == source.parent:
+            return source
+        return folder / "scene.toml"
+
+    def summary(self) -> list[str]:
+        """List the lines of the summary."""
+        return [label.text() for label in self._summary_labels]
+
+    def update_fields(self, preview: PartPreview) -> None:
+        marks = preview.draft.landmarks
+        row = min(max(self.list.currentRow(), 0), len(marks) - 1)
+        with QSignalBlocker(self.list):
+            self.list.clear()
+            for mark in marks:
+                self.list.addItem(QListWidgetItem(mark.name))
+            self.list.setCurrentRow(row)
+        self._show_chosen(row)
+        self._show_summary(preview)
+        if not self._is_typed_folder:
+            source = preview.draft.source
+            name = completed_draft(preview).name
+            self.folder.setText(str(free_scene_path(self._scenes, name).parent if source is None else source.parent))
+
+    def _show_summary(self, preview: PartPreview) -> None:
+        texts = [f"{SIGNS[line.state]}  {line.text}" for line in summarize(preview)]
+        if texts == self.summary():
+            return
+        for label in self._summary_labels:
+            self._lines.removeWidget(label)
+            label.deleteLater()
+        self._summary_labels = []
+        for text in texts:
+            label = QLabel(text)
+            label.setWordWrap(True)
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            self._lines.addWidget(label)
+            self._summary_labels.append(label)
+
+    def _show_chosen(self, row: int) -> None:
+        marks = self.draft.landmarks
+        has_mark = 0 <= row < len(marks)
+        if not self.mark_name.hasFocus():
+            self.mark_name.setText(marks[row].name if has_mark else "")
+        if has_mark:
+            self.place.show_value([1e3 * value for value in marks[row].place])
+        self.mark_name.setEnabled(has_mark)
+        self.remove.setEnabled(has_mark)
+
+    def take_point(self, point: FloatArray, *, on_mesh: bool = True) -> None:
+        """Add a landmark at a point, (3,) float, metres, link frame."""
+        marks = self.draft.landmarks
+        name = free_name({mark.name for mark in marks})
+        surface = None if self.preview is None else self.preview.surface
+        normal = None
+        if surface is not None:
+            near, triangles = nearest_points(surface, point[None])
+            normal = rounded(surface.normals[triangles[0]], NORMAL_DIGITS)
+            point = near[0] if on_mesh else point
+        mark = LandmarkDraft(name, rounded(point, METRE_DIGITS), normal)
+        self.change(replace(self.draft, landmarks=(*marks, mark)))
+        with QSignalBlocker(self.list):
+            self.list.addItem(QListWidgetItem(name))
+            self.list.setCurrentRow(len(marks))
+        self.mark_name.setEnabled(True)
+        self.mark_name.setText(name)
+        self.mark_name.setFocus()
+        self.mark_name.selectAll()
+
+    def _rename(self) -> None:
+        row, name = self.list.currentRow(), self.mark_name.text().strip()
+        marks = self.draft.landmarks
+        if not 0 <= row < len(marks) or marks[row].name == name:
+            return
+        problem = name_problem(name, {mark.name for mark in marks})
+        if problem:
+            self.failed.emit(problem)
+            return
+        self._replace(row, replace(marks[row], name=name), "")
+
+    def _move(self, millimetres: tuple[float, float, float]) -> None:
+        row = self.list.currentRow()
+        if 0 <= row < len(self.draft.landmarks):
+            place = rounded(np.array(millimetres) * 1e-3, METRE_DIGITS)
+            self._replace(row, replace(self.draft.landmarks[row], place=place), f"landmark {row}")
+
+    def _replace(self, row: int, mark: LandmarkDraft, merge: str) -> None:
+        marks = list(self.draft.landmarks)
+        marks[row] = mark
+        self.change(replace(self.draft, landmarks=tuple(marks)), merge)
+
+    def _remove(self) -> None:
+        row = self.list.currentRow()
+        marks = self.draft.landmarks
+        self.change(replace(self.draft, landmarks=(*marks[:row], *marks[row + 1 :])))
+
+    def _type_folder(self) -> None:
+        self._is_typed_folder = True
+
+    def _choose_folder(self) -> None:
+        path = QFileDialog.getExistingDirectory(self, "Folder of the new scene", str(Path(self.folder.text()).parent))
+        if path:
+            self._is_typed_folder = True
+            self.folder.setText(path)

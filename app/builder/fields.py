@@ -1,0 +1,116 @@
+"""Fields of the page: numbers with units, three coordinates, choices. A field reports edits of the operator only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from PySide6.QtCore import QLocale, QSignalBlocker, Signal
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
+
+from app.panels.widgets import compact_combo, secondary_label
+from app.theme import GAP
+from skincal.model.tables import LENGTH_MAX
+
+
+def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix: str = "") -> QDoubleSpinBox:
+    """Make a field for a number from -limit to limit."""
+    box = QDoubleSpinBox()
+    box.setLocale(QLocale.c())  # a decimal point, as in all numbers of the window
+    box.setRange(-limit, limit)
+    box.setDecimals(decimals)
+    box.setPrefix(prefix)
+    box.setSuffix(suffix)
+    box.setKeyboardTracking(False)
+    box.setAccessibleName(name)
+    return box
+
+
+def count_field(name: str, least: int, most: int) -> QSpinBox:
+    """Make a field for a whole number."""
+    box = QSpinBox()
+    box.setRange(least, most)
+    box.setKeyboardTracking(False)
+    box.setAccessibleName(name)
+    return box
+
+
+def set_silently(box: QDoubleSpinBox | QSpinBox, value: float) -> None:
+    """Show a number without reporting it. A field that is being edited stays as it is."""
+    line = box.lineEdit()
+    if line.isModified() and box.hasFocus():
+        return
+    with QSignalBlocker(box):
+        if isinstance(box, QSpinBox):
+            box.setValue(round(value))
+        else:
+            box.setValue(value)
+
+
+class VectorField(QWidget):
+    """Three numbers in a row: a point in millimetres, or a direction."""
+
+    edited = Signal(object)
+    """Tuple of three numbers."""
+
+    def __init__(self, name: str, *, is_direction: bool = False) -> None:
+        super().__init__()
+        limit, suffix = (1.0, "") if is_direction else (1e3 * LENGTH_MAX, " mm")
+        self.boxes = [number_field(f"{name}, {axis}", suffix, limit, 3 if is_direction else 2, f"{axis}  ") for axis in "xyz"]
+        self.setAccessibleName(name)
+        row = QHBoxLayout(self)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(GAP // 2)
+        for box in self.boxes:
+            box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
+            box.setMinimumWidth(1)
+            box.valueChanged.connect(lambda _: self.edited.emit(self.value()))
+            row.addWidget(box, 1)
+        self.setFocusProxy(self.boxes[0])
+
+    def value(self) -> tuple[float, float, float]:
+        x, y, z = (box.value() for box in self.boxes)
+        return x, y, z
+
+    def show_value(self, values: Iterable[float]) -> None:
+        """Show three numbers without reporting them."""
+        for box, value in zip(self.boxes, values, strict=True):
+            set_silently(box, float(value))
+
+
+def choice(name: str, entries: Mapping[str, str] | Sequence[tuple[str, str]]) -> QComboBox:
+    """Make a list of texts, each with a value as its data."""
+    box = compact_combo(name)
+    for value, text in dict(entries).items():
+        box.addItem(text, value)
+    return box
+
+
+def show_choice(box: QComboBox, value: object) -> None:
+    """Show the entry with a value without reporting it."""
+    with QSignalBlocker(box):
+        box.setCurrentIndex(box.findData(value))
+
+
+def button(text: str, name: str = "") -> QPushButton:
+    """Make a button; `name` is read by screen readers where the text is a sign."""
+    made = QPushButton(text)
+    made.setAutoDefault(False)
+    if name:
+        made.setAccessibleName(name)
+        made.setToolTip(name)
+    return made
+
+
+def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
+    """Put widgets next to each other."""
+    row = QHBoxLayout()
+    row.setSpacing(GAP // 2)
+    for widget in widgets:
+        row.addWidget(widget)
+    row.addStretch(1)
+    return row
+
+
+def note(text: str = "") -> QLabel:
+    """Make a label of secondary text that wraps."""
+    return secondary_label(text, wrap=True)

@@ -1,0 +1,92 @@
+"""Address of one stream on the page, with a preview; its readings help to describe the part."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import QTimer, Signal
+from PySide6.QtWidgets import QGridLayout, QWidget
+
+from app.dialogs.new_session import UPDATE_MS, StreamRow
+from app.session.previews import Previews, list_ports
+from app.workers.threads import ThreadService
+from skincal.model.errors import InputError
+from skincal.model.readings import Stream
+from skincal.streams.links import parse_address
+
+
+class LiveRow(QWidget):
+    """Reads a device while its step is open."""
+
+    read = Signal(object)
+    """List of readings, (n,) float each, since the last signal."""
+    address_agreed = Signal(str)
+
+    def __init__(self, stream: Stream) -> None:
+        super().__init__()
+        self._stream = stream
+        self.row = StreamRow(stream)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setColumnStretch(2, 1)
+        self.row.add_to(grid)
+        self._widths = (1, 0)
+        self._is_open = False
+        self._previews = previews = Previews()
+        self.destroyed.connect(lambda: previews.stop_readers())
+        self._ports = ThreadService("ports", self)
+        self._has_ports = False
+        self._timer = QTimer(self)
+        self._timer.setInterval(UPDATE_MS)
+        self._timer.timeout.connect(self._update)
+        self.row.agreed.connect(self._choose)
+
+    @property
+    def address(self) -> str:
+        """The address that the operator agreed to; empty without one."""
+        return self.row.named
+
+    def set_widths(self, channels: int, joints: int) -> None:
+        """Expect this many values of a skin frame, and at least this many joints."""
+        if (channels, joints) != self._widths:
+            self._widths = channels, joints
+            self._choose()
+
+    def resume(self) -> None:
+        """Read the device again."""
+        self._is_open = True
+        if not self._has_ports:
+            self._has_ports = True
+            self._ports.submit(list_ports, self.row.set_ports, lambda _: None)
+        self._choose()
+
+    def pause(self) -> None:
+        """Release the device."""
+        self._is_open = False
+        self._choose()
+
+    def stop(self) -> None:
+        """Release the device for good."""
+        self._timer.stop()
+        self._previews.stop_readers()
+        self._ports.close(0.0)
+
+    def _choose(self) -> None:
+        address = self.row.named if self._is_open else ""
+        if address:
+            try:
+                parse_address(address)
+            except InputError as error:
+                self.row.show_preview(None, str(error))
+                address = ""
+        self._previews.choose_widths({self._stream: address} if address else {}, *self._widths)
+        if address:
+            self._timer.start()
+            self.address_agreed.emit(address)
+        else:
+            self._timer.stop()
+
+    def _update(self) -> None:
+        preview = self._previews.update().get(self._stream)
+        if preview is not None:
+            self.row.show_preview(preview)
+            if preview.frames:
+                self.read.emit(list(preview.frames))

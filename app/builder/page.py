@@ -1,0 +1,336 @@
+"""The page where a part is described in six steps, with the 3D view at its side.
+
+The state is one frozen `PartDraft` with its history. A change makes another draft. `PartPreviewer` works it out in a thread,
+and the newest result is shown. Widgets decide nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtGui import QKeySequence, QShortcut
+from PySide6.QtWidgets import (
+    QButtonGroup,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QSplitter,
+    QStackedWidget,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.builder.check_step import CheckStep
+from app.builder.fields import button
+from app.builder.joints_step import JointsStep
+from app.builder.part_step import PartStep, with_part_file
+from app.builder.place_step import PlaceStep
+from app.builder.sensor_step import SensorStep
+from app.builder.skin_step import SkinStep
+from app.builder.step import Step
+from app.dialogs.form_widgets import scrolled
+from app.panels.widgets import theme_colours
+from app.scene3d.draft_state import DraftPicture
+from app.scene3d.draft_view import DraftView3D
+from app.session.opening import Addresses
+from app.text_size import scaled
+from app.theme import GAP
+from app.workers.threads import ThreadService
+from skincal.model.errors import InputError
+from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
+from skincal.session.draft_summary import State, can_start, summarize
+from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
+
+SIDE_PX = 470
+"""Width of the side with the fields at 100 %."""
+HISTORY_BUTTON_PX = 36
+MAX_FINDINGS = 3
+
+
+class BuilderPage(QWidget):
+    """The page; `begin` or `open_scene` starts it."""
+
+    start_wanted = Signal(object, object)
+    """`Path` of the saved scene, and the `Addresses` that were named on the page."""
+    failed = Signal(str)
+    """Sentence on what cannot be done."""
+    left = Signal()
+
+    def __init__(self, scenes: Path, parent: QWidget | None = None, make_view: Callable[[], DraftView3D] = DraftView3D) -> None:
+        super().__init__(parent)
+        self.history = DraftHistory()
+        self.angles: dict[str, float] = {}
+        self.preview: PartPreview | None = None
+        self.view = make_view()
+        self.check = CheckStep(scenes)
+        self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), JointsStep(), SkinStep(), PlaceStep(), self.check)
+        self._saved = self.history.now
+        self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
+        self._is_busy = self._must_repeat = False
+        self._arrange()
+        self._connect()
+        self.show_step(self.steps[0])
+
+    # Widgets
+
+    def _arrange(self) -> None:
+        self.tabs = QButtonGroup(self)
+        bar = QHBoxLayout()
+        bar.setSpacing(2)
+        self.stack = QStackedWidget()
+        for number, step in enumerate(self.steps, start=1):
+            tab = QToolButton()
+            tab.setCheckable(True)
+            tab.setProperty("choice", True)
+            tab.setStyleSheet("padding: 3px 4px")
+            tab.setShortcut(QKeySequence(f"Alt+{number}"))
+            self.tabs.addButton(tab, number - 1)
+            bar.addWidget(tab)
+            area = scrolled(step)
+            area.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+            self.stack.addWidget(area)
+        bar.addStretch(1)
+        self.findings = QLabel()
+        self.findings.setWordWrap(True)
+        self.findings.setAccessibleName("findings of this step")
+        self.undo_button, self.redo_button = (
+            button("\N{LEFTWARDS ARROW WITH HOOK}", "undo (Ctrl+Z)"),
+            button("\N{RIGHTWARDS ARROW WITH HOOK}", "redo (Ctrl+Y)"),
+        )
+        for each in (self.undo_button, self.redo_button):
+            each.setFixedWidth(scaled(HISTORY_BUTTON_PX))
+        self.leave_button, self.back, self.next = button("&Close"), button("\N{LEFTWARDS ARROW} &Back"), button("Ne&xt")
+        self.start = button("&Save and start")
+        buttons = QHBoxLayout()
+        for widget in (self.undo_button, self.redo_button, self.leave_button):
+            buttons.addWidget(widget)
+        buttons.addStretch(1)
+        for widget in (self.back, self.next, self.start):
+            buttons.addWidget(widget)
+        side = QFrame()
+        side.setObjectName("card")
+        side.setMinimumWidth(scaled(SIDE_PX))
+        column = QVBoxLayout(side)
+        column.setSpacing(GAP)
+        column.addLayout(bar)
+        column.addWidget(self.stack, 1)
+        column.addWidget(self.findings)
+        column.addLayout(buttons)
+        self.across = QSplitter(Qt.Orientation.Horizontal, self)
+        self.across.addWidget(self.view)
+        self.across.addWidget(side)
+        self.across.setStretchFactor(0, 1)
+        self.across.setChildrenCollapsible(False)
+        self.across.setHandleWidth(GAP)
+        self.across.setSizes([10_000, scaled(SIDE_PX)])
+        whole = QVBoxLayout(self)
+        whole.setContentsMargins(GAP, GAP, GAP, GAP)
+        whole.addWidget(self.across)
+
+    def _connect(self) -> None:
+        self.tabs.idClicked.connect(lambda index: self.show_step(self.steps[index]))
+        for step in self.steps:
+            step.changed.connect(self.change)
+            step.angles_changed.connect(self.turn_joints)
+            step.picture_changed.connect(self.show_picture)
+            step.failed.connect(self.failed)
+        view, place = self.view, self._step(PlaceStep)
+        view.point_picked.connect(lambda point: self.step.take_point(point))
+        view.link_picked.connect(lambda link: self.step.take_link(link))
+        view.drag_started.connect(lambda _module, point: place.start_drag(point))
+        view.layout_dragged.connect(place.drag_to)
+        view.layout_turned.connect(place.turn)
+        self.undo_button.clicked.connect(self.undo)
+        self.redo_button.clicked.connect(self.redo)
+        for keys, run in (("Ctrl+Z", self.undo), ("Ctrl+Y", self.redo), ("Ctrl+Shift+Z", self.redo)):
+            QShortcut(QKeySequence(keys), self, run)
+        self.back.clicked.connect(partial(self._go, -1))
+        self.next.clicked.connect(partial(self._go, 1))
+        self.start.clicked.connect(self.save_and_start)
+        self.leave_button.clicked.connect(self.left)
+
+    def _step(self, kind: type[PlaceStep]) -> PlaceStep:
+        return next(step for step in self.steps if isinstance(step, kind))
+
+    # The draft
+
+    def begin(self) -> None:
+        """Start to build the 3D view; call once the page is on the screen."""
+        self.recolour()
+        self.view.begin_draft()
+        self._request()
+
+    def open_scene(self, path: Path) -> None:
+        """Change an existing scene.
+
+        Raises InputError: it cannot be changed here.
+        """
+        self._set_history(DraftHistory(now=open_draft(path)))
+        self._saved = self.history.now
+
+    def take_part(self, path: Path) -> None:
+        """Start with a mesh or a URDF.
+
+        Raises InputError: it cannot be read.
+        """
+        self.change(with_part_file(self.history.now, path))
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether the draft was not saved."""
+        return self.history.now != self._saved
+
+    def change(self, draft: PartDraft, merge: str = "") -> None:
+        """Replace the draft; changes of one kind in a row are undone together."""
+        self._set_history(self.history.changed(draft, merge))
+
+    def undo(self) -> None:
+        self._set_history(self.history.undone())
+
+    def redo(self) -> None:
+        self._set_history(self.history.redone())
+
+    def _set_history(self, history: DraftHistory) -> None:
+        self.history = history
+        for step in self.steps:
+            step.draft = history.now
+        self.undo_button.setEnabled(bool(history.past))
+        self.redo_button.setEnabled(bool(history.future))
+        self._request()
+
+    def turn_joints(self, angles: Mapping[str, float]) -> None:
+        """Show other angles of joints, rad, by name."""
+        self.angles.update(angles)
+        self._request()
+
+    def _request(self) -> None:
+        """Work the newest draft out in the thread; while one is in work, only the newest waits."""
+        if self._is_busy:
+            self._must_repeat = True
+            return
+        self._is_busy, self._must_repeat = True, False
+        draft, angles = self.history.now, dict(self.angles)
+        self._threads.submit(lambda: self._previewer.preview(draft, angles), self._take_preview, ended=self._finish)
+
+    def _finish(self) -> None:
+        self._is_busy = False
+        if self._must_repeat:
+            self._request()
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the newest draft is shown."""
+        return not self._is_busy and self.preview is not None and self.preview.draft == self.history.now
+
+    def _take_preview(self, preview: PartPreview) -> None:
+        self.preview = preview
+        for step in self.steps:
+            step.show_preview(preview)
+        self._show_tabs()
+        self._show_findings()
+        self.show_picture()
+
+    def show_picture(self) -> None:
+        """Show the newest result in the 3D view, as the open step needs it."""
+        if self.preview is not None:
+            step = self.step
+            self.view.set_mode(step.mode)
+            self.view.show_picture(DraftPicture(self.preview, step.name, step.module, step.points, step.answered))
+
+    # Steps
+
+    @property
+    def step(self) -> Step:
+        """The open step."""
+        return self.steps[max(0, self.stack.currentIndex())]
+
+    def show_step(self, step: Step) -> None:
+        """Open a step."""
+        self.step.leave()
+        self.stack.setCurrentIndex(self.steps.index(step))
+        step.enter()
+        self._show_tabs()
+        self._show_findings()
+        self.show_picture()
+
+    def _go(self, way: int) -> None:
+        steps = self._shown_steps()
+        at = steps.index(self.step) + way
+        if 0 <= at < len(steps):
+            self.show_step(steps[at])
+            self.step.setFocus()
+
+    def _shown_steps(self) -> list[Step]:
+        preview = self.preview
+        return [step for step in self.steps if step is self.step or preview is None or step.applies(preview)]
+
+    def _show_tabs(self) -> None:
+        shown = self._shown_steps()
+        preview = self.preview
+        states: dict[str, State] = {}
+        for line in () if preview is None else summarize(preview):
+            order = (State.COMPLETE, State.OPTIONAL, State.NEEDED)
+            states[line.step] = max(states.get(line.step, State.COMPLETE), line.state, key=order.index)
+        signs = {State.COMPLETE: " \N{CHECK MARK}", State.OPTIONAL: "", State.NEEDED: ""}
+        names = ("Part", "Sensor", "Joints", "Skin", "Place", "Check")
+        for index, (step, name) in enumerate(zip(self.steps, names, strict=True)):
+            tab = self.tabs.button(index)
+            tab.setVisible(step in shown)
+            tab.setText(
+                f"{shown.index(step) + 1 if step in shown else ''} {name}{signs[states.get(step.name, State.OPTIONAL)]}"
+            )
+            tab.setChecked(step is self.step)
+        at = shown.index(self.step)
+        self.back.setEnabled(at > 0)
+        is_last = at == len(shown) - 1
+        self.next.setVisible(not is_last)
+        self.start.setVisible(is_last)
+        self.start.setEnabled(preview is not None and can_start(preview))
+
+    def _show_findings(self) -> None:
+        preview = self.preview
+        if preview is None or self.step is self.check:
+            self.findings.setText("")
+            return
+        problem = preview.problems.get(self.step.name)
+        lines = [f"\N{BALLOT X} {problem}"] if problem else []
+        found = preview.findings.get(self.step.name, ())
+        sign = "\N{BLACK UP-POINTING TRIANGLE}" if self.step.name == "place" else "\N{BULLET}"
+        lines += [f"{sign} {sentence}" for sentence in found if sentence not in (problem or "")][:MAX_FINDINGS]
+        self.findings.setText("\n".join(lines))
+
+    # The end
+
+    def save(self) -> Path | None:
+        """Write the scene; return its path, or `None` if that failed."""
+        if self.preview is None:
+            return None
+        try:
+            saved = save_draft(completed_draft(self.preview), self.check.scene_path())
+        except InputError as error:
+            self.failed.emit(str(error))
+            return None
+        self._saved = saved
+        self._set_history(self.history.changed(saved))
+        return saved.source
+
+    def save_and_start(self) -> None:
+        path = self.save()
+        if path is not None:
+            skin = next(step for step in self.steps if isinstance(step, SkinStep)).live.address
+            joints = next(step for step in self.steps if isinstance(step, JointsStep)).live.address
+            self.start_wanted.emit(path, Addresses(skin=skin, joints=joints))
+
+    def recolour(self) -> None:
+        self.view.set_dark(theme_colours().dark)
+
+    def close_page(self) -> None:
+        """Release the 3D view, the thread and all devices."""
+        for step in self.steps:
+            step.end()
+        self._threads.close()
+        self.view.close_view()

@@ -1,0 +1,185 @@
+"""Step 1: the mesh of the part or the robot's URDF; unit or link."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtWidgets import (
+    QComboBox,
+    QFileDialog,
+    QFormLayout,
+    QLabel,
+    QLineEdit,
+    QTreeWidget,
+    QTreeWidgetItem,
+)
+
+from app.builder.fields import choice, note, show_choice
+from app.builder.step import Step
+from app.dialogs.form_widgets import path_row
+from app.panels.widgets import compact_combo
+from app.scene3d.draft_view import Mode
+from app.session.opening import MESHES
+from skincal.model.errors import InputError
+from skincal.model.scene import UNITS
+from skincal.model.urdf import Robot, read_urdf
+from skincal.session.draft_preview import PartPreview, guess_unit, mesh_sides
+from skincal.session.draft_summary import size_words
+from skincal.session.part_draft import PartDraft
+
+URDF_ENDINGS = (".urdf",)
+PART_FILES = f"Part ({' '.join(f'*{ending}' for ending in (*MESHES, *URDF_ENDINGS))});;All files (*)"
+UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
+
+
+def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
+    """Make the draft of another mesh or URDF; what depended on the old one is dropped.
+
+    Raises InputError: the file cannot be read.
+    """
+    fresh = replace(
+        draft, urdf=None, mesh=None, link="part", sensor="", joints=(), fixed=(), packages=(), mesh_pose=None,
+        sensor_pose=None, anchor=None, landmarks=(), has_dh_arm=False,
+    )  # fmt: skip
+    if path.suffix.lower() in URDF_ENDINGS or path.suffix.lower() not in MESHES:
+        robot = read_urdf(path)
+        fresh = replace(fresh, urdf=path, link="")
+        return replace(fresh, link=next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh
+    return replace(fresh, mesh=path, unit=guess_unit(mesh_sides(path)), name=draft.name or path.stem)
+
+
+class PartStep(Step):
+    """Mesh or URDF."""
+
+    name = "part"
+    title = "Part"
+    hint = "Choose the mesh of the part (STL, OBJ, PLY, OFF), or the URDF of the robot that carries it."
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.file = QLineEdit()
+        self.file.setReadOnly(True)
+        label, row = path_row("Mesh or &URDF", self.file, self.choose_file)
+        self.part_name = QLineEdit()
+        self.part_name.setAccessibleName("name of the part")
+        self.part_name.setMaxLength(80)
+        self.part_name.editingFinished.connect(self._rename)
+        self.unit = choice("unit of the mesh", UNIT_NAMES)
+        self.unit.activated.connect(lambda _: self.change(replace(self.draft, unit=self.unit.currentData())))
+        self.size_text = QLabel()
+        self.size_text.setWordWrap(True)
+        self.tree = QTreeWidget()
+        self.tree.setHeaderHidden(True)
+        self.tree.setAccessibleName("links with a mesh")
+        self.tree.setMinimumHeight(150)
+        self.tree.itemSelectionChanged.connect(self._choose_in_tree)
+        self.frame: QComboBox = compact_combo("frame of all positions")
+        self.frame.activated.connect(lambda _: self.change(replace(self.draft, link=self.frame.currentText())))
+        form = QFormLayout()
+        form.addRow(label, row)
+        form.addRow("Part's &name", self.part_name)
+        form.addRow("&Unit", self.unit)
+        form.addRow("Size", self.size_text)
+        self.tree_note = note("Click the link that carries the skin, in the view or in this list.")
+        form.addRow(self.tree_note)
+        form.addRow(self.tree)
+        form.addRow("F&rame", self.frame)
+        self.frame_note = note("Positions are given in this frame. All listed frames are fixed to the link.")
+        form.addRow(self.frame_note)
+        self.form = form
+        self.column.addLayout(form)
+        self.column.addStretch(1)
+        self._robot: Robot | None = None
+        self._show_rows(has_robot=False, has_mesh=False)
+
+    def choose_file(self) -> None:
+        """Ask for a file, and take it."""
+        start = "" if self.draft.urdf is None and self.draft.mesh is None else str(self.draft.urdf or self.draft.mesh)
+        path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", start, PART_FILES)
+        if path:
+            self.take_file(Path(path))
+
+    def take_file(self, path: Path) -> None:
+        """Use a mesh or a URDF."""
+        try:
+            self.change(with_part_file(self.draft, path))
+        except InputError as error:
+            self.failed.emit(str(error))
+
+    def take_link(self, link: str) -> None:
+        self.change(replace(self.draft, link=link))
+
+    def update_fields(self, preview: PartPreview) -> None:
+        draft = preview.draft
+        self.file.setText(str(draft.urdf or draft.mesh or ""))
+        if not self.part_name.hasFocus():
+            self.part_name.setText(draft.name)
+            self.part_name.setPlaceholderText(draft.link if draft.urdf is not None else "part")
+        show_choice(self.unit, draft.unit)
+        self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{self._doubt(preview)}")
+        self._show_rows(has_robot=draft.urdf is not None, has_mesh=preview.size_mm is not None)
+        self.mode = Mode.LINK if draft.urdf is not None else Mode.NONE
+        if preview.robot is not self._robot:
+            self._robot = preview.robot
+            self._fill_tree()
+        self._show_link(preview)
+
+    def _doubt(self, preview: PartPreview) -> str:
+        """Ask about the unit, unless the URDF gives it."""
+        return "" if preview.draft.urdf is not None else "?  If that is wrong, choose another unit."
+
+    def _show_rows(self, *, has_robot: bool, has_mesh: bool) -> None:
+        for widget in (self.tree_note, self.tree, self.frame, self.frame_note):
+            self.form.setRowVisible(widget, has_robot)
+        self.form.setRowVisible(self.unit, has_mesh and not has_robot)
+        self.form.setRowVisible(self.size_text, has_mesh)
+
+    def _fill_tree(self) -> None:
+        """List the links with a mesh, each below the nearest link above it that has one."""
+        with QSignalBlocker(self.tree):
+            self.tree.clear()
+            robot = self._robot
+            if robot is None:
+                return
+            items: dict[str, QTreeWidgetItem] = {}
+            with_mesh = sorted(robot.meshes, key=lambda link: len(robot.path_to_root(link)))
+            for link in with_mesh:
+                above = [joint.parent for joint in robot.path_to_root(link)]
+                parent = next((items[each] for each in above if each in items), None)
+                item = QTreeWidgetItem(self.tree if parent is None else parent, [link])
+                items[link] = item
+            self.tree.expandAll()
+
+    def _show_link(self, preview: PartPreview) -> None:
+        robot = preview.robot
+        if robot is None:
+            return
+        found = self.tree.findItems(preview.mesh_link, Qt.MatchFlag.MatchExactly | Qt.MatchFlag.MatchRecursive)
+        with QSignalBlocker(self.tree):
+            self.tree.clearSelection()
+            if found and preview.mesh_link:
+                found[0].setSelected(True)
+                self.tree.setCurrentItem(found[0])
+                self.tree.scrollToItem(found[0])
+        frames = [preview.draft.link]
+        if preview.draft.link in robot.links:
+            sensor = robot.sensor_named(preview.draft.sensor, "").joint if preview.draft.sensor else ""
+            frames = list(robot.fixed_frames(preview.draft.link, sensor))
+        with QSignalBlocker(self.frame):
+            self.frame.clear()
+            self.frame.addItems(frames)
+
+    def _choose_in_tree(self) -> None:
+        chosen = self.tree.selectedItems()
+        if chosen and self.preview is not None and chosen[0].text(0) != self.preview.mesh_link:
+            self.change(replace(self.draft, link=chosen[0].text(0)))
+
+    def _rename(self) -> None:
+        name = self.part_name.text().strip()
+        if name != self.draft.name:
+            self.change(replace(self.draft, name=name))
+
+
+assert set(UNIT_NAMES) == set(UNITS)

@@ -1,0 +1,183 @@
+"""Step 5: the layout on the part: a click places it, a drag slides it, the wheel turns it; one module can move alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker
+from PySide6.QtWidgets import QFormLayout, QGridLayout, QWidget
+
+from app.builder.fields import VectorField, button, number_field, row_of
+from app.builder.step import Step
+from app.panels.widgets import compact_combo
+from app.scene3d.draft_view import Mode
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.model.skin import Anchor
+from skincal.session.draft_preview import PartPreview
+from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
+from skincal.session.part_draft import AnchorDraft
+
+WHOLE = -1  # Data of the entry for the whole layout
+TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)
+STEP_MM = 2.0
+ARROWS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
+          ("\N{DOWNWARDS ARROW}", 0, -1, 2, 1))  # fmt: skip
+"""Sign, step along the layout's x and y, row and column of the button."""
+
+
+class PlaceStep(Step):
+    """Position of the layout."""
+
+    name = "place"
+    title = "Place the layout"
+    hint = (
+        "Click the part where the middle of the layout lies. Drag the layout to slide it, turn the wheel over it to turn it. "
+        "Drag next to it to turn the view."
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mode = Mode.LAYOUT
+        self.moved = compact_combo("what moves")
+        self.moved.activated.connect(lambda _: self._choose_moved())
+        self.point = VectorField("position on the part")
+        self.point.edited.connect(lambda millimetres: self.take_point(np.array(millimetres) * 1e-3))
+        self.step = number_field("step of the arrows", " mm", 1000.0)
+        self.step.setMinimum(0.1)
+        self.step.setValue(STEP_MM)
+        self.turns = [button(f"{degrees:+g}\N{DEGREE SIGN}", f"turn by {degrees:g} degrees") for degrees in TURNS_DEG]
+        for each, degrees in zip(self.turns, TURNS_DEG, strict=True):
+            each.clicked.connect(lambda _=False, degrees=degrees: self.turn(degrees))
+        pad, grid = QWidget(), QGridLayout()
+        grid.setContentsMargins(0, 0, 0, 0)
+        pad.setLayout(grid)
+        self.arrows = [
+            button(sign, f"slide along the layout's {'x' if x else 'y'} axis, {x + y:+d}") for sign, x, y, _, _ in ARROWS
+        ]
+        for each, (_, x, y, row, column) in zip(self.arrows, ARROWS, strict=True):
+            each.setAutoRepeat(True)
+            each.clicked.connect(lambda _=False, x=x, y=y: self.nudge(x * self.step.value(), y * self.step.value()))
+            grid.addWidget(each, row, column)
+        self.back = button("Let this module &follow the layout again")
+        self.back.clicked.connect(self._let_follow)
+        form = QFormLayout()
+        form.addRow("&Move", self.moved)
+        form.addRow("&Position", self.point)
+        form.addRow("Turn", row_of(*self.turns))
+        form.addRow("Slide", row_of(pad))
+        form.addRow("by", row_of(self.step))
+        form.addRow(self.back)
+        self.column.addLayout(form)
+        self.column.addStretch(1)
+        self._grip: FloatArray | None = None
+        """From the anchor's point to the point where a drag began, (3,) metres."""
+        self._drag = 0
+
+    def applies(self, preview: PartPreview) -> bool:
+        return bool(preview.draft.layout_text)
+
+    def update_fields(self, preview: PartPreview) -> None:
+        layout = preview.layout
+        names = [] if layout is None else [module.id for module in layout.modules]
+        if self.module is not None and self.module >= len(names):
+            self.module = None
+        with QSignalBlocker(self.moved):
+            self.moved.clear()
+            self.moved.addItem("the whole layout", WHOLE)
+            for index, name in enumerate(names if len(names) > 1 else []):
+                self.moved.addItem(f"module {name} alone", index)
+            self.moved.setCurrentIndex(self.moved.findData(WHOLE if self.module is None else self.module))
+        anchor = self._anchor()
+        self.point.show_value(np.zeros(3) if anchor is None else anchor.point * 1e3)
+        for widget in (*self.turns, *self.arrows):
+            widget.setEnabled(anchor is not None)
+        is_alone = layout is not None and self.module is not None and layout.modules[self.module].anchor is not None
+        self.back.setVisible(is_alone and self.draft.anchor is not None)
+
+    def _choose_moved(self) -> None:
+        index = int(self.moved.currentData())
+        self.module = None if index == WHOLE else index
+        if self.preview is not None:
+            self.update_fields(self.preview)
+        self.picture_changed.emit()
+
+    def _anchor(self) -> Anchor | None:
+        """Anchor of what moves; `None` if it is not on the part."""
+        preview = self.preview
+        whole = None if self.draft.anchor is None else self.draft.anchor.anchor()
+        if preview is None or preview.layout is None:
+            return None
+        if self.module is None:
+            if whole is None:
+                return preview.layout.modules[0].anchor
+            return whole
+        try:
+            return anchor_of_module(preview.surface, preview.layout.modules[self.module], whole)
+        except InputError:
+            return None
+
+    def _move_to(self, anchor: Anchor, merge: str) -> None:
+        preview = self.preview
+        assert preview is not None
+        assert preview.layout is not None
+        draft = AnchorDraft.of(anchor)
+        if self.module is None:
+            self.change(replace(self.draft, anchor=draft), merge and f"place {merge}")
+            return
+        id_ = preview.layout.modules[self.module].id
+        try:
+            text = with_module_anchor(self.draft.layout_text, id_, draft)
+        except InputError as error:
+            self.failed.emit(str(error))
+            return
+        self.change(replace(self.draft, layout_text=text), merge and f"place {id_} {merge}")
+
+    def take_point(self, point: FloatArray) -> None:
+        preview = self.preview
+        if preview is None or preview.layout is None:
+            return
+        self._move_to(anchor_at(preview.surface, preview.layout, point, self._anchor()), "")
+
+    def turn(self, degrees: float) -> None:
+        """Turn what moves, counter-clockwise seen from outside."""
+        anchor = self._anchor()
+        if anchor is not None:
+            self._move_to(turned_anchor(anchor, degrees), "turn")
+
+    def nudge(self, x_mm: float, y_mm: float) -> None:
+        """Slide what moves along the layout's axes."""
+        anchor = self._anchor()
+        if anchor is None or self.preview is None:
+            return
+        try:
+            self._move_to(nudged_anchor(self.preview.surface, anchor, x_mm * 1e-3, y_mm * 1e-3), "nudge")
+        except InputError as error:
+            self.failed.emit(str(error))
+
+    def start_drag(self, point: FloatArray) -> None:
+        """Begin to slide at a point of the layout."""
+        anchor = self._anchor()
+        self._grip = None if anchor is None else point - anchor.point
+        self._drag += 1
+
+    def drag_to(self, point: FloatArray) -> None:
+        """Slide so that the point where the drag began comes here."""
+        preview, anchor = self.preview, self._anchor()
+        if preview is None or preview.layout is None or anchor is None or self._grip is None:
+            return
+        # Carried along the part, the grip would leave it: its part across the normal is kept.
+        grip = self._grip - (self._grip @ anchor.normal) * anchor.normal
+        self._move_to(anchor_at(preview.surface, preview.layout, point - grip, anchor), f"drag {self._drag}")
+
+    def _let_follow(self) -> None:
+        preview = self.preview
+        if preview is None or preview.layout is None or self.module is None:
+            return
+        try:
+            text = with_module_anchor(self.draft.layout_text, preview.layout.modules[self.module].id, None)
+        except InputError as error:
+            self.failed.emit(str(error))
+            return
+        self.change(replace(self.draft, layout_text=text))

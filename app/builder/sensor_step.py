@@ -1,0 +1,224 @@
+"""Step 2: the force/torque sensor: one of the URDF's, or three ways to give its pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from PySide6.QtCore import QSignalBlocker, Qt
+from PySide6.QtWidgets import QFormLayout, QListWidget, QListWidgetItem, QWidget
+
+from app.builder.fields import VectorField, button, choice, note, number_field, row_of, set_silently, show_choice
+from app.builder.step import NO_POINTS, Step
+from app.panels.widgets import compact_combo
+from app.scene3d.draft_view import Mode
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError
+from skincal.session.draft_preview import PartPreview
+from skincal.session.part_draft import IDENTITY, pose_rows
+from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
+
+FLANGE_POINTS = 3
+PICK_WORDS = (
+    "Click the first of three points on the rim of the sensor's flange.",
+    "Click the second point, about a third of the rim further.",
+    "Click the third point.",
+)
+SIGNS = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
+ADD_POINT = "Add the position as the next point"
+MAX_DEPTH_MM = 1000.0
+
+
+class SensorStep(Step):
+    """The sensor's pose in the part's frame."""
+
+    name = "sensor"
+    title = "Force/torque sensor"
+    hint = (
+        "The sensor's axes are drawn: x red, y green, z blue. A turn by 90 degrees is the usual mistake; a few pokes will "
+        "show it."
+    )
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.list = QListWidget()
+        self.list.setAccessibleName("force/torque sensors of the URDF")
+        self.list.setMaximumHeight(170)
+        self.list.itemSelectionChanged.connect(self._choose_listed)
+        self.other = compact_combo("joint or link at the sensor")
+        self.other.activated.connect(lambda _: self._choose_sensor(self.other.currentText()))
+        self.robot_form = QWidget()
+        form = QFormLayout(self.robot_form)
+        form.setContentsMargins(0, 0, 0, 0)
+        form.addRow("Sensors of the URDF", self.list)
+        form.addRow("&Other joint", self.other)
+        self.column.addWidget(self.robot_form)
+        self._make_free_form()
+        self.sign = choice("meaning of the wrench", SIGNS)
+        self.sign.activated.connect(self._choose_sign)
+        last = QFormLayout()
+        last.addRow("Reports", self.sign)
+        self.column.addLayout(last)
+        self.column.addStretch(1)
+
+    def _make_free_form(self) -> None:
+        """Make the fields for a part without a URDF."""
+        self.free_form = QWidget()
+        form = QFormLayout(self.free_form)
+        form.setContentsMargins(0, 0, 0, 0)
+        self.under = button("The part &stands on the sensor")
+        self.bottom_gap = number_field("distance from the part's bottom to the sensor's origin", " mm", MAX_DEPTH_MM)
+        self.bottom_gap.setToolTip("From the bottom face down to the sensor's origin; see its drawing")
+        self.same = button("Same &frame as the part")
+        self.pick = button("&Pick three points of the flange")
+        self.pick.setCheckable(True)
+        self.add_point = button(ADD_POINT)
+        self.pick_note = note()
+        self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
+        form.addRow(row_of(self.under, self.bottom_gap))
+        form.addRow(row_of(self.same, self.pick))
+        form.addRow(self.pick_note)
+        form.addRow("&Position", self.origin)
+        form.addRow("", self.add_point)
+        form.addRow("&z points to", self.direction)
+        self.turns = [button(f"\N{CLOCKWISE OPEN CIRCLE ARROW} 90\N{DEGREE SIGN} about {axis}") for axis in "xyz"]
+        for axis, each in enumerate(self.turns):
+            each.setAccessibleName(f"turn the sensor by 90 degrees about its {'xyz'[axis]} axis")
+            each.clicked.connect(lambda _=False, axis=axis: self._turn(axis))
+        form.addRow("Turn", row_of(*self.turns))
+        self.column.addWidget(self.free_form)
+        self.under.clicked.connect(self._stand)
+        self.bottom_gap.valueChanged.connect(self._stand)
+        self.same.clicked.connect(lambda: self._set_pose(np.eye(4)))
+        self.pick.toggled.connect(self._switch_picking)
+        self.add_point.clicked.connect(lambda: self.take_point(np.array(self.origin.value()) * 1e-3))
+        self.origin.edited.connect(self._move)
+        self.direction.edited.connect(self._aim)
+
+    def update_fields(self, preview: PartPreview) -> None:
+        draft, robot = preview.draft, preview.robot
+        self.robot_form.setVisible(draft.urdf is not None)
+        self.free_form.setVisible(draft.urdf is None and not draft.has_dh_arm)
+        if draft.has_dh_arm:
+            self.hint_label.setText("The scene has an [arm] by Denavit-Hartenberg rows, which stays as it is in the file.")
+        if robot is not None:
+            self._list_sensors(preview)
+        pose = preview.sensor_pose
+        if draft.urdf is None and pose is not None and not self.pick.isChecked():
+            self.origin.show_value(pose[:3, 3] * 1e3)
+            self.direction.show_value(pose[:3, 2])
+        for widget in self.turns:
+            widget.setEnabled(pose is not None)
+        self.under.setEnabled(preview.surface is not None)
+        self.pick.setEnabled(preview.surface is not None)
+        self._show_signs(preview)
+        self._show_picking()
+
+    def _show_signs(self, preview: PartPreview) -> None:
+        first = "the force on the part (usual)"
+        if preview.draft.urdf is not None:
+            says = {1: "the force on the part", -1: "its reaction", None: "the URDF does not say; the force is assumed"}
+            first = f"by the URDF: {says[preview.sign]}" if preview.sign is not None else says[None]
+        self.sign.setItemText(0, first)
+        show_choice(self.sign, "" if preview.draft.sign is None else str(preview.draft.sign))
+
+    def _list_sensors(self, preview: PartPreview) -> None:
+        robot = preview.robot
+        assert robot is not None
+        names = [sensor.name for sensor in robot.sensors]
+        near = {joint.name for joint in robot.path_to_root(preview.draft.link)} if preview.draft.link in robot.links else set()
+        with QSignalBlocker(self.list):
+            self.list.clear()
+            for sensor in robot.sensors:
+                is_near = sensor.joint in near
+                item = QListWidgetItem(f"{sensor.name}   between part and base" if is_near else sensor.name)
+                item.setData(Qt.ItemDataRole.UserRole, sensor.name)
+                self.list.addItem(item)
+                item.setSelected(sensor.name == preview.draft.sensor)
+        self.list.setVisible(bool(names))
+        with QSignalBlocker(self.other):
+            if self.other.count() != len(robot.joints) + 1:
+                self.other.clear()
+                self.other.addItem("")
+                self.other.addItems(list(robot.joints))
+            chosen = preview.draft.sensor
+            self.other.setCurrentIndex(0 if chosen in names else max(0, self.other.findText(chosen)))
+
+    def _choose_listed(self) -> None:
+        chosen = self.list.selectedItems()
+        if chosen:
+            self._choose_sensor(str(chosen[0].data(Qt.ItemDataRole.UserRole)))
+
+    def _choose_sensor(self, name: str) -> None:
+        if name and name != self.draft.sensor:
+            self.change(replace(self.draft, sensor=name, joints=()))
+
+    def _choose_sign(self) -> None:
+        value = str(self.sign.currentData())
+        self.change(replace(self.draft, sign=int(value) if value else None))
+
+    # Without a URDF
+
+    def _set_pose(self, pose: FloatArray, merge: str = "") -> None:
+        self.change(replace(self.draft, sensor_pose=pose_rows(pose)), merge)
+
+    def _pose(self) -> FloatArray:
+        return np.array(IDENTITY if self.draft.sensor_pose is None else self.draft.sensor_pose)
+
+    def _stand(self) -> None:
+        surface = None if self.preview is None else self.preview.surface
+        if surface is not None:
+            self._set_pose(pose_under(surface, self.bottom_gap.value() * 1e-3), "sensor depth")
+
+    def _move(self, millimetres: tuple[float, float, float]) -> None:
+        if self.pick.isChecked():
+            return  # typed for the next point
+        pose = self._pose()
+        pose[:3, 3] = np.array(millimetres) * 1e-3
+        self._set_pose(pose, "sensor position")
+
+    def _aim(self, direction: tuple[float, float, float]) -> None:
+        try:
+            self._set_pose(pose_along(self._pose()[:3, 3], np.array(direction)), "sensor direction")
+        except InputError as error:
+            self.failed.emit(str(error))
+
+    def _turn(self, axis: int) -> None:
+        self._set_pose(turned_pose(self._pose(), axis))
+
+    def _switch_picking(self, wanted: bool) -> None:
+        self.points = NO_POINTS
+        self._show_picking()
+        self.set_mode(Mode.POINT if wanted else Mode.NONE)
+
+    def _show_picking(self) -> None:
+        is_picking = self.pick.isChecked()
+        self.pick_note.setText(PICK_WORDS[len(self.points)] if is_picking else "")
+        self.pick_note.setVisible(is_picking)
+        self.add_point.setVisible(is_picking)
+
+    def take_point(self, point: FloatArray) -> None:
+        if not self.pick.isChecked() or self.preview is None or self.preview.surface is None:
+            return
+        self.points = np.concatenate([self.points, point[None]])
+        if len(self.points) < FLANGE_POINTS:
+            self._show_picking()
+            self.picture_changed.emit()
+            return
+        points = self.points
+        vertices = self.preview.surface.vertices
+        try:
+            pose = pose_on_flange(points, (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0)
+        except InputError as error:
+            self.failed.emit(str(error))
+            self._switch_picking(wanted=True)
+            return
+        self.pick.setChecked(False)
+        self._set_pose(pose)
+
+    def leave(self) -> None:
+        self.pick.setChecked(False)
+
+    def show_depth(self, millimetres: float) -> None:
+        """Show the distance from the part's bottom to the sensor."""
+        set_silently(self.bottom_gap, millimetres)

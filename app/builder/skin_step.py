@@ -1,0 +1,250 @@
+"""Step 4: the skin: number of values, polarity, layout; a touch marks the channels that answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtWidgets import QFileDialog, QFormLayout, QLabel, QLineEdit, QStackedWidget, QWidget
+
+from app.builder.fields import button, choice, count_field, note, number_field, row_of, set_silently, show_choice
+from app.builder.live_row import LiveRow
+from app.builder.step import Step
+from skincal.files.layout_sources import (
+    LAYOUT_ENDINGS,
+    MAX_LAYOUT_CHANNELS,
+    MAX_MODULES,
+    parse_layout,
+    read_layout_file,
+    repeated_modules,
+)
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Stream
+from skincal.model.skin import KINDS
+from skincal.session.draft_preview import PartPreview
+from skincal.session.layout_placing import middle_of
+from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
+from skincal.session.scene_draft import MAX_GRID_SIDE, Grid
+from skincal.session.touch_watch import TouchWatch
+
+POLARITIES = {"up": "rise under pressure", "down": "fall under pressure"}
+LAYOUTS = {
+    "none": "none: the guide searches for the taxels",
+    "file": "a file: .toml, .ini of iCub, table of positions",
+    "grid": "a grid of taxels",
+    "modules": "modules of one kind, edge to edge",
+}
+LAYOUT_FILES = f"Layout ({' '.join(LAYOUT_ENDINGS)});;All files (*)"
+KIND_NAMES = {"triangle_12": "triangle, 12 taxels (iCub, first skin)", "triangle_10pad": "triangle, 10 taxels (iCub, V2)"}
+TOUCH_HINT = "Optional: connect the skin, keep hands off for a second, then press it. The channels that answer are marked."
+
+
+class SkinStep(Step):
+    """Channels and layout."""
+
+    name = "skin"
+    title = "Skin"
+    hint = "How many values a frame of the skin has, and where its taxels lie relative to each other."
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.channels = count_field("values of a skin frame", 0, MAX_LAYOUT_CHANNELS)
+        self.channels.setSpecialValueText("as the layout")
+        self.channels.valueChanged.connect(self._set_channels)
+        self.polarity = choice("values under pressure", POLARITIES)
+        self.polarity.activated.connect(lambda _: self.change(replace(self.draft, polarity=self.polarity.currentData())))
+        self.layout_kind = choice("layout", LAYOUTS)
+        self.layout_kind.activated.connect(lambda _: self._choose_kind())
+        self._kind = "none"
+        form = QFormLayout()
+        form.addRow("&Values a frame", self.channels)
+        form.addRow("They", self.polarity)
+        form.addRow("&Layout", self.layout_kind)
+        self.pages = QStackedWidget()
+        self.pages_by_kind: dict[str, QWidget] = {}
+        for kind, make in self._page_makers().items():
+            self.pages_by_kind[kind] = page = make()
+            self.pages.addWidget(page)
+        form.addRow(self.pages)
+        self.found = QLabel()
+        self.found.setWordWrap(True)
+        form.addRow(self.found)
+        self.column.addLayout(form)
+        self.live = LiveRow(Stream.SKIN)
+        self.live.read.connect(self._take_frames)
+        self.again = button("&Forget the touch")
+        self.again.clicked.connect(self._forget_touch)
+        self.touched = note(TOUCH_HINT)
+        self.use_polarity = button("Use this: they fall")
+        self.use_polarity.clicked.connect(self._use_polarity)
+        self.use_polarity.setVisible(False)
+        self.column.addWidget(self.live)
+        self.column.addWidget(self.touched)
+        self.column.addLayout(row_of(self.again, self.use_polarity))
+        self.column.addStretch(1)
+        self._watch: TouchWatch | None = None
+        self._falls = False
+
+    def _page_makers(self) -> dict[str, Callable[[], QWidget]]:
+        return {
+            "none": QWidget, "file": self._make_file_page, "grid": self._make_grid_page, "modules": self._make_modules_page
+        }  # fmt: skip
+
+    def _make_file_page(self) -> QWidget:
+        page = QWidget()
+        self.file = QLineEdit()
+        self.file.setReadOnly(True)
+        self.file.setAccessibleName("layout file")
+        choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file")
+        choose.clicked.connect(self.choose_file)
+        row = row_of(self.file, choose)
+        row.setStretch(0, 1)
+        row.setContentsMargins(0, 0, 0, 0)
+        page.setLayout(row)
+        return page
+
+    def _make_grid_page(self) -> QWidget:
+        page = QWidget()
+        self.rows, self.columns = (count_field(name, 1, MAX_GRID_SIDE) for name in ("rows of the grid", "columns of the grid"))
+        self.pitch = number_field("spacing of the grid", " mm", 1000.0, 2)
+        self.pitch.setMinimum(0.1)
+        for box, value in ((self.rows, 4), (self.columns, 4)):
+            box.setValue(value)
+        self.pitch.setValue(10.0)
+        for box in (self.rows, self.columns, self.pitch):
+            box.valueChanged.connect(self._use_grid)
+        row = row_of(QLabel("rows"), self.rows, QLabel("columns"), self.columns, QLabel("every"), self.pitch)
+        row.setContentsMargins(0, 0, 0, 0)
+        page.setLayout(row)
+        return page
+
+    def _make_modules_page(self) -> QWidget:
+        page = QWidget()
+        form = QFormLayout(page)
+        form.setContentsMargins(0, 0, 0, 0)
+        self.kind = choice("kind of module", {kind: KIND_NAMES.get(kind, kind) for kind in KINDS})
+        self.kind.activated.connect(lambda _: self._use_modules())
+        self.strips, self.in_strip = (count_field(name, 1, MAX_MODULES) for name in ("strips", "modules in a strip"))
+        self.in_strip.setValue(4)
+        for box in (self.strips, self.in_strip):
+            box.valueChanged.connect(self._use_modules)
+        form.addRow("&Kind", self.kind)
+        form.addRow("Strips", row_of(self.strips, QLabel("of"), self.in_strip, QLabel("modules")))
+        return page
+
+    def update_fields(self, preview: PartPreview) -> None:
+        draft = preview.draft
+        set_silently(self.channels, draft.channels or 0)
+        show_choice(self.polarity, draft.polarity)
+        if not draft.layout_text:
+            self._kind = "none" if self._kind != "file" or self.file.text() else self._kind
+        elif self._kind == "none":
+            self._kind = "file"
+            self.file.setText(draft.layout_name)
+        show_choice(self.layout_kind, self._kind)
+        self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
+        layout = preview.layout
+        self.found.setText(
+            ""
+            if layout is None
+            else f"{plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}, "
+            f"channels up to {layout.width - 1}."
+        )
+        width = draft.channels or (0 if layout is None else layout.width)
+        self.live.setEnabled(width > 0)
+        self.live.set_widths(max(1, width), 0)
+
+    def _set_channels(self, count: int) -> None:
+        self.change(replace(self.draft, channels=count or None), "channels")
+
+    def _choose_kind(self) -> None:
+        self._kind = str(self.layout_kind.currentData())
+        self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
+        {"none": self._use_none, "file": self.choose_file, "grid": self._use_grid, "modules": self._use_modules}[self._kind]()
+
+    def _use_none(self) -> None:
+        self.change(replace(self.draft, layout_text="", layout_name="", anchor=None))
+
+    def choose_file(self) -> None:
+        """Ask for a layout file, and take it."""
+        path, _ = QFileDialog.getOpenFileName(self, "Layout", "", LAYOUT_FILES)
+        if path:
+            self.take_file(Path(path))
+
+    def take_file(self, path: Path) -> None:
+        """Use a layout file."""
+        try:
+            text = read_layout_file(path)
+        except InputError as error:
+            self.failed.emit(str(error))
+            return
+        self._kind = "file"
+        self.file.setText(str(path))
+        self._use(text)
+
+    def _use_grid(self) -> None:
+        self._use(Grid(self.rows.value(), self.columns.value(), self.pitch.value()).layout_text(), "grid")
+
+    def _use_modules(self) -> None:
+        try:
+            text = repeated_modules(str(self.kind.currentData()), self.strips.value(), self.in_strip.value())
+        except InputError as error:
+            self.failed.emit(str(error))
+            return
+        self._use(text, "modules")
+
+    def _use(self, text: str, merge: str = "") -> None:
+        """Take another layout; its middle stays where the old one's point was."""
+        self.change(replace(self.draft, layout_text=text, anchor=self._kept_anchor(text)), merge)
+
+    def _kept_anchor(self, text: str) -> AnchorDraft | None:
+        anchor = self.draft.anchor
+        if anchor is None:
+            return None
+        middle = middle_of(parse_layout(text, layout_file_of(self.draft)))
+        return replace(anchor, at_mm=rounded(middle * 1e3, MM_DIGITS))
+
+    # A touch
+
+    def _take_frames(self, frames: list[np.ndarray]) -> None:
+        if not frames:
+            return
+        if self._watch is None:
+            self._watch = TouchWatch(len(frames[0]))
+        for frame in frames:
+            self._watch.feed(frame)
+        if not self._watch.is_ready:
+            self.touched.setText("Hands off: the values at rest are read.")
+            return
+        touch = self._watch.touch()
+        self.touched.setText(touch.sentence())
+        self._falls = touch.falls
+        differs = len(touch.channels) > 0 and touch.falls != (self.draft.polarity == "down")
+        self.use_polarity.setText(f"Use this: they {'fall' if touch.falls else 'rise'}")
+        self.use_polarity.setVisible(differs)
+        before = self.answered
+        if before is None or not np.array_equal(before, touch.channels):
+            self.answered = touch.channels
+            self.picture_changed.emit()
+
+    def _use_polarity(self) -> None:
+        self.use_polarity.setVisible(False)
+        self.change(replace(self.draft, polarity="down" if self._falls else "up"))
+
+    def _forget_touch(self) -> None:
+        self._watch, self.answered = None, None
+        self.touched.setText(TOUCH_HINT)
+        self.use_polarity.setVisible(False)
+        self.picture_changed.emit()
+
+    def enter(self) -> None:
+        self.live.resume()
+
+    def leave(self) -> None:
+        self.live.pause()
+        self._forget_touch()
+
+    def end(self) -> None:
+        self.live.stop()

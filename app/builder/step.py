@@ -1,0 +1,93 @@
+"""What all steps of the page have in common."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from app.builder.fields import note
+from app.panels.widgets import set_bold
+from app.scene3d.draft_view import Mode
+from app.theme import GAP
+from skincal.geometry import FloatArray, IntArray
+from skincal.session.draft_preview import PartPreview
+from skincal.session.part_draft import PartDraft
+
+NO_POINTS: FloatArray = np.empty((0, 3))
+TITLE_PT = 13.0
+
+
+class Step(QWidget):
+    """One step: it shows the draft as far as it is worked out, and proposes changes of it."""
+
+    name: ClassVar[str]
+    """As in `PartPreview.problems`."""
+    title: ClassVar[str]
+    hint: ClassVar[str]
+
+    changed = Signal(object, str)
+    """`PartDraft`, and the kind of the change: repeated changes of one kind are undone together. Empty for a change alone."""
+    angles_changed = Signal(object)
+    """Shown angles of joints, rad, by name."""
+    picture_changed = Signal()
+    """The 3D view shows something else: points, mode, module."""
+    failed = Signal(str)
+    """Sentence on what cannot be done."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.draft = PartDraft()
+        """The newest draft; `preview` may be of an earlier one."""
+        self.preview: PartPreview | None = None
+        self.mode = Mode.NONE
+        self.points = NO_POINTS
+        """(n, 3) float, metres: picked points to mark."""
+        self.module: int | None = None
+        self.answered: IntArray | None = None
+        self.column = QVBoxLayout(self)
+        self.column.setContentsMargins(GAP, GAP, GAP, GAP)
+        self.column.setSpacing(GAP)
+        head = QLabel(self.title)
+        set_bold(head, TITLE_PT)
+        self.column.addWidget(head)
+        self.hint_label = note(self.hint)
+        self.column.addWidget(self.hint_label)
+
+    def applies(self, preview: PartPreview) -> bool:  # noqa: ARG002
+        """Whether the step has something to decide for this part."""
+        return True
+
+    def show_preview(self, preview: PartPreview) -> None:
+        """Show a draft."""
+        self.preview = preview
+        self.update_fields(preview)
+
+    def update_fields(self, preview: PartPreview) -> None:
+        """Show the values of a draft in the fields, without reporting changes."""
+
+    def enter(self) -> None:
+        """Begin: the step is on the screen."""
+
+    def leave(self) -> None:
+        """End: another step is on the screen."""
+
+    def take_point(self, point: FloatArray) -> None:
+        """Handle a click on the part, (3,) float, metres, link frame."""
+
+    def take_link(self, link: str) -> None:
+        """Handle a click on a link of the robot."""
+
+    def change(self, draft: PartDraft, merge: str = "") -> None:
+        """Propose a change."""
+        self.changed.emit(draft, merge)
+
+    def set_mode(self, mode: Mode) -> None:
+        """Choose the meaning of clicks in the 3D view."""
+        self.mode = mode
+        self.picture_changed.emit()
+
+    def end(self) -> None:
+        """Stop what the step reads in the background."""

@@ -1,0 +1,340 @@
+"""The picture of a part draft: the robot around it, its mesh, sensors, placed layout and landmarks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
+from vtkmodules.vtkRenderingCore import vtkCellPicker
+
+from app import theme
+from app.scene3d.camera import PLAIN_POSE, CameraPose, facing, fit_from
+from app.scene3d.draft_state import NO_PLACES, ROBOT_STEPS, SENSOR_STEPS, DraftPicture, DraftStatic
+from app.scene3d.hints import HintsLayer
+from app.scene3d.lines import crosses, rings
+from app.scene3d.mesh_actors import FRONT, PART, Dots, Label, Layer, Segments
+from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
+from app.scene3d.scene_renderer import SceneRenderer
+from app.scene3d.scene_state import DARK, SceneColours, StaticScene
+from skincal.geometry import FloatArray
+from skincal.mesh.lay import PlacedLayout
+from skincal.mesh.search import nearest_points
+from skincal.mesh.surface import Surface, make_surface
+from skincal.model.skin import Layout
+from skincal.session.draft_preview import PartPreview
+from skincal.session.robot_shape import RobotShape
+
+AXIS_SHARE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
+MIN_AXIS_M = 0.03
+OTHER_AXIS_SHARE = 0.4  # Of other sensors' axes, of the chosen one's
+MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longest side
+GHOST_OPACITY = 0.22
+BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+FIRST_VIEW = np.array([0.83, 0.42, 0.36])
+"""Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
+MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
+LABEL_GAP_PX = 6.0
+MIN_FACING = 0.05
+_TRIANGLE = make_surface(np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
+"""Drawn, hidden, before there is a mesh."""
+
+
+class LinksLayer(Layer):
+    """The links of a robot, one actor each; the part's link is marked."""
+
+    name = "links"
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.shape: RobotShape | None = None
+        self.actors: dict[str, pv.Actor] = {}
+        self._key: object = None
+        self._picture: DraftPicture | None = None
+
+    def show_picture(self, picture: DraftPicture) -> None:
+        """Show the robot in the steps that need it."""
+        preview = picture.preview
+        if preview.shape is not self.shape:
+            self._replace(preview.shape)
+        self._picture = picture
+        for link, actor in self.actors.items():
+            pose = preview.link_poses.get(link)
+            if pose is not None:
+                actor.SetUserMatrix(_matrix(pose))
+        self.paint()
+
+    def _replace(self, shape: RobotShape | None) -> None:
+        for actor in self.actors.values():
+            self.plotter.renderers[PART].RemoveActor(actor)
+        self.shape, self.actors = shape, {}
+        if shape is None:
+            return
+        self.plotter.subplot(0, PART)
+        for link in shape.links:
+            mesh = pv.PolyData.from_regular_faces(link.vertices, link.triangles)
+            self.actors[link.link] = self.plotter.add_mesh(
+                mesh, ambient=0.3, diffuse=0.7, copy_mesh=False, reset_camera=False, render=False, show_scalar_bar=False
+            )
+
+    def paint(self) -> None:
+        """Colour the part's link, and fade the others in the steps that are about the part."""
+        if self._picture is None:
+            return
+        step, chosen = self._picture.step, self._picture.preview.mesh_link
+        has_part = self._picture.preview.surface is not None
+        for link, actor in self.actors.items():
+            is_part = link == chosen
+            # Its mesh is drawn as the part itself.
+            is_hidden = step not in ROBOT_STEPS or (is_part and step != "part")
+            actor.visibility = not is_hidden
+            is_ghost = step != "part" and has_part
+            actor.prop.opacity = GHOST_OPACITY if is_ghost else 1.0
+            # The far sides of many walls would blend to a fog.
+            actor.prop.culling = "back" if is_ghost else "none"
+            actor.prop.color = theme.HUES[0] if is_part else self.colours.front
+
+    def set_colours(self, colours: SceneColours) -> None:
+        self.colours = colours
+        self.paint()
+
+    def pick(self, x: float, y: float) -> str | None:
+        """Return the link at a pixel; `None` next to the robot."""
+        picker = vtkCellPicker()
+        picker.SetTolerance(0.0)
+        picker.PickFromListOn()
+        for actor in self.actors.values():
+            if actor.visibility:
+                picker.AddPickList(actor)
+        if not picker.Pick(x, y, 0.0, self.plotter.renderers[PART]):
+            return None
+        found = picker.GetActor()
+        return next((link for link, actor in self.actors.items() if actor is found), None)
+
+    def extent(self, preview: PartPreview) -> FloatArray:
+        """Return the corners of the links' boxes, (n, 3) float, metres, in the part's link."""
+        corners = [NO_PLACES]
+        for link in () if preview.shape is None else preview.shape.links:
+            pose = preview.link_poses.get(link.link)
+            if pose is not None:
+                low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
+                corners.append((low + BOX * (high - low)) @ pose[:3, :3].T + pose[:3, 3])
+        return np.concatenate(corners)
+
+
+def _matrix(pose: FloatArray) -> vtkMatrix4x4:
+    matrix = vtkMatrix4x4()
+    matrix.DeepCopy(pose.ravel().tolist())
+    return matrix
+
+
+class SensorsLayer(Layer):
+    """Axes of the force/torque sensors and of the part's frame, with their names."""
+
+    name = "sensors"
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.chosen, self.others = Segments(plotter, FRONT, 4.0), Segments(plotter, FRONT, 2.0)
+        self._picture: DraftPicture | None = None
+        self.size = MIN_AXIS_M
+
+    def show_picture(self, picture: DraftPicture) -> None:
+        self._picture = picture
+        self.draw()
+
+    def set_colours(self, colours: SceneColours) -> None:
+        self.colours = colours
+        self.draw()
+
+    def draw(self) -> None:
+        picture = self._picture
+        if picture is None or picture.step not in SENSOR_STEPS:
+            self.chosen.show(NO_PLACES, self.colours.ink)
+            self.others.show(NO_PLACES, self.colours.ink)
+            self.labels = ()
+            return
+        preview = picture.preview
+        hues = _axis_colours(self.colours)
+        chosen = [] if preview.sensor_pose is None else [(preview.draft.sensor or "sensor", preview.sensor_pose)]
+        others = [("part", np.eye(4))]
+        if picture.step == "sensor":
+            others += [(name, pose) for name, pose in preview.sensors.items() if name != preview.draft.sensor]
+        for actor, frames, size in (
+            (self.chosen, chosen, self.size), (self.others, others, OTHER_AXIS_SHARE * self.size),
+        ):  # fmt: skip
+            ends = [np.stack([pose[:3, 3], pose[:3, 3] + size * pose[:3, axis]]) for _, pose in frames for axis in range(3)]
+            actor.show(np.array(ends).reshape(-1, 3), np.tile(hues.repeat(2, axis=0), (len(frames), 1)))
+        self.labels = [Label(name, pose[:3, 3], LABEL_GAP_PX, 2.0) for name, pose in (*chosen, *others)]
+        if chosen:
+            pose = chosen[0][1]
+            tips = pose[:3, 3] + 1.12 * self.size * pose[:3, :3].T
+            self.labels += [Label(letter, tip, 0.0, 3.0) for letter, tip in zip("xyz", tips, strict=True)]
+
+
+def _axis_colours(colours: SceneColours) -> Any:
+    names = (theme.DARK if colours is DARK else theme.LIGHT).axes
+    return np.array([list(bytes.fromhex(name[1:])) for name in names], dtype=np.uint8)
+
+
+class MarksLayer(Layer):
+    """Landmarks with their names, picked points, taxels off the mesh, the module that moves alone, and answering taxels."""
+
+    name = "marks"
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.lines, self.module = Segments(plotter, FRONT, 2.5), Segments(plotter, FRONT, 4.0)
+        self.wrong, self.answered = Dots(plotter, FRONT, 9.0), Dots(plotter, FRONT, 11.0)
+        self._picture: DraftPicture | None = None
+        self._normals = NO_PLACES
+        self.size = MIN_AXIS_M
+
+    def show_picture(self, picture: DraftPicture) -> None:
+        self._picture = picture
+        preview, laid = picture.preview, picture.preview.laid
+        places = np.array([mark.place for mark in preview.draft.landmarks]).reshape(-1, 3)
+        self._normals = np.tile([0.0, 0.0, 1.0], (len(places), 1))
+        if preview.surface is not None and len(places):
+            self._normals = preview.surface.normals[nearest_points(preview.surface, places)[1]]
+        colours = theme.DARK if self.colours is DARK else theme.LIGHT
+        off = None if preview.laid_findings is None else preview.laid_findings.off_channels
+        self._show_channels(self.wrong, laid, off, colours.bad)
+        self._show_channels(self.answered, laid, picture.answered, colours.accent)
+        lines = NO_PLACES
+        if picture.module is not None and preview.layout is not None and laid is not None:
+            outline = laid.outlines[picture.module]
+            lines = np.stack([outline, np.roll(outline, -1, axis=0)], axis=1).reshape(-1, 3) if len(outline) else NO_PLACES
+        self.module.show(lines, self.colours.ink)
+        self.draw()
+
+    def _show_channels(self, dots: Dots, laid: PlacedLayout | None, channels: Any, colour: str) -> None:
+        places = NO_PLACES if laid is None or channels is None else laid.places[channels[channels < len(laid.places)]]
+        red, green, blue = bytes.fromhex(colour[1:])
+        dots.show(places[np.isfinite(places[:, 0])], (red, green, blue))
+
+    def draw(self) -> None:
+        picture = self._picture
+        if picture is None or self.viewpoint is None:
+            return
+        marks = picture.preview.draft.landmarks if picture.step == "check" else ()
+        places = np.array([mark.place for mark in marks]).reshape(-1, 3)
+        radius = MARK_SHARE * self.size / AXIS_SHARE
+        normals = self._normals[: len(places)]
+        position = self.viewpoint.pose.position
+        seen = facing(normals, places, position) >= MIN_FACING if len(places) else np.empty(0, bool)
+        diamonds = rings(places[seen], normals[seen], radius, sides=4).reshape(-1, 3)
+        towards = position - picture.points
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+        points = np.concatenate([
+            rings(picture.points, towards, radius).reshape(-1, 3), crosses(picture.points, towards, 0.6 * radius).reshape(-1, 3)
+        ])  # fmt: skip
+        self.lines.show(np.concatenate([diamonds, points]), self.colours.ink)
+        gap = radius / self.viewpoint.pixel + LABEL_GAP_PX
+        self.labels = [
+            Label(mark.name, np.array(mark.place), gap, 2.0) for mark, is_seen in zip(marks, seen, strict=True) if is_seen
+        ]
+        self.labels += [Label(str(number), at, gap, 2.0) for number, at in enumerate(picture.points, start=1)]
+
+
+class DraftRenderer(SceneRenderer):
+    """Layers, light and camera of a draft; they follow every change of it."""
+
+    first_lean_deg = (0.0, 0.0)
+
+    def build_layers(self) -> tuple[Layer, ...]:
+        """Make all layers, empty."""
+        plotter, static = self.plotter, DraftStatic()
+        layout, laid = Layout((), 0), PlacedLayout(NO_PLACES, NO_PLACES, ())
+        self.surface_layer = SurfaceLayer(plotter, static, _TRIANGLE)
+        self.links, self.sensors, self.marks = (
+            LinksLayer(plotter, static),
+            SensorsLayer(plotter, static),
+            MarksLayer(plotter, static),
+        )
+        self.modules = ModulesLayer(plotter, static, layout, laid)
+        self._fitted: object = None
+        self._surface: Surface | None = None
+        self._picture: DraftPicture | None = None
+        return self.links, self.surface_layer, self.modules, self.sensors, self.marks, HintsLayer(plotter, static)
+
+    def show(self, state: Any) -> bool:
+        """Show a `DraftPicture`."""
+        picture: DraftPicture = state
+        before, self._picture = self._picture, picture
+        preview, is_new = picture.preview, before is None or before.preview.laid is not picture.preview.laid
+        if preview.surface is not None and preview.surface is not self._surface:
+            self.surface_layer.set_surface(preview.surface)
+            self._surface = preview.surface
+        is_shown = preview.surface is not None and not (picture.step == "part" and preview.shape is not None)
+        self.surface_layer.inside.visibility = self.surface_layer.outside.visibility = is_shown
+        if is_new or self.static.surface is not preview.surface:
+            self.static = DraftStatic(preview.surface, preview.layout, preview.laid)
+        self._show_layout(picture)
+        size = max(MIN_AXIS_M, AXIS_SHARE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3))
+        self.sensors.size = self.marks.size = size
+        for layer in (self.links, self.sensors, self.marks):
+            layer.show_picture(picture)
+        key = (
+            preview.surface, preview.shape, preview.draft.link if preview.shape is not None else "", _view_of(picture),
+            preview.sensor_pose is None,
+        )  # fmt: skip
+        if key != self._fitted:
+            self._fitted = key
+            self.fit()
+        return True
+
+    def _show_layout(self, picture: DraftPicture) -> None:
+        preview = picture.preview
+        is_shown = preview.laid is not None and preview.layout is not None and picture.step not in ROBOT_STEPS
+        if is_shown and self.modules.static is not self.static:
+            assert preview.layout is not None
+            assert preview.laid is not None
+            self.modules.set_layout(self.static, preview.layout, preview.laid)
+        for actor in (self.modules.outlines, self.modules.dots):
+            actor.hidden = not is_shown
+            actor.update_visibility()
+        if not is_shown:
+            self.modules.labels = ()
+            self.modules.static = DraftStatic()
+
+    def turn(self, state: Any, now_s: float) -> bool:  # noqa: ARG002
+        """Leave the camera where it is."""
+        return False
+
+    def pick_link(self, x: float, y: float) -> str | None:
+        """Return the robot's link at a pixel; `None` next to the robot."""
+        return self.links.pick(x, y)
+
+    def fitted_pose(self, min_half_height: float) -> CameraPose:
+        """Return the camera pose that shows what the step is about."""
+        picture = self._picture
+        if picture is None:
+            return PLAIN_POSE
+        preview, aspect = picture.preview, self.aspect()
+        turn, points = np.eye(3), self.static.extent
+        if _view_of(picture) == "robot" and preview.robot is not None:
+            turn, points = preview.link_poses[preview.robot.root][:3, :3], self.links.extent(preview)
+        if picture.step in SENSOR_STEPS[:2]:
+            chosen = [] if preview.sensor_pose is None else [preview.sensor_pose]
+            tips = [pose[:3, 3] + self.sensors.size * pose[:3, :3].T for pose in chosen or preview.sensors.values()]
+            points = np.concatenate([points, *tips])
+        if not len(points):
+            return PLAIN_POSE
+        back = turn @ FIRST_VIEW if self.static.facing is None else self.static.facing
+        right = np.cross(turn[:, 2], back)
+        right = right / np.linalg.norm(right) if np.linalg.norm(right) > MIN_UPRIGHT_SIN else turn[:, 0]
+        axes = np.stack([right, np.cross(back, right), back])
+        return fit_from(points, (points.min(axis=0) + points.max(axis=0)) / 2.0, axes, aspect, min_half_height)
+
+    def pick(self, x: float, y: float) -> int | None:  # noqa: ARG002
+        """Return `None`: a draft has no estimates."""
+        return None
+
+
+def _view_of(picture: DraftPicture) -> str:
+    """Name what the camera shows in a step."""
+    if picture.step == "part" and picture.preview.shape is not None:
+        return "robot"
+    return "sensor" if picture.step in SENSOR_STEPS[:2] else "part"

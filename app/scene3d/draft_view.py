@@ -1,0 +1,144 @@
+"""The widget of the 3D view of a part draft: it reports clicks on links and on the part, and drags and turns of the layout."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QWidget
+
+from app.scene3d.canvas import Canvas
+from app.scene3d.draft_state import DraftPicture, DraftStatic
+from app.scene3d.view import PointerTool, View3D
+from skincal.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from app.scene3d.draft_renderer import DraftRenderer
+
+DEGREES_PER_NOTCH = 5.0
+"""Turn of the layout for one notch of the wheel over it."""
+
+
+class Mode(Enum):
+    """Meaning of a click."""
+
+    NONE = "none"
+    LINK = "link"
+    POINT = "point"
+    LAYOUT = "layout"
+    """A click places the layout; a drag that begins on it slides it, and the wheel over it turns it."""
+
+
+class _LayoutTool(PointerTool):
+    """Drags and turns of the layout."""
+
+    def __init__(self, view: DraftView3D) -> None:
+        self._view = view
+
+    def press(self, x: float, y: float) -> bool:
+        view = self._view
+        return view.mode is Mode.LAYOUT and view.start_drag(x, y)
+
+    def drag(self, x: float, y: float) -> None:
+        point = self._view.point_at(x, y)
+        if point is not None:
+            self._view.layout_dragged.emit(point)
+
+    def release(self) -> None:
+        self._view.drag_ended.emit()
+
+    def turn_wheel(self, notches: float, x: float, y: float) -> bool:
+        view = self._view
+        if view.mode is not Mode.LAYOUT or view.module_at(x, y) is None:
+            return False
+        view.layout_turned.emit(DEGREES_PER_NOTCH * notches)
+        return True
+
+
+class DraftView3D(View3D):
+    """The 3D view of the page where a part is described."""
+
+    link_picked = Signal(str)
+    point_picked = Signal(object)
+    """(3,) float, metres, link frame: clicked point of the part."""
+    drag_started = Signal(int, object)
+    """Index of the module under the pointer, and the point (3,) there."""
+    layout_dragged = Signal(object)
+    """(3,) float, metres, link frame: the point of the part under the pointer."""
+    layout_turned = Signal(float)
+    """Degrees, counter-clockwise seen from outside."""
+    drag_ended = Signal()
+
+    def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
+        super().__init__(parent, canvas)
+        self.mode = Mode.NONE
+        self.tool = _LayoutTool(self)
+
+    def begin_draft(self) -> None:
+        """Start to build the view; returns at once, `ready` follows."""
+        self.begin_static(DraftStatic())
+
+    def show_picture(self, picture: DraftPicture) -> None:
+        """Show a moment of the draft."""
+        self._state = picture
+        if self.isVisible():
+            self._show_state()
+
+    def set_mode(self, mode: Mode) -> None:
+        """Choose the meaning of clicks."""
+        self.mode = mode
+        if self._canvas is not None:
+            is_point = mode in (Mode.POINT, Mode.LAYOUT)
+            self._canvas.setCursor(Qt.CursorShape.CrossCursor if is_point else Qt.CursorShape.ArrowCursor)
+
+    def point_at(self, x: float, y: float) -> FloatArray | None:
+        """Return the point of the part at a pixel, (3,) float, metres; `None` next to the part."""
+        return None if self._renderer is None else self._renderer.pick_surface(x + 0.5, y - 0.5)
+
+    def module_at(self, x: float, y: float) -> int | None:
+        """Return the index of the module at a pixel; `None` if there is none."""
+        point = self.point_at(x, y)
+        picture: DraftPicture | None = self._state
+        if point is None or picture is None or picture.preview.laid is None:
+            return None
+        return nearest_module(picture, point)
+
+    def start_drag(self, x: float, y: float) -> bool:
+        """Begin a drag if a module is at a pixel."""
+        module, point = self.module_at(x, y), self.point_at(x, y)
+        if module is None or point is None:
+            return False
+        self.drag_started.emit(module, point)
+        return True
+
+    def _mount(self, loaded: object) -> None:
+        super()._mount(loaded)  # pyright: ignore[reportArgumentType]
+        self.set_mode(self.mode)
+
+    def _pick(self, x: float, y: float) -> None:
+        if self._renderer is None:
+            return
+        if self.mode is Mode.LINK:
+            renderer: DraftRenderer = self._renderer  # pyright: ignore[reportAssignmentType]
+            link = renderer.pick_link(x, y)
+            if link is not None:
+                self.link_picked.emit(link)
+        elif self.mode in (Mode.POINT, Mode.LAYOUT):
+            point = self.point_at(x, y)
+            if point is not None:
+                self.point_picked.emit(point)
+
+
+def nearest_module(picture: DraftPicture, point: FloatArray) -> int | None:
+    """Return the index of the module whose outline holds a point of the part, or nearly; `None` if none does."""
+    laid = picture.preview.laid
+    best, best_distance = None, np.inf
+    for index, outline in enumerate(() if laid is None else laid.outlines):
+        if len(outline) and np.isfinite(outline).all():
+            middle = outline.mean(axis=0)
+            distance = float(np.linalg.norm(point - middle))
+            if distance <= float(np.linalg.norm(outline - middle, axis=1).max()) and distance < best_distance:
+                best, best_distance = index, distance
+    return best

@@ -1,0 +1,136 @@
+"""A part described in the window with mouse and keys, saved, and poked by the simulated operator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from PySide6.QtCore import QPoint, QPointF, Qt
+from PySide6.QtGui import QWheelEvent
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication
+
+from app.dialogs.new_session import NewSessionDialog
+from skincal.model.scene import load_scene
+from skincal.session.part_draft import open_draft
+from tests.app.whole_window import OPEN_MS
+
+
+@pytest.fixture
+def tube(tmp_path):
+    """A cylinder of radius 40 mm and height 120 mm, standing on z = 0, in millimetres."""
+    mesh = trimesh.creation.cylinder(40.0, 120.0, sections=96)
+    mesh.apply_translation((0, 0, 60))
+    mesh.export(tmp_path / "tube.stl")
+    return tmp_path / "tube.stl"
+
+
+class Builder:
+    """The page of a window, as a person uses it."""
+
+    def __init__(self, bench, path=None) -> None:
+        self.bench, self.window = bench, bench.window
+        self.window.ask_part(path)
+        self.page = self.window.builder
+        self.settle()
+
+    @property
+    def draft(self):
+        return self.page.history.now
+
+    def settle(self) -> None:
+        """Wait until the newest draft is shown."""
+        self.bench.until(lambda: self.page.is_settled and self.page.view.list_layers() != (), OPEN_MS)
+
+    def open_step(self, name: str):
+        self.page.show_step(next(step for step in self.page.steps if step.name == name))
+        self.settle()
+        return self.page.step
+
+    def click(self, shift=(0, 0)) -> QPoint:
+        """Click the picture, at pixels from its middle."""
+        canvas = self.page.view._canvas
+        at = QPoint(canvas.width() // 2 + shift[0], canvas.height() // 2 + shift[1])
+        QTest.mouseClick(canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, at)
+        self.settle()
+        return at
+
+    def drag(self, start: QPoint, by: tuple[int, int]) -> QPoint:
+        canvas = self.page.view._canvas
+        left, plain = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+        end = start + QPoint(*by)
+        QTest.mousePress(canvas, left, plain, start)
+        for share in (0.3, 0.6, 1.0):
+            QTest.mouseMove(canvas, start + QPoint(round(by[0] * share), round(by[1] * share)))
+            QApplication.processEvents()
+        QTest.mouseRelease(canvas, left, plain, end)
+        self.settle()
+        return end
+
+    def turn_wheel(self, at: QPoint, notches: int) -> None:
+        canvas, no = self.page.view._canvas, Qt.MouseButton.NoButton
+        phase = Qt.ScrollPhase.NoScrollPhase
+        event = QWheelEvent(
+            QPointF(at), canvas.mapToGlobal(QPointF(at)), QPoint(), QPoint(0, 120 * notches), no, Qt.KeyboardModifier(0), phase,
+            False,
+        )  # fmt: skip
+        QApplication.sendEvent(canvas, event)
+        self.settle()
+
+
+def choose(box, value) -> None:
+    """Choose an entry of a list by its value."""
+    box.setCurrentIndex(box.findData(value))
+    box.activated.emit(box.currentIndex())
+
+
+def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
+    build = Builder(bench, tube)
+    assert build.page.preview.size_mm == pytest.approx((80, 80, 120), rel=1e-2)
+    assert "80 x 80 x 120 mm" in build.page.step.size_text.text()
+    assert not build.page.start.isEnabled()
+    sensor = build.open_step("sensor")
+    sensor.bottom_gap.setValue(30.0)
+    sensor.turns[2].click()
+    build.settle()
+    assert np.array(build.draft.sensor_pose) == pytest.approx(
+        np.array([[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, -0.03], [0, 0, 0, 1]]), abs=1e-6
+    )
+    skin = build.open_step("skin")
+    choose(skin.layout_kind, "grid")
+    skin.rows.setValue(3)
+    choose(skin.polarity, "down")
+    build.settle()
+    place = build.open_step("place")
+    at = build.click()
+    clicked = build.draft.anchor
+    at = build.drag(at, (-60, -40))
+    assert np.linalg.norm(np.subtract(build.draft.anchor.point_mm, clicked.point_mm)) > 5.0
+    build.page.undo()
+    assert build.draft.anchor == clicked, "a drag is one change"
+    build.page.redo()
+    build.settle()
+    dragged = build.draft.anchor
+    build.turn_wheel(at, 3)
+    turned = build.draft.anchor
+    assert turned.point_mm == dragged.point_mm
+    assert np.degrees(np.arccos(np.dot(turned.x, dragged.x))) == pytest.approx(15.0, abs=0.1)
+    place.nudge(0.0, -2.0)
+    build.settle()
+    check = build.open_step("check")
+    build.click((0, 120))
+    check.mark_name.setText("rim")
+    check.mark_name.editingFinished.emit()
+    build.settle()
+    assert any("1 landmark" in line for line in check.summary())
+    build.page.start.click()
+    scene = build.draft.source
+    assert load_scene(scene).landmarks[0].name == "rim"
+    assert open_draft(scene).polarity == "down"
+    dialog = bench.window.findChild(NewSessionDialog)
+    bench.until(lambda: dialog._scene is not None, OPEN_MS)
+    with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
+        dialog._try()
+    assert bench.window.builder is None
+    assert bench.window.session_view.workspace.part.scene.path == scene
+    bench.until(lambda: bench.window.session_view.state is not None and bench.accepted(), OPEN_MS * 3)
