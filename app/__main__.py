@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from app.preflight import no_display, objection
 from app.scene3d.drawing_probe import PROBE_OPTION
-from app.session.opening import MESHES
+from app.session.opening import PART_FILES
 from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         from app.scene3d.drawing_probe import draw_probe_picture
 
         return draw_probe_picture("".join(arguments[1:]))
-    if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(MESHES):
+    if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(PART_FILES):
         # For example a file that is dropped onto the program.
         arguments.insert(0, "--scene")
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
@@ -79,10 +79,8 @@ def _run(options: argparse.Namespace) -> int:
     named = options.wrench or options.skin or options.joints or options.session
     no_window = "" if named else no_display()
     if options.headless or no_window:
-        if options.scene is not None and options.scene.suffix.lower() in MESHES:
-            raise InputError(
-                f"{options.scene}: is a mesh, and the window alone makes a scene of it; expected a scene (*.toml)."
-            )
+        if options.scene is not None and options.scene.suffix.lower() in PART_FILES:
+            raise InputError(f"{options.scene}: is no scene; expected a scene (*.toml), such as `skincal scene new` writes.")
         from app.headless import run_headless
         from app.session.opening import find_scene
 
@@ -115,7 +113,7 @@ class _Parser(argparse.ArgumentParser):
 
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser("skincal", description="Open the window: on a simulated forearm, if no option says otherwise.")
-    parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, or a mesh")
+    parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, a mesh or a URDF")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")
     parser.add_argument("--skin", default="", help="device of the skin")

@@ -20,7 +20,7 @@ from PySide6.QtWidgets import QApplication
 from app.scene3d.canvas import best_canvas
 from app.session.controller import Controller
 from app.session.opening import (
-    MESHES,
+    PART_FILES,
     Addresses,
     OpenRequest,
     check_addresses,
@@ -73,8 +73,8 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     if options.session is not None:
         find_segments(options.session)
         return OpenRequest(session=options.session, addresses=addresses, targets=options.targets)
-    if options.scene is not None and options.scene.suffix.lower() in MESHES:
-        return _mesh_request(options)
+    if options.scene is not None and options.scene.suffix.lower() in PART_FILES:
+        return _part_request(options)
     # The default scene is found later, in the background: that takes longer than the window itself.
     scene = None if options.scene is None else find_scene(options.scene)
     if scene is not None:
@@ -88,17 +88,17 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     return OpenRequest(scene=scene, addresses=addresses, server=server, folder=folder, targets=options.targets, demo=demo)
 
 
-def _mesh_request(options: argparse.Namespace) -> OpenRequest:
-    """Make the request for a mesh in place of a scene; `InputError` if devices or a folder are named with it."""
+def _part_request(options: argparse.Namespace) -> OpenRequest:
+    """Make the request for a mesh or a URDF in place of a scene; `InputError` if devices or a folder are named with it."""
     seen = [f"--{name}" for name in ("wrench", "skin", "joints", "targets", "new") if getattr(options, name)]
     if seen:
         raise InputError(
-            f"{options.scene}: is a mesh, given together with {' and '.join(seen)}; expected a scene, which says what a mesh "
-            "cannot. Open the mesh alone: the window makes a scene of it and says what is missing."
+            f"{options.scene}: is a mesh or a URDF, given together with {' and '.join(seen)}; expected a scene. Open the file "
+            "alone: the window makes a scene of it."
         )
     if not options.scene.is_file():
         raise InputError(f"{options.scene}: there is no such file; check the path.")
-    return OpenRequest(mesh=options.scene)
+    return OpenRequest(part=options.scene)
 
 
 class Faults(QObject):

@@ -18,7 +18,6 @@ from PySide6.QtWidgets import (
     QApplication,
     QDialog,
     QFileDialog,
-    QLabel,
     QMainWindow,
     QMessageBox,
     QStackedWidget,
@@ -32,9 +31,10 @@ from app.panels.drop_target import DropTarget
 from app.panels.first_minute import FirstMinute
 from app.panels.message_bar import MessageBar
 from app.panels.recent_menu import RecentMenu, kept_texts
+from app.panels.start_page import StartPage
 from app.panels.widgets import ElidedLabel, mix
 from app.session.controller import PACES, Controller
-from app.session.opening import OpenRequest, dated_folder, find_scene
+from app.session.opening import OpenRequest, dated_folder, find_scene, is_shipped
 from app.sound.player import Player
 from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
@@ -58,6 +58,7 @@ Args = ParamSpec("Args")
 MAX_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
 DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
+OWN_SCENE_SETTING = "window/own_scene"  # A scene of the operator's own was opened
 IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
 FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox")
 FUSION_BORDER_PERCENT = 140
@@ -180,7 +181,7 @@ class Window(QMainWindow):
         """Address that asks a robot for pokes, in every session with devices; empty by default."""
         self._leaves = False
         self._import: ImportDialog | None = None
-        self.messages, self.stack, self.opening, self.where = MessageBar(), QStackedWidget(), QLabel(), ElidedLabel()
+        self.messages, self.stack, self.opening, self.where = MessageBar(), QStackedWidget(), StartPage(), ElidedLabel()
         self.commands = Commands(self)
         self.recent = RecentMenu(settings, self)
         self.pedals = Pedals(self.commands.actions, self.commands.taken, settings, self)
@@ -192,8 +193,6 @@ class Window(QMainWindow):
         self.commands.restore(self._settings)
         self._check_theme()
         self.switch_sounds()
-        self.opening.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.opening.setProperty("quiet", True)
         self.stack.addWidget(self.opening)
         self._show_opening()
         centre = QWidget()
@@ -232,6 +231,7 @@ class Window(QMainWindow):
         controller.stored.connect(self._show_storage)
         self._theme.changed.connect(self._recolour)
         self.text_size.changed.connect(self.commands.update_actions)
+        self.opening.command_wanted.connect(lambda name: self.commands.actions[name].trigger())
         dropped = DropTarget(self)
         dropped.request_made.connect(self.open)
         dropped.recording_dropped.connect(self.ask_import)
@@ -278,6 +278,8 @@ class Window(QMainWindow):
 
     def _show_session(self, view: SessionView) -> None:
         if view is self.session_view:
+            if not self._settings.value(OWN_SCENE_SETTING, False, type=bool):
+                self._settings.setValue(OWN_SCENE_SETTING, not is_shipped(view.workspace.part.scene.path))
             view.restore()
             view.recolour()
             self.statusBar().addPermanentWidget(view.chips)
@@ -306,8 +308,9 @@ class Window(QMainWindow):
     def _show_opening(self) -> None:
         # The panels of a session come some moments after its part.
         is_opening = self.controller.running is Running.OPENING or self.session_view is not None
-        nothing = "No session is open.\nCtrl+N: new session. Ctrl+O: open a recorded session."
-        self.opening.setText("Opening …" if is_opening else nothing)
+        is_new_here = not self._settings.value(OWN_SCENE_SETTING, False, type=bool)
+        words = "Opening …" if is_opening else "No session is open."
+        self.opening.show_words(words, offers=not is_opening, part_first=is_new_here)
 
     def _follow_sound(self, found: bool) -> None:
         self.has_sound = found
@@ -468,6 +471,16 @@ class Window(QMainWindow):
         """Describe a new part, from a mesh or a URDF if one is given; the open session is closed."""
         self._confirm_unsaved(lambda: self._open_builder(lambda page: None if path is None else page.take_part(path)))
 
+    def _take_part_file(self, path: Path) -> None:
+        """Describe a part with this mesh or URDF, on the page if it is open."""
+        if self.builder is None:
+            self.ask_part(path)
+            return
+        try:
+            self.builder.take_part(path)
+        except InputError as error:
+            self.tell_failure(str(error))
+
     def ask_scene(self) -> None:
         """Ask for a scene file, and change it on the page for parts."""
         path, _ = QFileDialog.getOpenFileName(self, "Change a part", str(self._documents / "scenes"), "Scene (*.toml)")
@@ -499,7 +512,7 @@ class Window(QMainWindow):
         self.setWindowTitle("New part \N{EN DASH} skincal")
         self.stack.addWidget(page)
         self.stack.setCurrentWidget(page)
-        QTimer.singleShot(0, page, page.begin)
+        QTimer.singleShot(0, page, page.build_view)
 
     def _leave_builder(self) -> None:
         self._drop_builder()
@@ -584,6 +597,9 @@ class Window(QMainWindow):
 
     def open(self, request: OpenRequest) -> None:
         """Open something in place of the open session, after the operator decided whether to keep that."""
+        if request.part is not None:
+            self._take_part_file(request.part)
+            return
         self._confirm_unsaved(lambda: self._open(request))
 
     def _open(self, request: OpenRequest) -> None:

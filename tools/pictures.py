@@ -2,6 +2,7 @@
 
 - `window`, `rig`: the window on seeded simulated sessions, without a display, about ten minutes. Devices send in real time, so
   that pictures differ slightly from run to run: check each.
+- `part`: the steps of the tutorial `docs/first-part.md`; needs the package icub-models.
 - `headless`: the 3D picture without a display.
 - `studies`: the figures of `NAME.json` in the folder `--measured`. A missing study is run, which takes up to half an hour.
 """
@@ -19,6 +20,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 
+from PIL import Image
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtWidgets import QApplication
 
@@ -39,6 +41,7 @@ from skincal.simulate.virtual_session import simulate_session
 from skincal.studies import STUDIES
 from skincal.taxels.result import Method
 
+PART_COLOURS = 200
 PICTURES_FOLDER = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 
 
@@ -132,6 +135,39 @@ def draw_rig() -> None:
     wrong.window.leave()
 
 
+def draw_part() -> None:
+    """Write the pictures of the tutorial on a part of one's own."""
+    from tools.first_part import find_icub, walk_tutorial
+
+    settings = QSettings("part.ini", QSettings.Format.IniFormat)
+    settings.setValue("window/sounds", False)
+    documents = Path("documents").absolute()
+    window = Window(Controller(documents), Theme(Choice.LIGHT), settings, documents, Player())
+    window.setWindowState(Qt.WindowState.WindowNoState)
+    window.resize(1280, 720)
+    window.show()
+
+    def until(there: Callable[[], bool]) -> None:
+        end = time.monotonic() + 900.0
+        while not there():
+            if time.monotonic() > end:
+                sys.exit("pictures: what a picture is to show did not come.")
+            QApplication.processEvents()
+            time.sleep(0.001)
+
+    for name in walk_tutorial(window, find_icub(), until, documents / "forearm.json"):
+        end = time.monotonic() + 0.3
+        until(lambda end=end: time.monotonic() > end)
+        picture, dialog = window.grab(), QApplication.activeModalWidget()
+        if dialog is not None:
+            dialog.render(picture, window.rect().center() - dialog.rect().center())
+        path = PICTURES_FOLDER / f"part-{name}.png"
+        picture.save(str(path))
+        # A quarter of the size, and no eye sees the difference.
+        Image.open(path).convert("RGB").quantize(PART_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+    window.leave()
+
+
 def draw_headless() -> None:
     """Write the picture of a session without a display."""
     part = load_part(find_scene(None))
@@ -158,12 +194,18 @@ def draw_studies(measured: Path) -> None:
 def main() -> None:
     """Write the chosen pictures."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
-    parser.add_argument("which", nargs="*", help="window, rig, headless, studies; without any: all")
+    parser.add_argument("which", nargs="*", help="window, rig, part, headless, studies; without any: all")
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
     measured = options.measured.absolute()
-    makers = {"window": draw_window, "rig": draw_rig, "headless": draw_headless, "studies": lambda: draw_studies(measured)}
+    makers = {
+        "window": draw_window,
+        "rig": draw_rig,
+        "part": draw_part,
+        "headless": draw_headless,
+        "studies": lambda: draw_studies(measured),
+    }
     wanted = options.which or list(makers)
     if unknown := sorted(set(wanted) - set(makers)):
         parser.error(f"there is no {unknown[0]}; choose of {', '.join(makers)}")

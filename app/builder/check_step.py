@@ -23,7 +23,7 @@ from skincal.session.draft_summary import State, summarize
 from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
 
 NORMAL_DIGITS = 3
-SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
+STATE_SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
 MAX_LIST_HEIGHT_PX = 110
 
 
@@ -107,7 +107,7 @@ class CheckStep(Step):
             self.folder.setText(str(free_scene_path(self._scenes, name).parent if source is None else source.parent))
 
     def _show_summary(self, preview: PartPreview) -> None:
-        texts = [f"{SIGNS[line.state]}  {line.text}" for line in summarize(preview)]
+        texts = [f"{STATE_SIGNS[line.state]}  {line.text}" for line in summarize(preview)]
         if texts == self.summary():
             return
         for label in self._summary_labels:
@@ -124,8 +124,9 @@ class CheckStep(Step):
     def _show_chosen(self, row: int) -> None:
         marks = self.draft.landmarks
         has_mark = 0 <= row < len(marks)
-        if not self.mark_name.hasFocus():
-            self.mark_name.setText(marks[row].name if has_mark else "")
+        name = marks[row].name if has_mark else ""
+        if name != self.mark_name.text() and not self.mark_name.hasFocus():
+            self.mark_name.setText(name)
         if has_mark:
             self.place.show_value([1e3 * value for value in marks[row].place])
         self.mark_name.setEnabled(has_mark)

@@ -35,7 +35,7 @@ def count_field(name: str, least: int, most: int) -> QSpinBox:
 
 
 def set_silently(box: QDoubleSpinBox | QSpinBox, value: float) -> None:
-    """Show a number without reporting it. A field that is being edited stays as it is."""
+    """Show a number without reporting it. A field that is being edited is not changed."""
     line = box.lineEdit()
     if line.isModified() and box.hasFocus():
         return
@@ -111,6 +111,6 @@ def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
     return row
 
 
-def note(text: str = "") -> QLabel:
+def quiet_label(text: str = "") -> QLabel:
     """Make a label of secondary text that wraps."""
     return secondary_label(text, wrap=True)

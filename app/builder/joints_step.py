@@ -8,7 +8,7 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QLabel, QLineEdit, QSlider, QWidget
 
-from app.builder.fields import note, number_field, set_silently
+from app.builder.fields import number_field, quiet_label, set_silently
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
 from skincal.model.readings import Stream
@@ -70,7 +70,7 @@ class JointsStep(Step):
         self.columns_label.setBuddy(self.columns)
         self.column.addWidget(self.columns_label)
         self.column.addWidget(self.columns)
-        self._rows: dict[str, JointRow] = {}
+        self.rows: dict[str, JointRow] = {}
         self._holder = QWidget()
         self._grid = QGridLayout(self._holder)
         self._grid.setContentsMargins(0, 0, 0, 0)
@@ -78,9 +78,9 @@ class JointsStep(Step):
         self.column.addWidget(self._holder)
         self.live = LiveRow(Stream.JOINTS)
         self.live.read.connect(self._take_frames)
-        self.column.addWidget(note("Optional: read the joints now, to see whether order and unit are right."))
+        self.column.addWidget(quiet_label("Optional: read the joints now, to see whether order and unit are right."))
         self.column.addWidget(self.live)
-        self.warning = note()
+        self.warning = quiet_label()
         self.column.addWidget(self.warning)
         self.column.addStretch(1)
 
@@ -94,12 +94,12 @@ class JointsStep(Step):
         for name, angle in fixed.items():
             limits = None if preview.robot is None or name not in preview.robot.joints else preview.robot.joints[name].limits
             joints.setdefault(name, JointState(name, -1, angle, limits))
-        if list(joints) != list(self._rows):
+        if list(joints) != list(self.rows):
             self._make_rows(list(joints.values()), can_fix=draft.urdf is not None)
         for name, joint in joints.items():
             is_fixed = name in fixed
             words = "fixed" if is_fixed else f"column {joint.column}" if joint.column >= 0 else "no column has its name"
-            self._rows[name].show_angle(joint.angle, words if not draft.has_dh_arm else "", is_fixed=is_fixed)
+            self.rows[name].show_angle(joint.angle, words if not draft.has_dh_arm else "", is_fixed=is_fixed)
         is_editable = draft.urdf is not None
         self.columns.setVisible(is_editable)
         self.columns_label.setVisible(is_editable)
@@ -108,11 +108,11 @@ class JointsStep(Step):
         self.live.set_widths(max(1, draft.channels or 1), 1 + max((joint.column for joint in preview.joints), default=0))
 
     def _make_rows(self, joints: list[JointState], *, can_fix: bool) -> None:
-        for row in self._rows.values():
+        for row in self.rows.values():
             for widget in row.widgets():
                 self._grid.removeWidget(widget)
                 widget.deleteLater()
-        self._rows = {}
+        self.rows = {}
         for joint in joints:
             row = JointRow(self._grid, joint.name, joint.limits, can_fix=can_fix)
             row.slider.valueChanged.connect(
@@ -120,7 +120,7 @@ class JointsStep(Step):
             )
             row.angle.valueChanged.connect(lambda value, name=joint.name: self._turn(name, np.radians(value)))
             row.fixed.toggled.connect(lambda on, name=joint.name: self._fix(name, on))
-            self._rows[joint.name] = row
+            self.rows[joint.name] = row
 
     def _turn(self, name: str, radians: float) -> None:
         fixed = dict(self.draft.fixed)
@@ -134,7 +134,7 @@ class JointsStep(Step):
         fixed = dict(self.draft.fixed)
         columns = [each for each in (self.draft.joints or self._streamed()) if each != name]
         if on:
-            fixed[name] = round(self._rows[name].angle.value(), 2)
+            fixed[name] = round(self.rows[name].angle.value(), 2)
         else:
             fixed.pop(name, None)
             columns.append(name)

@@ -1,6 +1,6 @@
 """The page where a part is described in six steps, with the 3D view at its side.
 
-The state is one frozen `PartDraft` with its history. A change makes another draft. `PartPreviewer` works it out in a thread,
+The state is one frozen `PartDraft` with its history. A change makes another draft. `PartPreviewer` previews it in a thread,
 and the newest result is shown. Widgets decide nothing.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from PySide6.QtCore import Qt, Signal
 from PySide6.QtGui import QKeySequence, QShortcut
@@ -49,10 +50,11 @@ SIDE_PX = 470
 """Width of the side with the fields at 100 %."""
 HISTORY_BUTTON_PX = 36
 MAX_FINDINGS = 3
+AnyStep = TypeVar("AnyStep", bound=Step)
 
 
 class BuilderPage(QWidget):
-    """The page; `begin` or `open_scene` starts it."""
+    """The page; call `build_view` once it is on the screen."""
 
     start_wanted = Signal(object, object)
     """`Path` of the saved scene, and the `Addresses` that were named on the page."""
@@ -138,9 +140,9 @@ class BuilderPage(QWidget):
             step.angles_changed.connect(self.turn_joints)
             step.picture_changed.connect(self.show_picture)
             step.failed.connect(self.failed)
-        view, place = self.view, self._step(PlaceStep)
-        view.point_picked.connect(lambda point: self.step.take_point(point))
-        view.link_picked.connect(lambda link: self.step.take_link(link))
+        view, place = self.view, self.find_step(PlaceStep)
+        view.point_picked.connect(lambda point: self.open_step.take_point(point))
+        view.link_picked.connect(lambda link: self.open_step.take_link(link))
         view.drag_started.connect(lambda _module, point: place.start_drag(point))
         view.layout_dragged.connect(place.drag_to)
         view.layout_turned.connect(place.turn)
@@ -153,12 +155,13 @@ class BuilderPage(QWidget):
         self.start.clicked.connect(self.save_and_start)
         self.leave_button.clicked.connect(self.left)
 
-    def _step(self, kind: type[PlaceStep]) -> PlaceStep:
+    def find_step(self, kind: type[AnyStep]) -> AnyStep:
+        """Return the step of a class."""
         return next(step for step in self.steps if isinstance(step, kind))
 
     # The draft
 
-    def begin(self) -> None:
+    def build_view(self) -> None:
         """Start to build the 3D view; call once the page is on the screen."""
         self.recolour()
         self.view.begin_draft()
@@ -208,7 +211,7 @@ class BuilderPage(QWidget):
         self._request()
 
     def _request(self) -> None:
-        """Work the newest draft out in the thread; while one is in work, only the newest waits."""
+        """Preview the newest draft in the thread. During a preview only the newest draft waits."""
         if self._is_busy:
             self._must_repeat = True
             return
@@ -237,20 +240,20 @@ class BuilderPage(QWidget):
     def show_picture(self) -> None:
         """Show the newest result in the 3D view, as the open step needs it."""
         if self.preview is not None:
-            step = self.step
+            step = self.open_step
             self.view.set_mode(step.mode)
             self.view.show_picture(DraftPicture(self.preview, step.name, step.module, step.points, step.answered))
 
     # Steps
 
     @property
-    def step(self) -> Step:
+    def open_step(self) -> Step:
         """The open step."""
         return self.steps[max(0, self.stack.currentIndex())]
 
     def show_step(self, step: Step) -> None:
         """Open a step."""
-        self.step.leave()
+        self.open_step.leave()
         self.stack.setCurrentIndex(self.steps.index(step))
         step.enter()
         self._show_tabs()
@@ -259,14 +262,14 @@ class BuilderPage(QWidget):
 
     def _go(self, way: int) -> None:
         steps = self._shown_steps()
-        at = steps.index(self.step) + way
+        at = steps.index(self.open_step) + way
         if 0 <= at < len(steps):
             self.show_step(steps[at])
-            self.step.setFocus()
+            self.open_step.setFocus()
 
     def _shown_steps(self) -> list[Step]:
         preview = self.preview
-        return [step for step in self.steps if step is self.step or preview is None or step.applies(preview)]
+        return [step for step in self.steps if step is self.open_step or preview is None or step.applies(preview)]
 
     def _show_tabs(self) -> None:
         shown = self._shown_steps()
@@ -283,8 +286,8 @@ class BuilderPage(QWidget):
             tab.setText(
                 f"{shown.index(step) + 1 if step in shown else ''} {name}{signs[states.get(step.name, State.OPTIONAL)]}"
             )
-            tab.setChecked(step is self.step)
-        at = shown.index(self.step)
+            tab.setChecked(step is self.open_step)
+        at = shown.index(self.open_step)
         self.back.setEnabled(at > 0)
         is_last = at == len(shown) - 1
         self.next.setVisible(not is_last)
@@ -293,13 +296,13 @@ class BuilderPage(QWidget):
 
     def _show_findings(self) -> None:
         preview = self.preview
-        if preview is None or self.step is self.check:
+        if preview is None or self.open_step is self.check:
             self.findings.setText("")
             return
-        problem = preview.problems.get(self.step.name)
+        problem = preview.problems.get(self.open_step.name)
         lines = [f"\N{BALLOT X} {problem}"] if problem else []
-        found = preview.findings.get(self.step.name, ())
-        sign = "\N{BLACK UP-POINTING TRIANGLE}" if self.step.name == "place" else "\N{BULLET}"
+        found = preview.findings.get(self.open_step.name, ())
+        sign = "\N{BLACK UP-POINTING TRIANGLE}" if self.open_step.name == "place" else "\N{BULLET}"
         lines += [f"{sign} {sentence}" for sentence in found if sentence not in (problem or "")][:MAX_FINDINGS]
         self.findings.setText("\n".join(lines))
 
@@ -321,9 +324,8 @@ class BuilderPage(QWidget):
     def save_and_start(self) -> None:
         path = self.save()
         if path is not None:
-            skin = next(step for step in self.steps if isinstance(step, SkinStep)).live.address
-            joints = next(step for step in self.steps if isinstance(step, JointsStep)).live.address
-            self.start_wanted.emit(path, Addresses(skin=skin, joints=joints))
+            skin, joints = self.find_step(SkinStep).live, self.find_step(JointsStep).live
+            self.start_wanted.emit(path, Addresses(skin=skin.address, joints=joints.address))
 
     def recolour(self) -> None:
         self.view.set_dark(theme_colours().dark)

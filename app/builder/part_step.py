@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QTreeWidgetItem,
 )
 
-from app.builder.fields import choice, note, show_choice
+from app.builder.fields import choice, quiet_label, show_choice
 from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
 from app.panels.widgets import compact_combo
@@ -82,11 +82,11 @@ class PartStep(Step):
         form.addRow("Part's &name", self.part_name)
         form.addRow("&Unit", self.unit)
         form.addRow("Size", self.size_text)
-        self.tree_note = note("Click the link that carries the skin, in the view or in this list.")
+        self.tree_note = quiet_label("Click the link that carries the skin, in the view or in this list.")
         form.addRow(self.tree_note)
         form.addRow(self.tree)
         form.addRow("F&rame", self.frame)
-        self.frame_note = note("Positions are given in this frame. All listed frames are fixed to the link.")
+        self.frame_note = quiet_label("Positions are given in this frame. All listed frames are fixed to the link.")
         form.addRow(self.frame_note)
         self.form = form
         self.column.addLayout(form)

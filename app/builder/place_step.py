@@ -19,10 +19,10 @@ from skincal.session.draft_preview import PartPreview
 from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
 from skincal.session.part_draft import AnchorDraft
 
-WHOLE = -1  # Data of the entry for the whole layout
+WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
 TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)
 STEP_MM = 2.0
-ARROWS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
+ARROW_BUTTONS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
           ("\N{DOWNWARDS ARROW}", 0, -1, 2, 1))  # fmt: skip
 """Sign, step along the layout's x and y, row and column of the button."""
 
@@ -54,9 +54,9 @@ class PlaceStep(Step):
         grid.setContentsMargins(0, 0, 0, 0)
         pad.setLayout(grid)
         self.arrows = [
-            button(sign, f"slide along the layout's {'x' if x else 'y'} axis, {x + y:+d}") for sign, x, y, _, _ in ARROWS
+            button(sign, f"slide along the layout's {'x' if x else 'y'} axis, {x + y:+d}") for sign, x, y, _, _ in ARROW_BUTTONS
         ]
-        for each, (_, x, y, row, column) in zip(self.arrows, ARROWS, strict=True):
+        for each, (_, x, y, row, column) in zip(self.arrows, ARROW_BUTTONS, strict=True):
             each.setAutoRepeat(True)
             each.clicked.connect(lambda _=False, x=x, y=y: self.nudge(x * self.step.value(), y * self.step.value()))
             grid.addWidget(each, row, column)
@@ -85,10 +85,10 @@ class PlaceStep(Step):
             self.module = None
         with QSignalBlocker(self.moved):
             self.moved.clear()
-            self.moved.addItem("the whole layout", WHOLE)
+            self.moved.addItem("the whole layout", WHOLE_LAYOUT)
             for index, name in enumerate(names if len(names) > 1 else []):
                 self.moved.addItem(f"module {name} alone", index)
-            self.moved.setCurrentIndex(self.moved.findData(WHOLE if self.module is None else self.module))
+            self.moved.setCurrentIndex(self.moved.findData(WHOLE_LAYOUT if self.module is None else self.module))
         anchor = self._anchor()
         self.point.show_value(np.zeros(3) if anchor is None else anchor.point * 1e3)
         for widget in (*self.turns, *self.arrows):
@@ -98,7 +98,7 @@ class PlaceStep(Step):
 
     def _choose_moved(self) -> None:
         index = int(self.moved.currentData())
-        self.module = None if index == WHOLE else index
+        self.module = None if index == WHOLE_LAYOUT else index
         if self.preview is not None:
             self.update_fields(self.preview)
         self.picture_changed.emit()
@@ -122,7 +122,7 @@ class PlaceStep(Step):
         preview = self.preview
         assert preview is not None
         assert preview.layout is not None
-        draft = AnchorDraft.of(anchor)
+        draft = AnchorDraft.from_anchor(anchor)
         if self.module is None:
             self.change(replace(self.draft, anchor=draft), merge and f"place {merge}")
             return

@@ -8,14 +8,14 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QFormLayout, QListWidget, QListWidgetItem, QWidget
 
-from app.builder.fields import VectorField, button, choice, note, number_field, row_of, set_silently, show_choice
+from app.builder.fields import VectorField, button, choice, number_field, quiet_label, row_of, set_silently, show_choice
 from app.builder.step import NO_POINTS, Step
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview
-from skincal.session.part_draft import IDENTITY, pose_rows
+from skincal.session.part_draft import IDENTITY_POSE, pose_rows
 from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
 
 FLANGE_POINTS = 3
@@ -24,7 +24,7 @@ PICK_WORDS = (
     "Click the second point, about a third of the rim further.",
     "Click the third point.",
 )
-SIGNS = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
+SIGN_CHOICES = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
 ADD_POINT = "Add the position as the next point"
 MAX_DEPTH_MM = 1000.0
 
@@ -54,7 +54,7 @@ class SensorStep(Step):
         form.addRow("&Other joint", self.other)
         self.column.addWidget(self.robot_form)
         self._make_free_form()
-        self.sign = choice("meaning of the wrench", SIGNS)
+        self.sign = choice("meaning of the wrench", SIGN_CHOICES)
         self.sign.activated.connect(self._choose_sign)
         last = QFormLayout()
         last.addRow("Reports", self.sign)
@@ -73,7 +73,7 @@ class SensorStep(Step):
         self.pick = button("&Pick three points of the flange")
         self.pick.setCheckable(True)
         self.add_point = button(ADD_POINT)
-        self.pick_note = note()
+        self.pick_note = quiet_label()
         self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
         form.addRow(row_of(self.under, self.bottom_gap))
         form.addRow(row_of(self.same, self.pick))
@@ -100,7 +100,7 @@ class SensorStep(Step):
         self.robot_form.setVisible(draft.urdf is not None)
         self.free_form.setVisible(draft.urdf is None and not draft.has_dh_arm)
         if draft.has_dh_arm:
-            self.hint_label.setText("The scene has an [arm] by Denavit-Hartenberg rows, which stays as it is in the file.")
+            self.hint_label.setText("The scene has an [arm] by Denavit-Hartenberg rows, which this page does not change.")
         if robot is not None:
             self._list_sensors(preview)
         pose = preview.sensor_pose
@@ -163,7 +163,7 @@ class SensorStep(Step):
         self.change(replace(self.draft, sensor_pose=pose_rows(pose)), merge)
 
     def _pose(self) -> FloatArray:
-        return np.array(IDENTITY if self.draft.sensor_pose is None else self.draft.sensor_pose)
+        return np.array(IDENTITY_POSE if self.draft.sensor_pose is None else self.draft.sensor_pose)
 
     def _stand(self) -> None:
         surface = None if self.preview is None else self.preview.surface

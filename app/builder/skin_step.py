@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtWidgets import QFileDialog, QFormLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
-from app.builder.fields import button, choice, count_field, note, number_field, row_of, set_silently, show_choice
+from app.builder.fields import button, choice, count_field, number_field, quiet_label, row_of, set_silently, show_choice
 from app.builder.live_row import LiveRow
 from app.builder.step import Step
 from skincal.files.layout_sources import (
@@ -29,8 +29,8 @@ from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, r
 from skincal.session.scene_draft import MAX_GRID_SIDE, Grid
 from skincal.session.touch_watch import TouchWatch
 
-POLARITIES = {"up": "rise under pressure", "down": "fall under pressure"}
-LAYOUTS = {
+POLARITY_CHOICES = {"up": "rise under pressure", "down": "fall under pressure"}
+LAYOUT_CHOICES = {
     "none": "none: the guide searches for the taxels",
     "file": "a file: .toml, .ini of iCub, table of positions",
     "grid": "a grid of taxels",
@@ -53,9 +53,9 @@ class SkinStep(Step):
         self.channels = count_field("values of a skin frame", 0, MAX_LAYOUT_CHANNELS)
         self.channels.setSpecialValueText("as the layout")
         self.channels.valueChanged.connect(self._set_channels)
-        self.polarity = choice("values under pressure", POLARITIES)
+        self.polarity = choice("values under pressure", POLARITY_CHOICES)
         self.polarity.activated.connect(lambda _: self.change(replace(self.draft, polarity=self.polarity.currentData())))
-        self.layout_kind = choice("layout", LAYOUTS)
+        self.layout_kind = choice("layout", LAYOUT_CHOICES)
         self.layout_kind.activated.connect(lambda _: self._choose_kind())
         self._kind = "none"
         form = QFormLayout()
@@ -76,7 +76,7 @@ class SkinStep(Step):
         self.live.read.connect(self._take_frames)
         self.again = button("&Forget the touch")
         self.again.clicked.connect(self._forget_touch)
-        self.touched = note(TOUCH_HINT)
+        self.touched = quiet_label(TOUCH_HINT)
         self.use_polarity = button("Use this: they fall")
         self.use_polarity.clicked.connect(self._use_polarity)
         self.use_polarity.setVisible(False)

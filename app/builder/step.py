@@ -8,7 +8,7 @@ import numpy as np
 from PySide6.QtCore import Signal
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from app.builder.fields import note
+from app.builder.fields import quiet_label
 from app.panels.widgets import set_bold
 from app.scene3d.draft_view import Mode
 from app.theme import GAP
@@ -21,7 +21,7 @@ TITLE_PT = 13.0
 
 
 class Step(QWidget):
-    """One step: it shows the draft as far as it is worked out, and proposes changes of it."""
+    """One step: it shows the preview of the draft, and proposes changes."""
 
     name: ClassVar[str]
     """As in `PartPreview.problems`."""
@@ -53,7 +53,7 @@ class Step(QWidget):
         head = QLabel(self.title)
         set_bold(head, TITLE_PT)
         self.column.addWidget(head)
-        self.hint_label = note(self.hint)
+        self.hint_label = quiet_label(self.hint)
         self.column.addWidget(self.hint_label)
 
     def applies(self, preview: PartPreview) -> bool:  # noqa: ARG002

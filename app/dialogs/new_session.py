@@ -323,6 +323,11 @@ class NewSessionDialog(QDialog):
         words = f"{words} {RECORDING_PAUSED if self._paused else ''}".strip()
         self._note.setText(words if self._present is None else RECORDING_PAUSED_HERE)
 
+    @property
+    def has_scene(self) -> bool:
+        """Whether the chosen scene was read."""
+        return self._scene is not None
+
     # Previews
 
     def _set_ports(self, ports: list[tuple[str, str]]) -> None:

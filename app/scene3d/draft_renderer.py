@@ -30,14 +30,13 @@ AXIS_SHARE = 0.28  # Length of the chosen sensor's axes, of the part's longest s
 MIN_AXIS_M = 0.03
 OTHER_AXIS_SHARE = 0.4  # Of other sensors' axes, of the chosen one's
 MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longest side
-GHOST_OPACITY = 0.22
-BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 FIRST_VIEW = np.array([0.83, 0.42, 0.36])
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
 MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
 LABEL_GAP_PX = 6.0
 MIN_FACING = 0.05
-_TRIANGLE = make_surface(np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
+_NO_MESH = make_surface(np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
 """Drawn, hidden, before there is a mesh."""
 
 
@@ -79,20 +78,13 @@ class LinksLayer(Layer):
             )
 
     def paint(self) -> None:
-        """Colour the part's link, and fade the others in the steps that are about the part."""
+        """Mark the part's link."""
         if self._picture is None:
             return
         step, chosen = self._picture.step, self._picture.preview.mesh_link
-        has_part = self._picture.preview.surface is not None
         for link, actor in self.actors.items():
             is_part = link == chosen
-            # Its mesh is drawn as the part itself.
-            is_hidden = step not in ROBOT_STEPS or (is_part and step != "part")
-            actor.visibility = not is_hidden
-            is_ghost = step != "part" and has_part
-            actor.prop.opacity = GHOST_OPACITY if is_ghost else 1.0
-            # The far sides of many walls would blend to a fog.
-            actor.prop.culling = "back" if is_ghost else "none"
+            actor.visibility = step in ROBOT_STEPS
             actor.prop.color = theme.HUES[0] if is_part else self.colours.front
 
     def set_colours(self, colours: SceneColours) -> None:
@@ -119,7 +111,7 @@ class LinksLayer(Layer):
             pose = preview.link_poses.get(link.link)
             if pose is not None:
                 low, high = link.vertices.min(axis=0), link.vertices.max(axis=0)
-                corners.append((low + BOX * (high - low)) @ pose[:3, :3].T + pose[:3, 3])
+                corners.append((low + BOX_CORNERS * (high - low)) @ pose[:3, :3].T + pose[:3, 3])
         return np.concatenate(corners)
 
 
@@ -247,7 +239,7 @@ class DraftRenderer(SceneRenderer):
         """Make all layers, empty."""
         plotter, static = self.plotter, DraftStatic()
         layout, laid = Layout((), 0), PlacedLayout(NO_PLACES, NO_PLACES, ())
-        self.surface_layer = SurfaceLayer(plotter, static, _TRIANGLE)
+        self.surface_layer = SurfaceLayer(plotter, static, _NO_MESH)
         self.links, self.sensors, self.marks = (
             LinksLayer(plotter, static),
             SensorsLayer(plotter, static),
@@ -267,7 +259,8 @@ class DraftRenderer(SceneRenderer):
         if preview.surface is not None and preview.surface is not self._surface:
             self.surface_layer.set_surface(preview.surface)
             self._surface = preview.surface
-        is_shown = preview.surface is not None and not (picture.step == "part" and preview.shape is not None)
+        # Its mesh is that of a link of the robot.
+        is_shown = preview.surface is not None and not (picture.step in ROBOT_STEPS and preview.shape is not None)
         self.surface_layer.inside.visibility = self.surface_layer.outside.visibility = is_shown
         if is_new or self.static.surface is not preview.surface:
             self.static = DraftStatic(preview.surface, preview.layout, preview.laid)

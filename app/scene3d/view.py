@@ -261,6 +261,11 @@ class View3D(QWidget):
             self._request()
 
     @property
+    def canvas(self) -> QWidget | None:
+        """Widget of the picture; `None` before it is there."""
+        return self._canvas
+
+    @property
     def can_pick(self) -> bool:
         """Whether there is a part to click on, and a picture of it."""
         return self._renderer is not None and self._renderer.static.surface is not None

@@ -17,7 +17,6 @@ from app.session.opening import (
     find_scene,
     find_truth_of,
     link_specs,
-    load_mesh_part,
     open_recorded,
 )
 from app.session.recording import Recording, SessionFolder, stop_all
@@ -690,7 +689,7 @@ class Controller(QObject):
         self.prepare()
         from skincal.session.part import load_part
 
-        return load_part(find_scene(request.scene)) if request.mesh is None else load_mesh_part(request.mesh, self._documents)
+        return load_part(find_scene(request.scene))
 
     def _load_session(self, storage: SessionFolder, links: tuple[LinkSpec, ...] | None) -> tuple[Part, Pipeline] | str:
         """Load a session, read-only if `links` is `None`; return a sentence if another process records it."""

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.session.opening import MESHES, OpenRequest, server_command
+from app.session.opening import PART_FILES, OpenRequest, server_command
 from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
-DROP_ADVICE = "Drop the folder of a session, a scene (*.toml), a mesh, or a recording of yarpdatadumper or in CSV files."
+DROP_ADVICE = (
+    "Drop the folder of a session, a scene (*.toml), a mesh, a URDF, or a recording of yarpdatadumper or in CSV files."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +23,7 @@ class DroppedRecording:
 
 
 def request_of(paths: Sequence[Path]) -> OpenRequest | DroppedRecording:
-    """Decide what to open: a session, a scene with simulated devices, a mesh, or a recording to import.
+    """Decide what to open: a session, a scene with simulated devices, a new part, or a recording to import.
 
     Raises
     ------
@@ -52,6 +54,6 @@ def _request_of(path: Path) -> OpenRequest | DroppedRecording:
         raise InputError(f"{path}: there is no such file. {DROP_ADVICE}")
     if kind == ".toml":
         return OpenRequest(scene=path, server=server_command(path))
-    if kind in MESHES:
-        return OpenRequest(mesh=path)
+    if kind in PART_FILES:
+        return OpenRequest(part=path)
     raise InputError(f"{path}: cannot be opened. {DROP_ADVICE}")

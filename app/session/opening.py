@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "icub-forearm"
 MESHES = (".stl", ".obj", ".ply", ".off")
+PART_FILES = (*MESHES, ".urdf")
+"""Endings of files with which a new part begins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +42,8 @@ class OpenRequest:
 
     scene: Path | None = None
     session: Path | None = None
-    mesh: Path | None = None
-    """Mesh of a part without a scene."""
+    part: Path | None = None
+    """Mesh or URDF of a part without a scene."""
     addresses: Addresses = Addresses()
     server: tuple[str, ...] = ()
     """Command of a device process, used without addresses."""
@@ -142,19 +144,11 @@ def begin_session(part: Part, links: Sequence[LinkSpec], folder: Path, truth: by
     return pipeline
 
 
-def load_mesh_part(mesh: Path, documents: Path) -> Part:
-    """Make a scene of a mesh in the documents and load it; a finding lists its missing entries.
+def is_shipped(scene: Path) -> bool:
+    """Whether a scene is one of the program's own."""
+    from skincal.model.scene import ships
 
-    Raises
-    ------
-    InputError
-        The mesh cannot be read, or the scene cannot be written.
-    """
-    from app.text.message import mesh_words
-    from skincal.session.part import load_part, scene_of_mesh
-
-    part = load_part(scene_of_mesh(mesh, documents / "scenes"))
-    return replace(part, findings=(mesh_words(part), *part.findings))
+    return ships(scene)
 
 
 def open_recorded(folder: Path, links: Sequence[LinkSpec] | None) -> tuple[Part, Pipeline]:

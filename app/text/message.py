@@ -5,12 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from skincal.model.errors import plain_text
-
-if TYPE_CHECKING:
-    from skincal.session.part import Part
 
 REPORTING = "Writing the report. A message follows when it is finished."
 ADDRESS_LINE_LENGTH = 120
@@ -69,22 +65,6 @@ def keep_question(pokes: int) -> tuple[str, str]:
     """Ask whether to keep a session with this many pokes, and explain the answers."""
     number = f"{pokes} poke{'' if pokes == 1 else 's'}"
     return f"Keep this session with {number}?", "Otherwise its folder is deleted from the documents."
-
-
-def mesh_words(part: Part) -> str:
-    """Describe the scene made from a mesh: its file, the size of the part, and the missing entries."""
-    import numpy as np
-
-    scene, surface = part.scene, part.surface
-    sides = np.zeros(3) if surface is None else np.ptp(surface.vertices, axis=0) * 1e3
-    missing = [f"the number of skin channels (now {scene.skin.channels})"]
-    missing += ["the layout of its modules"] if scene.skin.layout is None else []
-    missing += ["the pose of the sensor"] if scene.arm is None and (scene.sensor_pose == np.eye(4)).all() else []
-    return (
-        f"A new scene with this mesh is in {scene.path}: {' x '.join(f'{side:.0f}' for side in sides)} mm. It still needs "
-        f"{', '.join(missing[:-1])}{' and ' if missing[1:] else ''}{missing[-1]}. Add that to the file, then press Ctrl+N to "
-        "name the devices."
-    )
 
 
 def copy_words(shipped: Path) -> str:

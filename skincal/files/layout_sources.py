@@ -24,7 +24,7 @@ MAX_LAYOUT_CHANNELS = 100_000
 LAYOUT_ENDINGS = ("*.toml", "*.ini", "*.csv", "*.tsv", "*.txt")
 _INI_KINDS = {"triangle": "triangle_12", **{name: name for name in KINDS}}
 """Kinds of modules in skinGui files, by their name there."""
-_SEPARATORS = re.compile(r"[,;\t ]+")
+_FIELD_SEPARATORS = re.compile(r"[,;\t ]+")
 
 
 def read_layout_file(path: Path) -> str:
@@ -88,7 +88,7 @@ def text_of_table(text: str, path: Path) -> str:
     rows: list[list[float]] = []
     scale = 1.0
     for number, line in enumerate(text.splitlines(), start=1):
-        words = [word for word in _SEPARATORS.split(line.strip()) if word]
+        words = [word for word in _FIELD_SEPARATORS.split(line.strip()) if word]
         if not words or words[0].startswith("#"):
             continue
         if not _are_numbers(words):

@@ -1,4 +1,4 @@
-"""A draft worked out: mesh, sensor, joints and placed layout, as far as the draft says, and what is missing or wrong.
+"""Preview of a draft: mesh, sensor, joints and placed layout, and sentences about missing or wrong things.
 
 `PartPreviewer` keeps what it read, so that a change costs only what depends on it. It is used in one thread.
 """
@@ -28,11 +28,11 @@ from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles
 from skincal.session.scene_draft import joints_in_order
 
-T = TypeVar("T")
+KeptResult = TypeVar("KeptResult")
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
 """m. Most parts with skin are between a finger and a torso; the unit of a mesh is guessed by it."""
 UNIT_ORDER = ("mm", "m", "cm", "in")
-UNREPORTED = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
+UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
 """Findings about a mesh that change nothing for the person: the size is shown anyway."""
 CACHE_SIZE = 8
 """Kept results of each kind of work."""
@@ -53,7 +53,7 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartPreview:
-    """A draft worked out."""
+    """Everything that follows from a draft."""
 
     draft: PartDraft
     robot: Robot | None = None
@@ -100,13 +100,13 @@ def mesh_sides(path: Path) -> FloatArray:
 
 
 class PartPreviewer:
-    """Works out drafts one after another."""
+    """Makes previews of drafts, one after another."""
 
     def __init__(self) -> None:
         self._kept: dict[Callable[..., Any], dict[Hashable, Any]] = {}
 
     def preview(self, draft: PartDraft, angles: Mapping[str, float]) -> PartPreview:
-        """Work out a draft.
+        """Make the preview of a draft.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class PartPreviewer:
             step()
         return PartPreview(draft, problems=work.problems, findings=work.findings, **work.values)
 
-    def once(self, make: Callable[..., T], *key: Hashable) -> T:
+    def once(self, make: Callable[..., KeptResult], *key: Hashable) -> KeptResult:
         """Call `make(*key)`, or return the result of an earlier call."""
         kept = self._kept.setdefault(make, {})
         if key not in kept:
@@ -293,7 +293,7 @@ def _load_shape(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotShap
 
 def _load_surface(path: Path, scale: float, pose: tuple[tuple[float, ...], ...]) -> tuple[Surface, tuple[str, ...]]:
     surface, findings = load_surface(SurfaceSpec(path, scale, np.array(pose)))
-    return surface, tuple(finding.sentence for finding in findings if finding.kind not in UNREPORTED)
+    return surface, tuple(finding.sentence for finding in findings if finding.kind not in UNREPORTED_FINDINGS)
 
 
 def completed_draft(preview: PartPreview) -> PartDraft:

@@ -1,4 +1,4 @@
-"""Summary of a draft: what is complete, what is missing, and what that costs."""
+"""Summary of a draft: complete and missing things, and the cost of each missing one."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _place(preview: PartPreview) -> tuple[SummaryLine, ...]:
     findings = preview.findings.get("place", ())
     if findings:
         return tuple(SummaryLine("place", State.OPTIONAL, finding) for finding in findings)
-    return (SummaryLine("place", State.COMPLETE, "every taxel lies on the part"),)
+    return (SummaryLine("place", State.COMPLETE, "every taxel is on the part"),)
 
 
 def _landmarks(preview: PartPreview) -> SummaryLine:

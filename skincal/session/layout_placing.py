@@ -23,8 +23,8 @@ from skincal.session.part_draft import AnchorDraft
 OFF_MESH_M = 0.0005
 """m. A taxel further from the mesh is off it: covers are no thinner."""
 OVERLAP_SHARE = 0.4
-"""Of the spacing: taxels of two modules that are nearer lie on each other."""
-UP = np.array([0.0, 0.0, 1.0])
+"""Of the spacing: two modules with nearer taxels overlap."""
+FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
 
 
 def anchor_at(
@@ -38,7 +38,7 @@ def anchor_at(
     before : anchor whose x axis is kept, carried along; `None` for one across the link's y axis
     at : (2,) point of the layout, metres; `None` for that of `before`, or the middle of the layout
     """
-    normal = UP if before is None or surface is not None else before.normal
+    normal = FLAT_NORMAL if before is None or surface is not None else before.normal
     if surface is not None:
         near, triangles = nearest_points(surface, point[None])
         point, normal = near[0], surface.normals[triangles[0]]
@@ -114,7 +114,7 @@ class LaidFindings:
 
 
 def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surface | None) -> LaidFindings:
-    """Find taxels that lie off the mesh, and modules without a position."""
+    """Find taxels beside the mesh, and modules without a position."""
     if laid is None:
         return LaidFindings(np.empty(0, np.int64), ("The layout is not on the part yet: click where its middle lies.",))
     sentences: list[str] = []
@@ -128,14 +128,14 @@ def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surfa
         off = known[np.linalg.norm(near - laid.places[known], axis=1) > OFF_MESH_M]
     if len(off):
         modules = sorted({layout.modules[int(index)].id for index in layout.module_of[off]})
-        verb = "lies" if len(off) == 1 else "lie"
+        verb = "is" if len(off) == 1 else "are"
         sentences.append(f"{plural(len(off), 'taxel')} of {_modules(modules)} {verb} off the mesh: slide or turn the layout.")
     sentences += _overlaps(layout, laid)
     return LaidFindings(off, tuple(sentences))
 
 
 def _overlaps(layout: Layout, laid: PlacedLayout) -> list[str]:
-    """Find modules whose taxels lie on those of another module."""
+    """Find modules that overlap."""
     known = layout.channels[np.isfinite(laid.places[layout.channels, 0])]
     if len(layout.modules) < 2 or not len(known):
         return []
@@ -146,7 +146,7 @@ def _overlaps(layout: Layout, laid: PlacedLayout) -> list[str]:
         return []
     first, second = (layout.modules[index].id for index in both[0])
     more = f", and {len(both) - 1} more pairs" if len(both) > 1 else ""
-    return [f"Modules {first} and {second}{more} lie on each other: turn the layout, or move modules alone."]
+    return [f"Modules {first} and {second}{more} overlap: turn the layout, or move modules alone."]
 
 
 def _modules(ids: list[int]) -> str:

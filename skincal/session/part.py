@@ -5,8 +5,6 @@ Imports are inside the functions, so that a window can load a part while it star
 
 from __future__ import annotations
 
-import contextlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,31 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skincal.geometry import IntArray
-from skincal.model.errors import InputError, plain_text
-from skincal.model.scene import UNITS, Scene, SurfaceSpec, load_scene
+from skincal.model.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
     from skincal.guide.surface_search import SurfaceSearch
     from skincal.mesh.lay import PlacedLayout
     from skincal.mesh.surface import Surface
-
-
-MESH_SCENE = """# A part of which its mesh is known; docs/scene.md says what else a scene can hold.
-name = {name}
-link = "part"                          # the frame of every position: the mesh's own
-
-[skin]
-channels = 64                          # how many values a frame of the skin has
-# modules = "modules.toml"             # the layout of its modules
-
-[surface]
-mesh = "{mesh}"
-unit = "{unit}"                            # of the mesh's numbers
-
-# [sensor]                             # where the force/torque sensor is, in metres; or [arm], where joints lie between
-# pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.05], [0, 0, 0, 1]]
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,46 +42,6 @@ def load_part(path: Path) -> Part:
     """Load a scene with its mesh and its layout; `InputError` if they cannot be used."""
     scene = load_scene(path)
     return lay_part(scene, *load_scene_surface(scene))
-
-
-def scene_of_mesh(mesh: Path, scenes: Path) -> Path:
-    """Make a scene for a mesh in a folder of its own under `scenes`, or find the one made before.
-
-    The mesh is copied there. Unknown values have defaults and comments in the file.
-
-    Raises
-    ------
-    InputError
-        The mesh cannot be read, or the folder cannot be written.
-    """
-    from skincal.model.given import MAX_MESH_BYTES, read_regular
-
-    data = read_regular(mesh, MAX_MESH_BYTES)
-    unit = _unit_of(mesh)
-    name, number = plain_text(mesh.stem), 1
-    try:
-        while (folder := scenes / (name if number == 1 else f"{name}-{number}")).exists():
-            if (folder / f"part{mesh.suffix.lower()}").read_bytes() == data:
-                return folder / "scene.toml"
-            number += 1
-        folder.mkdir(parents=True)
-        (folder / f"part{mesh.suffix.lower()}").write_bytes(data)
-        text = MESH_SCENE.format(name=json.dumps(name, ensure_ascii=False), mesh=f"part{mesh.suffix.lower()}", unit=unit)
-        (folder / "scene.toml").write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{error.filename}: the scene of {mesh} cannot be written ({error.strerror}); look there.") from error
-    return folder / "scene.toml"
-
-
-def _unit_of(mesh: Path) -> str:
-    """Guess the unit of a mesh from its size: millimetres, else metres; `InputError` if neither fits or it is unreadable."""
-    from skincal.mesh.load import load_surface
-
-    with contextlib.suppress(InputError):
-        load_surface(SurfaceSpec(mesh, UNITS["mm"], np.eye(4)))
-        return "mm"
-    load_surface(SurfaceSpec(mesh, UNITS["m"], np.eye(4)))
-    return "m"
 
 
 def load_scene_surface(scene: Scene) -> tuple[Surface | None, tuple[str, ...]]:

@@ -1,6 +1,6 @@
 """A part that is being described: one frozen value, its history, and the scene file that it is read from and written to.
 
-Only changed entries of a file are written, so that comments, order and all other tables stay as they are.
+Only changed entries of a file are written, so that comments, order and all other tables are kept.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from skincal.session.scene_draft import LAYOUT_FILE
 Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]
 """Four rows of four numbers, metres."""
-IDENTITY: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
+IDENTITY_POSE: Pose = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
 MM_DIGITS, UNIT_DIGITS, METRE_DIGITS = 3, 6, 6
 """Decimals in a scene file: a micrometre, and 0.06 thousandths of a degree."""
 MAX_HISTORY = 500
@@ -49,7 +49,7 @@ class AnchorDraft:
     """(3,) unit, outward."""
 
     @staticmethod
-    def of(anchor: Anchor) -> AnchorDraft:
+    def from_anchor(anchor: Anchor) -> AnchorDraft:
         """Round an anchor to the digits of a scene file."""
         return AnchorDraft(
             rounded(anchor.at * 1e3, MM_DIGITS),
@@ -106,7 +106,7 @@ class PartDraft:
     sensor_pose: Pose | None = None
     """Of the sensor in the link, without a URDF; `None` while it is unknown."""
     has_dh_arm: bool = False
-    """The scene has an `[arm]`, which this page leaves as it is."""
+    """The scene has an `[arm]`, which this page does not change."""
     sign: int | None = None
     """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
     channels: int | None = None
@@ -190,7 +190,7 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         mesh=None if mesh is None else folder / mesh,
         unit=surface.get("unit", "mm"),
         mesh_pose=_rows(surface.get("pose")),
-        sensor_pose=_rows(document["sensor"].get("pose", IDENTITY)) if "sensor" in document else None,
+        sensor_pose=_rows(document["sensor"].get("pose", IDENTITY_POSE)) if "sensor" in document else None,
         has_dh_arm="arm" in document,
         sign=document.get("wrench", {}).get("sign"),
         channels=scene.skin.channels,
@@ -217,7 +217,7 @@ def _read_anchor(table: Any) -> AnchorDraft:
 # What a file says, as the path of each entry and its value.
 
 Key: TypeAlias = tuple[str, ...]
-_COMMENTS: dict[Key, str] = {
+_ENTRY_COMMENTS: dict[Key, str] = {
     ("name",): "names the part in exported files",
     ("link",): "the frame of every position",
     ("robot", "sensor"): "a force/torque sensor of the URDF, or a joint or link at it",
@@ -234,7 +234,7 @@ _COMMENTS: dict[Key, str] = {
     ("skin", "anchor", "normal"): "outward",
     ("wrench", "sign"): "-1 if the sensor reports the reaction force",
 }
-_POLARITY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw values fall under pressure"}
+_POLARITY_ENTRY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw values fall under pressure"}
 
 
 def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
@@ -288,7 +288,7 @@ def scene_text(draft: PartDraft, folder: Path) -> str:
             _remove(document, key)
         for key, value in after.items():
             if before.get(key) != value:
-                _put(document, key, value)
+                _set_entry(document, key, value)
         if has_landmark_change:
             _put_landmarks(document, draft.landmarks)
         text = str(tomlkit.dumps(document))
@@ -312,7 +312,7 @@ def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
     if "skin" in document:
         found.setdefault(("skin", "polarity"), "up")  # the default
     if document.get("sensor") == {}:
-        found[("sensor", "pose")] = IDENTITY
+        found[("sensor", "pose")] = IDENTITY_POSE
     return found
 
 
@@ -362,7 +362,7 @@ def _remove(document: Any, key: Key) -> None:
             del table[name]
 
 
-def _put(document: Any, key: Key, value: Any) -> None:
+def _set_entry(document: Any, key: Key, value: Any) -> None:
     """Set an entry; new tables and entries get their comment."""
     import tomlkit
 
@@ -370,7 +370,7 @@ def _put(document: Any, key: Key, value: Any) -> None:
     for depth, name in enumerate(key[:-1], start=1):
         if name not in table:
             fresh = tomlkit.table()
-            if (comment := _COMMENTS.get(key[:depth])) is not None and depth + 1 >= len(key):
+            if (comment := _ENTRY_COMMENTS.get(key[:depth])) is not None and depth + 1 >= len(key):
                 fresh.comment(comment)
             if depth == 1:
                 cast("Any", table).add(tomlkit.nl())
@@ -378,7 +378,7 @@ def _put(document: Any, key: Key, value: Any) -> None:
         table = table[name]
     is_new = key[-1] not in table
     item = cast("Any", tomlkit.item(_plain(value)))
-    comment = _POLARITY_COMMENTS.get(str(value)) if key == ("skin", "polarity") else _COMMENTS.get(key)
+    comment = _POLARITY_ENTRY_COMMENTS.get(str(value)) if key == ("skin", "polarity") else _ENTRY_COMMENTS.get(key)
     if comment is not None and (is_new or key == ("skin", "polarity")):
         _set_comment(key[-1], item, comment)
     elif not is_new:

@@ -29,7 +29,7 @@ class Touch:
     """Their values fell."""
 
     def sentence(self) -> str:
-        """Say which channels answered, and how."""
+        """Describe the answer."""
         count = len(self.channels)
         if not count:
             return "No channel has answered yet. Press the skin."

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PySide6.QtCore import QMimeData, QPointF, Qt, QUrl
 from PySide6.QtGui import QDragEnterEvent, QDropEvent
@@ -17,8 +16,7 @@ from app.session.opening import MESHES, OpenRequest
 from app.state.running import Running
 from skincal.mesh.load import read_mesh
 from skincal.model.errors import InputError
-from skincal.model.scene import load_scene, resource
-from skincal.session.part import load_part, scene_of_mesh
+from skincal.model.scene import resource
 from tests.app.whole_window import OPEN_MS
 from tests.approved import approved
 
@@ -132,36 +130,26 @@ def test_the_meshes_are_those_that_are_read(kind):
 FOREARM = resource("scenes/icub-forearm/forearm.obj")
 
 
-def test_a_mesh_that_is_dropped_is_the_part_of_a_scene_which_says_what_it_lacks(bench, tmp_path):
-    mesh = shutil.copy(FOREARM, tmp_path / "elbow.OBJ")
-    made = bench.documents / "scenes" / "elbow" / "scene.toml"
-    for _ in range(2):
-        bench.messages.clear()
-        with bench.qtbot.waitSignal(bench.controller.part_loaded, timeout=OPEN_MS):
-            assert drop(bench.window, of(mesh))
-        bench.until(lambda: bench.controller.running is Running.OFFLINE, 5000)
-        sides = " x ".join(f"{side:.0f}" for side in np.ptp(load_part(made).surface.vertices, axis=0) * 1e3)
-        assert approved("dropping.mesh", scene=made, sides=sides) in [message.text for message in bench.messages]
-        assert bench.window.session_view.workspace.part.scene.path == made
-    # The second time it is the same scene, with what was written into it.
-    assert [folder.name for folder in made.parent.parent.iterdir()] == ["elbow"]
-    (made.parent / "part.obj").write_bytes(b"another")
-    assert scene_of_mesh(mesh, made.parent.parent).parent.name == "elbow-2"
+def test_a_mesh_that_is_dropped_begins_a_new_part_and_another_one_replaces_it(bench, tmp_path):
+    for name in ("elbow.OBJ", "wrist.obj"):
+        mesh = shutil.copy(FOREARM, tmp_path / name)
+        assert drop(bench.window, of(mesh))
+        page = bench.window.builder
+        bench.until(lambda page=page: page.is_settled, OPEN_MS)
+        assert page.preview.surface is not None
+        assert page.history.now.mesh == mesh
+    page.undo()
+    assert page.history.now.mesh.name == "elbow.OBJ"
 
 
 @pytest.mark.parametrize("data", [b"", b"?"])
-def test_a_mesh_that_is_not_one_leaves_no_scene(bench, tmp_path, data):
+def test_a_mesh_that_is_not_one_leaves_no_page(bench, tmp_path, data):
     mesh = tmp_path / "elbow.stl"
     mesh.write_bytes(data)
     assert drop(bench.window, of(mesh))
-    bench.until(lambda: any(message.error and str(mesh) in message.text for message in bench.messages), OPEN_MS)
+    assert bench.window.messages.isVisible()
+    assert bench.window.builder is None
     assert not (bench.documents / "scenes").exists()
-
-
-@pytest.mark.parametrize(("largest", "unit"), [(300.0, 1e-3), (0.3, 1.0)])
-def test_the_unit_of_a_mesh_is_that_of_a_part_of_a_robot(tmp_path, largest, unit):
-    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv {largest} 0 0\nv 0 {largest} 0\nf 1 2 3\n")
-    assert load_scene(scene_of_mesh(tmp_path / "a.obj", tmp_path / "scenes")).surface.scale == unit
 
 
 def test_a_mesh_is_named_on_the_command_line_like_a_scene(capsys, monkeypatch):
@@ -170,7 +158,7 @@ def test_a_mesh_is_named_on_the_command_line_like_a_scene(capsys, monkeypatch):
     monkeypatch.setattr("app.__main__.objection", lambda: "")
     monkeypatch.setattr("app.__main__.no_display", lambda: "")
     assert [main(words) for words in ([str(FOREARM)], ["--scene", str(FOREARM)])] == [0, 0]
-    assert asked == [OpenRequest(mesh=FOREARM)] * 2
+    assert asked == [OpenRequest(part=FOREARM)] * 2
     assert main([str(FOREARM), "--wrench", "a", "--skin", "b"]) == 2
     assert approved("dropping.mesh_with_devices", mesh=FOREARM) in capsys.readouterr().err.replace(" and --skin", "")
     assert main([str(FOREARM), "--headless"]) == 2

@@ -16,7 +16,7 @@ from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
 from skincal.session.part import load_part
 from skincal.session.part_draft import (
-    IDENTITY,
+    IDENTITY_POSE,
     AnchorDraft,
     DraftHistory,
     LandmarkDraft,
@@ -73,7 +73,7 @@ def test_a_change_takes_away_the_lines_it_is_about_and_no_others(change, lines):
 
 
 def described(cylinder) -> PartDraft:
-    draft = PartDraft(mesh=cylinder, name="tube", sensor_pose=IDENTITY, polarity="down")
+    draft = PartDraft(mesh=cylinder, name="tube", sensor_pose=IDENTITY_POSE, polarity="down")
     return replace(draft, layout_text=repeated_modules("triangle_12", 1, 4))
 
 
@@ -82,7 +82,7 @@ def test_a_part_that_is_described_is_saved_with_its_mesh_and_loads(tmp_path, cyl
     seen = previewer.preview(described(cylinder), {})
     assert seen.size_mm == pytest.approx((80.0, 80.0, 120.0), rel=1e-3)
     anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.0, 0.06]), None)
-    draft = replace(seen.draft, anchor=AnchorDraft.of(anchor), landmarks=(LandmarkDraft("rim", (0.04, 0.0, 0.12)),))
+    draft = replace(seen.draft, anchor=AnchorDraft.from_anchor(anchor), landmarks=(LandmarkDraft("rim", (0.04, 0.0, 0.12)),))
     seen = previewer.preview(draft, {})
     assert can_start(seen)
     assert {line.state for line in summarize(seen)} == {State.COMPLETE, State.OPTIONAL}
@@ -107,10 +107,10 @@ def test_one_module_moves_alone_and_only_its_lines_change(cylinder):
     previewer = PartPreviewer()
     seen = previewer.preview(described(cylinder), {})
     anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.0, 0.06]), None)
-    seen = previewer.preview(replace(seen.draft, anchor=AnchorDraft.of(anchor)), {})
+    seen = previewer.preview(replace(seen.draft, anchor=AnchorDraft.from_anchor(anchor)), {})
     here = anchor_of_module(seen.surface, seen.layout.modules[2], anchor)
     for shift, expected in ((0.0, 0.0), (0.003, 0.003)):
-        own = AnchorDraft.of(nudged_anchor(seen.surface, here, shift, 0.0))
+        own = AnchorDraft.from_anchor(nudged_anchor(seen.surface, here, shift, 0.0))
         text = with_module_anchor(seen.draft.layout_text, 2, own)
         moved = previewer.preview(replace(seen.draft, layout_text=text), {}).laid.places - seen.laid.places
         distances = np.linalg.norm(moved, axis=1)

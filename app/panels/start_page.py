@@ -1,0 +1,59 @@
+"""The window without a session: what can be done now."""
+
+from __future__ import annotations
+
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QPushButton, QVBoxLayout, QWidget
+
+from app.panels.widgets import secondary_label
+from app.text_size import scaled
+from app.theme import GAP
+
+BUTTON_PX = 420
+BUTTON_TEXTS = {
+    "part": "&Describe your own part\N{HORIZONTAL ELLIPSIS}   Ctrl+Shift+N",
+    "new": "&New session\N{HORIZONTAL ELLIPSIS}   Ctrl+N",
+    "open": "&Open a recorded session\N{HORIZONTAL ELLIPSIS}   Ctrl+O",
+    "import": "&Import a recording\N{HORIZONTAL ELLIPSIS}   Ctrl+I",
+}
+"""Texts of the buttons, by the name of their command."""
+PART_HINT = "A mesh or a URDF is enough to begin; you can also drop it here."
+
+
+class StartPage(QWidget):
+    """A line of text, and a button for each offer."""
+
+    command_wanted = Signal(str)
+    """Name of a command."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.words = secondary_label()
+        self.words.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.hint = secondary_label(PART_HINT)
+        self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.buttons: dict[str, QPushButton] = {}
+        self._column = QVBoxLayout(self)
+        self._column.setSpacing(GAP)
+        self._column.addStretch(1)
+        self._column.addWidget(self.words)
+        for name, text in BUTTON_TEXTS.items():
+            button = QPushButton(text)
+            button.setFixedWidth(scaled(BUTTON_PX))
+            button.clicked.connect(lambda _=False, name=name: self.command_wanted.emit(name))
+            self._column.addWidget(button, 0, Qt.AlignmentFlag.AlignHCenter)
+            self.buttons[name] = button
+        self._column.addWidget(self.hint)
+        self._column.addStretch(1)
+
+    def show_words(self, words: str, *, offers: bool, part_first: bool) -> None:
+        """Show a line; with `offers` the buttons, too, and the new part above the others if `part_first`."""
+        self.words.setText(words)
+        for widget in (*self.buttons.values(), self.hint):
+            widget.setVisible(offers)
+        order = ["part", "new", "open", "import"] if part_first else ["new", "open", "part", "import"]
+        for index, name in enumerate(order):
+            self._column.removeWidget(self.buttons[name])
+            self._column.insertWidget(2 + index, self.buttons[name], 0, Qt.AlignmentFlag.AlignHCenter)
+        if offers:
+            self.buttons[order[0]].setFocus()
