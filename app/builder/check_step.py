@@ -15,6 +15,7 @@ from app.dialogs.form_widgets import path_row
 from app.dialogs.landmark_dialog import free_name, name_problem
 from app.panels.widgets import set_bold
 from app.scene3d.draft_view import Mode
+from app.session.opening import is_shipped
 from app.theme import GAP
 from skincal.geometry import FloatArray
 from skincal.mesh.search import nearest_points
@@ -102,7 +103,7 @@ class CheckStep(Step):
         self._show_chosen(row)
         self._show_summary(preview)
         if not self._is_typed_folder:
-            source = preview.draft.source
+            source = None if preview.draft.source is None or is_shipped(preview.draft.source) else preview.draft.source
             name = completed_draft(preview).name
             self.folder.setText(str(free_scene_path(self._scenes, name).parent if source is None else source.parent))
 

@@ -46,7 +46,7 @@ from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_
 from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
-SIDE_PX = 470
+SIDE_PX = 500
 """Width of the side with the fields at 100 %."""
 HISTORY_BUTTON_PX = 36
 MAX_FINDINGS = 3
@@ -318,7 +318,7 @@ class BuilderPage(QWidget):
             self.failed.emit(str(error))
             return None
         self._saved = saved
-        self._set_history(self.history.changed(saved))
+        self._set_history(self.history.saved_as(saved))
         return saved.source
 
     def save_and_start(self) -> None:

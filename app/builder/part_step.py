@@ -60,7 +60,7 @@ class PartStep(Step):
     def __init__(self) -> None:
         super().__init__()
         self.file = QLineEdit()
-        self.file.setReadOnly(True)
+        self.file.editingFinished.connect(self._take_typed)
         label, row = path_row("Mesh or &URDF", self.file, self.choose_file)
         self.part_name = QLineEdit()
         self.part_name.setAccessibleName("name of the part")
@@ -96,10 +96,17 @@ class PartStep(Step):
 
     def choose_file(self) -> None:
         """Ask for a file, and take it."""
-        start = "" if self.draft.urdf is None and self.draft.mesh is None else str(self.draft.urdf or self.draft.mesh)
-        path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", start, PART_FILES)
+        path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", self._named(), PART_FILES)
         if path:
             self.take_file(Path(path))
+
+    def _take_typed(self) -> None:
+        text = self.file.text().strip()
+        if text and text != self._named():
+            self.take_file(Path(text).expanduser())
+
+    def _named(self) -> str:
+        return str(self.draft.urdf or self.draft.mesh or "")
 
     def take_file(self, path: Path) -> None:
         """Use a mesh or a URDF."""
@@ -113,7 +120,8 @@ class PartStep(Step):
 
     def update_fields(self, preview: PartPreview) -> None:
         draft = preview.draft
-        self.file.setText(str(draft.urdf or draft.mesh or ""))
+        if not (self.file.hasFocus() and self.file.isModified()):
+            self.file.setText(str(draft.urdf or draft.mesh or ""))
         if not self.part_name.hasFocus():
             self.part_name.setText(draft.name)
             self.part_name.setPlaceholderText(draft.link if draft.urdf is not None else "part")

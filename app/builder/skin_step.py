@@ -95,7 +95,7 @@ class SkinStep(Step):
     def _make_file_page(self) -> QWidget:
         page = QWidget()
         self.file = QLineEdit()
-        self.file.setReadOnly(True)
+        self.file.editingFinished.connect(self._take_typed)
         self.file.setAccessibleName("layout file")
         choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file")
         choose.clicked.connect(self.choose_file)
@@ -172,6 +172,12 @@ class SkinStep(Step):
         path, _ = QFileDialog.getOpenFileName(self, "Layout", "", LAYOUT_FILES)
         if path:
             self.take_file(Path(path))
+
+    def _take_typed(self) -> None:
+        text = self.file.text().strip()
+        if text and self.file.isModified():
+            self.file.setModified(False)
+            self.take_file(Path(text).expanduser())
 
     def take_file(self, path: Path) -> None:
         """Use a layout file."""

@@ -137,6 +137,15 @@ class DraftHistory:
             return replace(self, now=draft, future=())
         return DraftHistory((*self.past, self.now)[-MAX_HISTORY:], draft, (), merge)
 
+    def saved_as(self, saved: PartDraft) -> DraftHistory:
+        """Make `saved`, read from the written file, the present draft; earlier and later ones are changes of that file."""
+
+        def rebase(draft: PartDraft) -> PartDraft:
+            name = saved.layout_name if draft.layout_text else ""
+            return replace(draft, source=saved.source, text=saved.text, layout_name=name)
+
+        return DraftHistory(tuple(map(rebase, self.past)), saved, tuple(map(rebase, self.future)))
+
     def undone(self) -> DraftHistory:
         if not self.past:
             return self
@@ -487,6 +496,9 @@ def save_draft(draft: PartDraft, path: Path) -> PartDraft:
         name = draft.layout_name if is_same and draft.layout_name else LAYOUT_FILE
         made[folder / name] = draft.layout_text.encode()
         draft = replace(draft, layout_name=name)
+    taken = [file for file, data in made.items() if not is_same and file.exists() and file.read_bytes() != data]
+    if taken:
+        raise InputError(f"{taken[0]}: another file of this name is there already; choose another folder.")
     made[path] = scene_text(draft, folder).encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -30,7 +30,8 @@ class Builder:
 
     def __init__(self, bench, path=None) -> None:
         self.bench, self.window = bench, bench.window
-        self.window.ask_part(path)
+        if path is not None:
+            self.window.ask_part(path)
         self.page = self.window.builder
         self.settle()
 

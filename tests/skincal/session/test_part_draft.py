@@ -27,6 +27,7 @@ from skincal.session.part_draft import (
     scene_text,
 )
 from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.session.touch_watch import REST_FRAMES, TouchWatch
 
 SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]
 
@@ -92,6 +93,9 @@ def test_a_part_that_is_described_is_saved_with_its_mesh_and_loads(tmp_path, cyl
     assert part.scene.skin.channels == 48
     assert part.scene.skin.polarity == -1
     assert part.scene.landmarks[0].name == "rim"
+    history = DraftHistory().changed(draft).changed(seen.draft).changed(replace(seen.draft, sign=-1)).saved_as(saved)
+    again = save_draft(completed_draft(previewer.preview(history.undone().now, {})), saved.source)
+    assert again == saved, "what was undone after saving is saved to the same file"
     cylinder.unlink()
     assert save_draft(replace(saved, polarity="up"), saved.source).polarity == "up"
     assert "up" in saved.source.read_text()
@@ -224,3 +228,31 @@ def test_repeated_triangles_share_their_edges():
     assert len(np.unique(corners, axis=0)) == 11  # of 30: each inner corner is one of several modules
     with pytest.raises(InputError, match="does not ship"):
         repeated_modules("hexagon", 1, 1)
+
+
+@pytest.mark.parametrize(("falls", "noise"), [(True, 0.5), (False, 0.0), (False, 2.0)])
+def test_channels_that_answer_a_touch_are_found_and_which_way_they_went(falls, noise):
+    rng = np.random.default_rng(3)
+    watch = TouchWatch(48)
+    rest = rng.uniform(50, 200, 48)
+    press = np.zeros(48)
+    press[12:24] = rng.uniform(30, 60, 12)
+    press[30] = 4.0
+    for frame in range(200):
+        share = max(0.0, np.sin(frame / 20.0)) if frame >= REST_FRAMES else 0.0
+        watch.feed(rest + (-1 if falls else 1) * share * press + noise * rng.standard_normal(48))
+    touch = watch.touch()
+    assert touch.channels.tolist() == list(range(12, 24))
+    assert touch.falls == falls
+    assert "12-23" in touch.sentence()
+    assert "one block" in touch.sentence()
+
+
+def test_a_skin_at_rest_answers_nothing():
+    rng = np.random.default_rng(4)
+    watch = TouchWatch(20)
+    for _ in range(300):
+        watch.feed(100.0 + rng.standard_normal(20))
+    watch.feed(np.zeros(3))  # of another device
+    assert not len(watch.touch().channels)
+    assert "Press the skin" in watch.touch().sentence()

@@ -1,0 +1,190 @@
+"""The page with the keyboard alone, with names for a screen reader, and with devices that are connected meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit, QListWidget, QSlider
+
+from app.dialogs.new_session import NewSessionDialog
+from skincal.model.scene import resource
+from skincal.session.part_draft import open_draft
+from skincal.simulate.outlets import TcpOutlet
+from tests.app.builder.test_builder_window import Builder, choose, tube  # noqa: F401
+from tests.app.whole_window import OPEN_MS
+
+FIELDS = (QLineEdit, QComboBox, QAbstractSpinBox, QSlider, QListWidget, QAbstractButton)
+MAX_TABS = 80
+
+
+class Keys(Builder):
+    """The page, by keys."""
+
+    def press(self, key, modifier=Qt.KeyboardModifier.NoModifier) -> None:
+        QTest.keyClick(QApplication.focusWidget() or self.window, key, modifier)
+        QApplication.processEvents()
+
+    def tab_to(self, widget) -> None:
+        """Press Tab until a field, or its editor, has the focus."""
+        for _ in range(MAX_TABS):
+            focus = QApplication.focusWidget()
+            if focus is widget or (focus is not None and widget.isAncestorOf(focus)):
+                return
+            self.press(Qt.Key.Key_Tab)
+        raise AssertionError(f"Tab does not reach {widget.accessibleName() or widget}")
+
+    def type_into(self, widget, text) -> None:
+        self.tab_to(widget)
+        self.press(Qt.Key.Key_A, Qt.KeyboardModifier.ControlModifier)
+        QTest.keyClicks(QApplication.focusWidget(), text)
+        self.press(Qt.Key.Key_Return)
+        self.settle()
+
+    def push(self, button) -> None:
+        self.tab_to(button)
+        self.press(Qt.Key.Key_Space)
+        self.settle()
+
+
+def test_a_part_is_described_with_the_keyboard_alone(bench, tube):  # noqa: F811
+    bench.key(Qt.Key.Key_N, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    build = Keys(bench)
+    part, sensor, _, skin, place, check = build.page.steps
+    build.type_into(part.file, str(tube))
+    assert build.page.preview.size_mm == pytest.approx((80, 80, 120), rel=1e-2)
+    build.push(build.page.next)
+    # Three points of the flange, typed.
+    build.push(sensor.pick)
+    for angle in (0.3, 2.4, 4.4):
+        for box, value in zip(sensor.origin.boxes, (40 * np.cos(angle), 40 * np.sin(angle), 0.0), strict=True):
+            build.type_into(box, f"{value:.2f}")
+        build.push(sensor.add_point)
+    assert np.array(build.draft.sensor_pose)[:3, 3] == pytest.approx(np.zeros(3), abs=1e-4)
+    assert np.array(build.draft.sensor_pose)[:3, 2] == pytest.approx([0, 0, 1], abs=1e-4)
+    build.press(Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
+    assert build.page.open_step is skin
+    build.type_into(skin.channels, "24")
+    build.tab_to(skin.layout_kind)
+    for _ in range(3):
+        build.press(Qt.Key.Key_Down)
+    build.settle()
+    assert build.page.preview.layout is not None
+    build.type_into(skin.in_strip, "2")
+    build.push(build.page.next)
+    assert build.page.open_step is place
+    for box, value in zip(place.point.boxes, ("0", "-40", "60"), strict=True):
+        build.type_into(box, value)
+    build.push(place.turns[3])
+    build.push(place.arrows[0])
+    assert build.draft.anchor.point_mm[1] < -38.0
+    build.push(build.page.next)
+    build.type_into(check.place.boxes[2], "120")
+    build.push(check.add)
+    assert len(build.draft.landmarks) == 1
+    build.press(Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    build.push(build.page.start)
+    assert open_draft(build.draft.source).channels == 24
+    assert bench.window.findChild(NewSessionDialog).isVisible()
+
+
+def test_every_field_has_a_name_and_every_step_fits_the_small_window(bench, tube):  # noqa: F811
+    build = Builder(bench, tube)
+    skin = build.open_step("skin")
+    choose(skin.layout_kind, "modules")
+    build.settle()
+    for step in build.page.steps:
+        build.page.show_step(step)
+        build.settle()
+        assert step.minimumSizeHint().width() <= step.width() + 1, step.name
+        for field in step.findChildren(QComboBox) + [f for kind in FIELDS for f in step.findChildren(kind)]:
+            if field.isVisible() and not isinstance(field.parent(), QComboBox | QAbstractSpinBox):
+                text = field.text() if isinstance(field, QAbstractButton) else ""
+                assert field.accessibleName() or text, f"{step.name}: {field}"
+    tabs = build.page.tabs.buttons()
+    assert all(tab.sizeHint().width() <= tab.width() for tab in tabs if tab.isVisible())
+
+
+class Lines:
+    """A device that sends one line of numbers a hundred times a second."""
+
+    def __init__(self, values) -> None:
+        self.outlet, self.values, self._done = TcpOutlet(), values, threading.Event()
+        self.address = self.outlet.address
+        self._thread = threading.Thread(target=self._send)
+        self._thread.start()
+
+    def _send(self) -> None:
+        while not self._done.wait(0.01):
+            self.outlet.poll()
+            self.outlet.write(",".join(f"{value:.3f}" for value in self.values).encode() + b"\n")
+
+    def close(self) -> None:
+        self._done.set()
+        self._thread.join(5.0)
+        self.outlet.close()
+
+
+def test_a_touch_marks_the_channels_that_answer_and_tells_the_polarity(bench, tube):  # noqa: F811
+    build = Builder(bench, tube)
+    skin = build.open_step("skin")
+    choose(skin.layout_kind, "modules")
+    build.settle()
+    rest = np.full(48, 200.0)
+    with closing(Lines(rest)) as device:
+        skin.live.row.set_address(device.address, agreed=True)
+        skin.live.row.agreed.emit()
+        bench.until(lambda: "No channel" in skin.touched.text(), OPEN_MS)
+        pressed = rest.copy()
+        pressed[24:36] -= 40.0
+        device.values = pressed
+        bench.until(lambda: "24-35" in skin.touched.text(), OPEN_MS)
+        assert skin.answered.tolist() == list(range(24, 36))
+        bench.until(skin.use_polarity.isVisible, OPEN_MS)
+        skin.use_polarity.click()
+        assert build.draft.polarity == "down"
+        build.open_step("part")
+        assert skin.answered is None
+
+
+def test_the_arm_follows_the_joint_stream_and_wrong_columns_are_reported(bench):
+    pytest.importorskip("icub_models")
+    from tools.first_part import FRAME, SENSOR, find_icub
+
+    build = Builder(bench, find_icub())
+    build.page.change(replace(build.draft, link=FRAME, sensor=SENSOR))
+    joints = build.open_step("joints")
+    with closing(Lines([80.0, 10.0])) as device:
+        joints.live.row.set_address(device.address, agreed=True)
+        joints.live.row.agreed.emit()
+        bench.until(lambda: build.page.angles.get("l_elbow", 0.0) == pytest.approx(np.radians(80.0)), OPEN_MS)
+        assert joints.warning.text() == ""
+        device.values = [10.0, 80.0]
+        bench.until(lambda: "l_wrist_prosup" in joints.warning.text(), OPEN_MS)
+
+
+def test_a_shipped_scene_is_opened_changed_and_saved_elsewhere(bench, tmp_path):
+    scene = shutil.copytree(resource("scenes/icub-forearm"), tmp_path / "own") / "scene.toml"
+    before = scene.read_bytes()
+    bench.window.change_part(scene)
+    build = Builder(bench)
+    assert [step.name for step in build.page.steps if step.applies(build.page.preview)] == [
+        "part", "sensor", "joints", "skin", "place", "check"
+    ]  # fmt: skip
+    assert build.page.save() == scene
+    assert scene.read_bytes() == before
+    for name in ("sensor", "joints", "skin", "place", "check"):
+        build.open_step(name)
+    build.page.steps[0].part_name.setText("other")
+    build.page.steps[0].part_name.editingFinished.emit()
+    build.settle()
+    assert build.page.is_changed
+    assert build.page.save() == scene
+    assert scene.read_text().splitlines()[1].startswith('name = "other"')
+    assert not build.page.is_changed
