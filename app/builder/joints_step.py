@@ -105,7 +105,8 @@ class JointsStep(Step):
         self.columns_label.setVisible(is_editable)
         if not self.columns.hasFocus():
             self.columns.setText(", ".join(draft.joints or [joint.name for joint in preview.joints]))
-        self.live.set_widths(max(1, draft.channels or 1), 1 + max((joint.column for joint in preview.joints), default=0))
+        count = 1 + max((joint.column for joint in preview.joints), default=0)
+        self.live.set_widths(max(1, draft.channels or 1), count, draft.joints or tuple(self._streamed()))
 
     def _make_rows(self, joints: list[JointState], *, can_fix: bool) -> None:
         for row in self.rows.values():

@@ -28,7 +28,7 @@ class LiveRow(QWidget):
         grid.setContentsMargins(0, 0, 0, 0)
         grid.setColumnStretch(2, 1)
         self.row.add_to(grid)
-        self._widths = (1, 0)
+        self._widths: tuple[int, int, tuple[str, ...]] = (1, 0, ())
         self._is_open = False
         self._previews = previews = Previews()
         self.destroyed.connect(lambda: previews.stop_readers())
@@ -44,10 +44,10 @@ class LiveRow(QWidget):
         """The address that the operator agreed to; empty without one."""
         return self.row.named
 
-    def set_widths(self, channels: int, joints: int) -> None:
-        """Expect this many values of a skin frame, and at least this many joints."""
-        if (channels, joints) != self._widths:
-            self._widths = channels, joints
+    def set_widths(self, channels: int, joints: int, names: tuple[str, ...] = ()) -> None:
+        """Expect this many values of a skin frame, and at least this many joints, with these names of their columns."""
+        if (channels, joints, names) != self._widths:
+            self._widths = channels, joints, names
             self._choose()
 
     def resume(self) -> None:
