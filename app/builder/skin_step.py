@@ -14,8 +14,10 @@ from app.builder.live_row import LiveRow
 from app.builder.step import Step
 from skincal.files.layout_sources import (
     LAYOUT_ENDINGS,
+    MAX_GRID_SIDE,
     MAX_LAYOUT_CHANNELS,
     MAX_MODULES,
+    Grid,
     parse_layout,
     read_layout_file,
     repeated_modules,
@@ -26,7 +28,6 @@ from skincal.model.skin import KINDS
 from skincal.session.draft_preview import PartPreview
 from skincal.session.layout_placing import middle_of
 from skincal.session.part_draft import MM_DIGITS, AnchorDraft, layout_file_of, rounded
-from skincal.session.scene_draft import MAX_GRID_SIDE, Grid
 from skincal.session.touch_watch import TouchWatch
 
 POLARITY_CHOICES = {"up": "rise under pressure", "down": "fall under pressure"}

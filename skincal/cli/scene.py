@@ -46,15 +46,18 @@ def new_scene(
     unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
     channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,
     polarity: Annotated[Literal["up", "down"], typer.Option(help="Values rise or fall under pressure.")] = "up",
-    layout: Annotated[Path | None, typer.Option(help="Layout of the modules (*.modules.toml).")] = None,
+    layout: Annotated[
+        Path | None, typer.Option(help="Layout: a file of skincal (*.toml), an iCub .ini, or a table of positions.")
+    ] = None,
     grid: Annotated[str, typer.Option(help="Taxels in a grid: ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")] = "",
     anchor_mm: Annotated[str, typer.Option(help="X,Y,Z of the layout's middle in the link frame, mm.")] = "",
     as_json: Json = False,
 ) -> None:
     """Write the scene file of a new part."""
     from skincal.cli import output
+    from skincal.files.layout_sources import parse_grid
     from skincal.session.part import load_part
-    from skincal.session.scene_draft import SceneDraft, parse_grid, write_scene
+    from skincal.session.scene_draft import SceneDraft, write_scene
 
     if layout is not None and grid:
         raise InputError("--layout and --grid exclude each other; keep one.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from skincal.model.skin import KINDS, Layout, read_layout
 from skincal.model.tables import read_text
 
 CHANNELS_PER_TRIANGLE = 12
+MAX_GRID_SIDE = 300
 MAX_MODULES = 2000
 MAX_TAXELS = 20_000
 MAX_LAYOUT_CHANNELS = 100_000
@@ -25,6 +27,44 @@ LAYOUT_ENDINGS = ("*.toml", "*.ini", "*.csv", "*.tsv", "*.txt")
 _INI_KINDS = {"triangle": "triangle_12", **{name: name for name in KINDS}}
 """Kinds of modules in skinGui files, by their name there."""
 _FIELD_SEPARATORS = re.compile(r"[,;\t ]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Taxels in rows and columns, as one module."""
+
+    rows: int
+    columns: int
+    pitch_mm: float
+
+    def layout_text(self) -> str:
+        """Write the grid as a layout file; its origin is the middle, channels run along x."""
+        x, y = ((np.arange(count) - (count - 1) / 2.0) * self.pitch_mm for count in (self.columns, self.rows))
+        pads = [[float(a), float(b)] for b in y for a in x]
+        half = [(count / 2.0) * self.pitch_mm for count in (self.columns, self.rows)]
+        outline = [[sx * half[0], sy * half[1]] for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        middle = (self.rows // 2) * self.columns + self.columns // 2
+        return (
+            f"# {self.rows} x {self.columns} taxels, {self.pitch_mm:g} mm apart; channel = {self.columns} x row + column\n"
+            f"[kinds.grid]\npads_mm = {pads}\noutline_mm = {outline}\ncentre_pad = {middle}\n\n"
+            '[[modules]]\nid = 1\nkind = "grid"\nfirst_channel = 0\nplace_mm = [0.0, 0.0]\n'
+        )
+
+
+def parse_grid(text: str) -> Grid:
+    """Parse a grid such as `6x8@9mm`: rows, columns, pitch.
+
+    Raises InputError: it is written in another way.
+    """
+    size, _, pitch = text.replace(" ", "").partition("@")
+    try:
+        rows, columns = (int(word) for word in size.split("x"))
+        spacing = float(pitch.removesuffix("mm"))
+    except ValueError:
+        rows, columns, spacing = 0, 0, 0.0
+    if not (1 <= rows <= MAX_GRID_SIDE and 1 <= columns <= MAX_GRID_SIDE and 0.1 <= spacing <= 1000.0):
+        raise InputError(f"{text}: is no grid; expected ROWSxCOLUMNS@PITCHmm, such as 6x8@9mm.")
+    return Grid(rows, columns, spacing)
 
 
 def read_layout_file(path: Path) -> str:

@@ -26,7 +26,6 @@ from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
 from skincal.session.layout_placing import LaidFindings, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles
-from skincal.session.scene_draft import joints_in_order
 
 KeptResult = TypeVar("KeptResult")
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
@@ -79,6 +78,12 @@ class PartPreview:
     """Sentence about what cannot be used, by the step that mends it: part, sensor, joints, skin, place."""
     findings: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     """Remarks, by step."""
+
+
+def joints_in_order(chain: UrdfChain) -> list[str]:
+    """List the moving joints from the sensor to the part."""
+    moving = {joint.name for joint in chain.moving}
+    return [joint.name for joint, _, _ in reversed(chain.steps) if joint.name in moving]
 
 
 def guess_unit(sides: FloatArray) -> str:

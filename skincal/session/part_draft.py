@@ -6,7 +6,7 @@ Only changed entries of a file are written, so that comments, order and all othe
 from __future__ import annotations
 
 import os
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -20,7 +20,6 @@ from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import Scene, load_scene, ships
 from skincal.model.skin import Anchor
 from skincal.model.tables import parse_toml, read_text
-from skincal.session.scene_draft import LAYOUT_FILE
 
 Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]
@@ -32,7 +31,8 @@ MAX_HISTORY = 500
 COMMENT_COLUMN = 39
 MAX_PARENTS_IN_NAME = 3
 """A file further away is named by its whole path."""
-NEW_SCENE = "# A part and its skin, made in the window; docs/scene.md says what else a scene can hold.\n"
+LAYOUT_FILE = "modules.toml"
+NEW_SCENE = "# A part and its skin; docs/scene.md says what else a scene can hold.\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,8 +279,10 @@ def _robot_entries(draft: PartDraft, urdf: Path, folder: Path) -> dict[Key, Any]
     return entries | {("robot", "packages", name): _named(path, folder) for name, path in draft.packages}
 
 
-def scene_text(draft: PartDraft, folder: Path) -> str:
+def scene_text(draft: PartDraft, folder: Path, comments: Mapping[Key, str] | None = None) -> str:
     """Write the scene file of a draft, for `folder`: the text that was opened, with the changes in it.
+
+    `comments` replace the usual comments on new entries and tables.
 
     Raises InputError: the file is written in a way that can be read, but not changed.
     """
@@ -297,7 +299,7 @@ def scene_text(draft: PartDraft, folder: Path) -> str:
             _remove(document, key)
         for key, value in after.items():
             if before.get(key) != value:
-                _set_entry(document, key, value)
+                _set_entry(document, key, value, {**_ENTRY_COMMENTS, **(comments or {})})
         if has_landmark_change:
             _put_landmarks(document, draft.landmarks)
         text = str(tomlkit.dumps(document))
@@ -371,7 +373,7 @@ def _remove(document: Any, key: Key) -> None:
             del table[name]
 
 
-def _set_entry(document: Any, key: Key, value: Any) -> None:
+def _set_entry(document: Any, key: Key, value: Any, comments: Mapping[Key, str]) -> None:
     """Set an entry; new tables and entries get their comment."""
     import tomlkit
 
@@ -379,7 +381,7 @@ def _set_entry(document: Any, key: Key, value: Any) -> None:
     for depth, name in enumerate(key[:-1], start=1):
         if name not in table:
             fresh = tomlkit.table()
-            if (comment := _ENTRY_COMMENTS.get(key[:depth])) is not None and depth + 1 >= len(key):
+            if (comment := comments.get(key[:depth])) is not None and depth + 1 >= len(key):
                 fresh.comment(comment)
             if depth == 1:
                 cast("Any", table).add(tomlkit.nl())
@@ -387,7 +389,7 @@ def _set_entry(document: Any, key: Key, value: Any) -> None:
         table = table[name]
     is_new = key[-1] not in table
     item = cast("Any", tomlkit.item(_plain(value)))
-    comment = _POLARITY_ENTRY_COMMENTS.get(str(value)) if key == ("skin", "polarity") else _ENTRY_COMMENTS.get(key)
+    comment = _POLARITY_ENTRY_COMMENTS.get(str(value)) if key == ("skin", "polarity") else comments.get(key)
     if comment is not None and (is_new or key == ("skin", "polarity")):
         _set_comment(key[-1], item, comment)
     elif not is_new:
@@ -470,10 +472,10 @@ def _require_same(draft: PartDraft, text: str, folder: Path) -> None:
         raise InputError(f"{folder}: the scene would not be read as it was meant; edit the file by hand.")
 
 
-def save_draft(draft: PartDraft, path: Path) -> PartDraft:
+def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None = None) -> PartDraft:
     """Write the scene file, and its layout; copy a bare mesh into the folder. Return the draft of that file.
 
-    Nothing is written if the file says the same already.
+    Nothing is written if the file says the same already. `comments` replace the usual ones on new entries and tables.
 
     Raises
     ------
@@ -499,7 +501,7 @@ def save_draft(draft: PartDraft, path: Path) -> PartDraft:
     taken = [file for file, data in made.items() if not is_same and file.exists() and file.read_bytes() != data]
     if taken:
         raise InputError(f"{taken[0]}: another file of this name is there already; choose another folder.")
-    made[path] = scene_text(draft, folder).encode()
+    made[path] = scene_text(draft, folder, comments).encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -8,13 +8,14 @@ import trimesh
 
 from skincal.cli import main
 from skincal.cli.scene import robot_findings
+from skincal.files.layout_sources import parse_grid
 from skincal.journal.writer import copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.session.arm_poses import ArmPoses
 from skincal.session.part import load_part
 from skincal.session.robot_places import robot_places
-from skincal.session.scene_draft import SceneDraft, parse_grid, write_scene
+from skincal.session.scene_draft import SceneDraft, write_scene
 
 ROBOT = """<robot name="arm">
   <link name="base"/><link name="mount"/><link name="upper"/>
