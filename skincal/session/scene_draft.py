@@ -117,7 +117,7 @@ def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:
     if gap > ANCHOR_TO_SURFACE_MAX_M:
         most = ANCHOR_TO_SURFACE_MAX_M * 1e3
         raise InputError(
-            f"--anchor-mm is {gap * 1e3:.1f} mm from the mesh; at most {most:.0f} mm was expected: check the point, the frame and "
+            f"--anchor-mm is {gap * 1e3:.1f} mm from the mesh; at most {most:.0f} mm was expected: check point, frame and "
             "the mesh's unit."
         )
     return AnchorDraft.from_anchor(anchor)
