@@ -20,7 +20,7 @@ from typing import NoReturn
 from app.preflight import no_display, objection
 from app.scene3d.drawing_probe import PROBE_OPTION
 from app.session.opening import PART_FILES
-from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
+from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
 
@@ -61,7 +61,7 @@ def _command(arguments: list[str]) -> int:
 
         code = run_command(arguments)
     except KeyboardInterrupt:  # while modules are imported; a running command handles it
-        return INTERRUPTED_EXIT_CODE
+        return CTRL_C_EXIT_CODE
     if arguments[0] in HELP[:2]:
         sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
     return code

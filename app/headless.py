@@ -12,9 +12,9 @@ from skincal.session.pipeline import Pipeline
 from skincal.session.results import SessionResults
 from skincal.taxels.result import Method
 
-POKE_COUNT = 168
+SIMULATED_POKE_COUNT = 168
 """Two for each taxel of the paper's forearm: every taxel gets an estimate, in about half a minute of computing."""
-RIG_SEED = 1
+SIMULATED_RIG_RANDOM_SEED = 1
 DEFAULT_FOLDER = "skincal-headless"
 
 
@@ -27,7 +27,10 @@ def run_headless(scene_path: Path, folder: Path | None, why: str) -> int:
         The scene, the folder or the graphics are at fault.
     """
     out = folder or _unused(Path(DEFAULT_FOLDER))
-    _say(f"{why}\nThe same session runs without it: {POKE_COUNT} pokes on the simulated {scene_path.parent.name}, in {out}")
+    _say(
+        f"{why}\nThe same session runs without it: {SIMULATED_POKE_COUNT} pokes on the simulated "
+        f"{scene_path.parent.name}, in {out}"
+    )
     pipeline = _simulate(scene_path, out)
     results = SessionResults(pipeline)
     calibration, method = results.calibration(), results.leading or Method.FREE
@@ -54,7 +57,9 @@ def _simulate(scene_path: Path, out: Path) -> Pipeline:
 
     scene = load_scene(scene_path)
     surface = None if scene.surface is None else load_surface(scene.surface)[0]
-    return simulate_session(scene, surface, out, POKE_COUNT, RIG_SEED, RigErrors.noise(), progress=_show_progress)
+    return simulate_session(
+        scene, surface, out, SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED, RigErrors.noise(), progress=_show_progress
+    )
 
 
 def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
@@ -84,7 +89,7 @@ def _unused(folder: Path) -> Path:
 
 def _show_progress(pokes: int) -> None:
     if pokes % 42 == 0:
-        _say(f"{pokes} of {POKE_COUNT} pokes")
+        _say(f"{pokes} of {SIMULATED_POKE_COUNT} pokes")
 
 
 def _say(text: str) -> None:

@@ -35,12 +35,12 @@ from app.window import Theme, Window
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger("skincal")
-MAX_LOG_BYTES = 1_000_000  # Size of the log file; one older file is kept
+MAX_LOG_FILE_BYTES = 1_000_000  # Size of the log file; one older file is kept
 GC_THRESHOLDS = (10_000, 20, 20)
 """As for `gc.set_threshold`. A full collection stops every thread for 50 ms once VTK and pyqtgraph are imported, and with the
 default values the imports alone cause several. With these it needs four million new objects; a poke leaves a thousand."""
-GC_PERIOD_MS = 200
-THREAD_SWITCH_S = 0.0005
+GARBAGE_COLLECTION_PERIOD_MS = 200
+PYTHON_THREAD_SWITCH_INTERVAL_S = 0.0005
 """With Python's default of 5 ms, background work delays the picture seven times as much (measured)."""
 
 
@@ -141,7 +141,9 @@ def start_log() -> str:
     failure = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handlers.append(logging.handlers.RotatingFileHandler(path, maxBytes=MAX_LOG_BYTES, backupCount=1, encoding="utf-8"))
+        handlers.append(
+            logging.handlers.RotatingFileHandler(path, maxBytes=MAX_LOG_FILE_BYTES, backupCount=1, encoding="utf-8")
+        )
     except OSError as error:
         failure = f"{path}: the log cannot be written ({error.strerror}). Everything else works."
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s", handlers=handlers)
@@ -156,7 +158,7 @@ def collect_in_window(application: QApplication) -> QTimer:
     gc.disable()
     timer = QTimer(application)
     timer.timeout.connect(_collect_garbage)
-    timer.start(GC_PERIOD_MS)
+    timer.start(GARBAGE_COLLECTION_PERIOD_MS)
     return timer
 
 
@@ -176,7 +178,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     ----------
     player : plays the sounds; default: the desktop's sound device
     """
-    sys.setswitchinterval(THREAD_SWITCH_S)
+    sys.setswitchinterval(PYTHON_THREAD_SWITCH_INTERVAL_S)
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)

@@ -47,7 +47,7 @@ from app.text.message import REPORTING, Message, report_words
 from app.text.now_text import Now, Tone, modules_enough_words
 from app.text.rig_text import corrected_words, offer_news, rig_state
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.guide.press_coaching import max_angle_error
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import Action, Redo, Undo
@@ -66,8 +66,8 @@ if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
     from skincal.guide.verdict import Verdict
 
-VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
-MAX_SOUND_DELAY_S = 0.3  # Older events make no sound: the hand does something else by now
+DEMO_VERDICT_DELAY_MS = 3000  # The demonstration shows that it is finished for this long before the verdict opens
+MAX_EVENT_AGE_FOR_SOUND_S = 0.3  # Older events make no sound: the hand does something else by now
 METHOD_ORDER = (Method.SURFACE, Method.FREE, Method.MODULES)
 RIGHT_PX, MIN_RIGHT_PX = 430, 400
 """Width of the right column at 1280 pixels, and the least that the titles of all tabs need at 100 %."""
@@ -98,7 +98,7 @@ class Workspace(QWidget):
         left = QWidget(self.across)
         self._left_row = QHBoxLayout(left)
         self._left_row.setContentsMargins(0, 0, 0, 0)
-        self._left_row.setSpacing(GAP)
+        self._left_row.setSpacing(WIDGET_GAP_PX)
         self._left_row.addWidget(self.view, 1)
         self.right = QSplitter(Qt.Orientation.Vertical, self.across)
         self.card = MapCard(self.right, self.map, self.methods)
@@ -136,11 +136,11 @@ class Workspace(QWidget):
         self.across.setStretchFactor(0, 1)
         self.across.setSizes([10_000, RIGHT_PX])
         for splitter in (self.right, self.across):
-            splitter.setHandleWidth(GAP)
+            splitter.setHandleWidth(WIDGET_GAP_PX)
             splitter.setChildrenCollapsible(False)
         column = QVBoxLayout(self)
-        column.setContentsMargins(GAP, GAP, GAP, GAP)
-        column.setSpacing(GAP)
+        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
+        column.setSpacing(WIDGET_GAP_PX)
         column.addWidget(self.across, 1)
         column.addWidget(self.now)
         self.tabs.currentChanged.connect(self._show_tab)
@@ -297,7 +297,7 @@ class SessionView(QObject):
         if state.may.ends and self._controller.demo and not self._has_ended:
             # A spectator would not know that the demonstration is over.
             self._has_ended = True
-            QTimer.singleShot(VERDICT_DELAY_MS, self.workspace, self.ask_verdict)
+            QTimer.singleShot(DEMO_VERDICT_DELAY_MS, self.workspace, self.ask_verdict)
         self.workspace.show_state(state)
         self.chips.show_state(state)
         for dialog in (self._history, self._thresholds):
@@ -371,7 +371,7 @@ class SessionView(QObject):
     def _play_cue(self, state: ViewState) -> None:
         """Play a sound before anything is drawn: an ear notices a shorter delay than an eye."""
         due, self._cues = due_cue(self._cues, state)
-        if due is not None and state.behind_s <= MAX_SOUND_DELAY_S:
+        if due is not None and state.behind_s <= MAX_EVENT_AGE_FOR_SOUND_S:
             self.sound_due.emit(due)
 
     def recolour(self) -> None:

@@ -10,7 +10,7 @@ from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication, QWidget
 
 STEPS = (75, 100, 125, 150, 200)  # Per cent of the desktop's own size
-DEFAULT_PERCENT = 100
+DEFAULT_TEXT_SIZE_PERCENT = 100
 TEXT_SETTING = "window/text"
 _POINTS_PROPERTY = "points"
 """Of a widget with its own font size, which the application's font does not change."""
@@ -46,9 +46,9 @@ class TextSize(QObject):
     def __init__(self, settings: QSettings, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._settings = settings
-        kept = str(settings.value(TEXT_SETTING, DEFAULT_PERCENT))
-        self.percent = DEFAULT_PERCENT
-        self.choose(int(kept) if kept.isdecimal() and int(kept) in STEPS else DEFAULT_PERCENT)
+        kept = str(settings.value(TEXT_SETTING, DEFAULT_TEXT_SIZE_PERCENT))
+        self.percent = DEFAULT_TEXT_SIZE_PERCENT
+        self.choose(int(kept) if kept.isdecimal() and int(kept) in STEPS else DEFAULT_TEXT_SIZE_PERCENT)
 
     def larger(self) -> None:
         self.choose(min((step for step in STEPS if step > self.percent), default=STEPS[-1]))
@@ -56,7 +56,7 @@ class TextSize(QObject):
     def smaller(self) -> None:
         self.choose(max((step for step in STEPS if step < self.percent), default=STEPS[0]))
 
-    def choose(self, percent: int = DEFAULT_PERCENT) -> None:
+    def choose(self, percent: int = DEFAULT_TEXT_SIZE_PERCENT) -> None:
         self.percent = percent
         self._settings.setValue(TEXT_SETTING, percent)
         font = QApplication.font()

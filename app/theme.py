@@ -86,10 +86,10 @@ LIGHT = Colours(
     methods=METHODS,
 )
 
-GAP = 8  # Pixels between things that belong together
-HEADLINE_PT = 28
+WIDGET_GAP_PX = 8  # Pixels between things that belong together
+HEADLINE_FONT_SIZE_PT = 28
 """Status line: readable from two metres on a 24 inch screen, where a small letter is 5 mm high."""
-RESULT_PT = 15  # Result of the last poke or action, above the status line: readable from one metre
+RESULT_FONT_SIZE_PT = 15  # Result of the last poke or action, above the status line: readable from one metre
 
 
 def method_hue(colours: Colours, method: Method) -> str:

@@ -40,7 +40,7 @@ from app.state.running import Running
 from app.text.help_text import NO_DOCUMENTS, about_words, unopened_words
 from app.text.message import NO_ADDRESSES, PART_NOT_SAVED, Message, connect_words, keep_question, look_words
 from app.text_size import TextSize
-from app.theme import DARK, GAP, LIGHT, Choice, Colours
+from app.theme import DARK, LIGHT, WIDGET_GAP_PX, Choice, Colours
 from skincal.model.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,13 +55,13 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 Args = ParamSpec("Args")
-MAX_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
+MAX_REMEMBERED_ADDRESSES = 50  # Addresses that the operator named or agreed to; no laboratory has more devices
 DOCUMENTS_FOLDER = Path(__file__).resolve().parents[1] / "docs"
 """Next to the program in a checkout; a package comes without."""
 OWN_SCENE_SETTING = "window/own_scene"  # A scene of the operator's own was opened
 IMPORT_SCENE_SETTING = "import/scene"  # Scene of the last import
 FIELD_CLASSES = ("QLineEdit", "QComboBox", "QAbstractSpinBox")
-FUSION_BORDER_PERCENT = 140
+FUSION_BORDER_DARKNESS_PERCENT = 140
 """Fusion makes a border this much darker than the window, which is visible on a light one only."""
 FIRST_SIZE = QSize(1440, 860)  # Pixels, if the screen has them
 
@@ -91,7 +91,7 @@ def qpalette(colours: Colours) -> QPalette:
 def field_palette(colours: Colours) -> QPalette:
     """Return the palette of fields: as the window's, except the colour from which Fusion makes borders."""
     palette = qpalette(colours)
-    palette.setColor(QPalette.ColorRole.Window, QColor(colours.edge).lighter(FUSION_BORDER_PERCENT))
+    palette.setColor(QPalette.ColorRole.Window, QColor(colours.edge).lighter(FUSION_BORDER_DARKNESS_PERCENT))
     return palette
 
 
@@ -204,7 +204,7 @@ class Window(QMainWindow):
         self.setCentralWidget(centre)
         bar = self.statusBar()
         bar.setSizeGripEnabled(False)
-        bar.setContentsMargins(GAP, 0, 0, 0)
+        bar.setContentsMargins(WIDGET_GAP_PX, 0, 0, 0)
         bar.addWidget(self.where, 1)
         self.resize(FIRST_SIZE.boundedTo(self.screen().availableSize()))
         if self.size() != FIRST_SIZE:
@@ -586,7 +586,7 @@ class Window(QMainWindow):
     def _remember(self, addresses: Iterable[str]) -> None:
         newest = sorted(set(addresses))
         older = [address for address in self._known_addresses() if address not in newest]
-        self._settings.setValue("addresses", [*older, *newest][-MAX_ADDRESSES:])
+        self._settings.setValue("addresses", [*older, *newest][-MAX_REMEMBERED_ADDRESSES:])
 
     def _offer_to_look(self, folder: Path, sentence: str) -> None:
         """Another process records the session: offer to show what is recorded so far."""

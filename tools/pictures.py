@@ -24,14 +24,14 @@ from PIL import Image
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtWidgets import QApplication
 
-from app.headless import POKE_COUNT, RIG_SEED
+from app.headless import SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED
 from app.scene3d.offscreen import picture
 from app.session.controller import Controller
 from app.session.opening import OpenRequest, find_scene, server_command
 from app.sound.player import Player
 from app.theme import Choice
 from app.window import Theme, Window
-from skincal.cli.study import DOTS_PER_INCH, FIGURE_INCHES
+from skincal.cli.study import FIGURE_DOTS_PER_INCH, FIGURE_INCHES
 from skincal.methods import leading_method
 from skincal.model.scene import load_scene
 from skincal.plotting import render
@@ -171,7 +171,9 @@ def draw_part() -> None:
 def draw_headless() -> None:
     """Write the picture of a session without a display."""
     part = load_part(find_scene(None))
-    pipeline = simulate_session(part.scene, part.surface, Path("headless"), POKE_COUNT, RIG_SEED, RigErrors.noise())
+    pipeline = simulate_session(
+        part.scene, part.surface, Path("headless"), SIMULATED_POKE_COUNT, SIMULATED_RIG_RANDOM_SEED, RigErrors.noise()
+    )
     snapshot = pipeline.snapshot()
     method = leading_method(snapshot.estimates) or Method.FREE
     # Otherwise the old picture would be kept as a backup.
@@ -187,7 +189,7 @@ def draw_studies(measured: Path) -> None:
         if not path.is_file():
             path.write_text(json.dumps(study.run(False, print), indent=1, allow_nan=False), encoding="utf-8")
         result = json.loads(path.read_text(encoding="utf-8"))
-        (picture,) = render(partial(study.draw, result), FIGURE_INCHES, ("png",), DOTS_PER_INCH)
+        (picture,) = render(partial(study.draw, result), FIGURE_INCHES, ("png",), FIGURE_DOTS_PER_INCH)
         (PICTURES_FOLDER / f"{name}.png").write_bytes(picture)
 
 

@@ -16,7 +16,7 @@ from app.dialogs.landmark_dialog import free_name, name_problem
 from app.panels.widgets import set_bold
 from app.scene3d.draft_view import Mode
 from app.session.opening import is_shipped
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
 from skincal.mesh.search import nearest_points
 from skincal.session.draft_preview import PartPreview, completed_draft
@@ -70,7 +70,7 @@ class CheckStep(Step):
         self._summary.setAccessibleName("summary")
         self._lines = QVBoxLayout(self._summary)
         self._lines.setContentsMargins(0, 0, 0, 0)
-        self._lines.setSpacing(GAP // 2)
+        self._lines.setSpacing(WIDGET_GAP_PX // 2)
         self.column.addWidget(self._summary)
         self.folder = QLineEdit()
         self.folder.textEdited.connect(self._type_folder)

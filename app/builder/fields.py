@@ -8,8 +8,8 @@ from PySide6.QtCore import QLocale, QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
 
 from app.panels.widgets import compact_combo, secondary_label
-from app.theme import GAP
-from skincal.model.tables import LENGTH_MAX
+from app.theme import WIDGET_GAP_PX
+from skincal.model.tables import MAX_LENGTH_M
 
 
 def number_field(name: str, suffix: str, limit: float, decimals: int = 1, prefix: str = "") -> QDoubleSpinBox:
@@ -54,12 +54,12 @@ class VectorField(QWidget):
 
     def __init__(self, name: str, *, is_direction: bool = False) -> None:
         super().__init__()
-        limit, suffix = (1.0, "") if is_direction else (1e3 * LENGTH_MAX, " mm")
+        limit, suffix = (1.0, "") if is_direction else (1e3 * MAX_LENGTH_M, " mm")
         self.boxes = [number_field(f"{name}, {axis}", suffix, limit, 3 if is_direction else 2, f"{axis}  ") for axis in "xyz"]
         self.setAccessibleName(name)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(GAP // 2)
+        row.setSpacing(WIDGET_GAP_PX // 2)
         for box in self.boxes:
             box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
             box.setMinimumWidth(1)
@@ -104,7 +104,7 @@ def button(text: str, name: str = "") -> QPushButton:
 def row_of(*widgets: QWidget | QLabel) -> QHBoxLayout:
     """Put widgets next to each other."""
     row = QHBoxLayout()
-    row.setSpacing(GAP // 2)
+    row.setSpacing(WIDGET_GAP_PX // 2)
     for widget in widgets:
         row.addWidget(widget)
     row.addStretch(1)

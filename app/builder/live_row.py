@@ -5,7 +5,7 @@ from __future__ import annotations
 from PySide6.QtCore import QTimer, Signal
 from PySide6.QtWidgets import QGridLayout, QWidget
 
-from app.dialogs.new_session import UPDATE_MS, StreamRow
+from app.dialogs.new_session import LINK_PREVIEW_UPDATE_PERIOD_MS, StreamRow
 from app.session.previews import Previews, list_ports
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
@@ -35,7 +35,7 @@ class LiveRow(QWidget):
         self._ports = ThreadService("ports", self)
         self._has_ports = False
         self._timer = QTimer(self)
-        self._timer.setInterval(UPDATE_MS)
+        self._timer.setInterval(LINK_PREVIEW_UPDATE_PERIOD_MS)
         self._timer.timeout.connect(self._update)
         self.row.agreed.connect(self._choose)
 

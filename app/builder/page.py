@@ -39,7 +39,7 @@ from app.scene3d.draft_state import DraftPicture
 from app.scene3d.draft_view import DraftView3D
 from app.session.opening import Addresses
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
@@ -117,7 +117,7 @@ class BuilderPage(QWidget):
         side.setObjectName("card")
         side.setMinimumWidth(scaled(SIDE_PX))
         column = QVBoxLayout(side)
-        column.setSpacing(GAP)
+        column.setSpacing(WIDGET_GAP_PX)
         column.addLayout(bar)
         column.addWidget(self.stack, 1)
         column.addWidget(self.findings)
@@ -127,10 +127,10 @@ class BuilderPage(QWidget):
         self.across.addWidget(side)
         self.across.setStretchFactor(0, 1)
         self.across.setChildrenCollapsible(False)
-        self.across.setHandleWidth(GAP)
+        self.across.setHandleWidth(WIDGET_GAP_PX)
         self.across.setSizes([10_000, scaled(SIDE_PX)])
         whole = QVBoxLayout(self)
-        whole.setContentsMargins(GAP, GAP, GAP, GAP)
+        whole.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         whole.addWidget(self.across)
 
     def _connect(self) -> None:

@@ -11,7 +11,7 @@ from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from app.builder.fields import quiet_label
 from app.panels.widgets import set_bold
 from app.scene3d.draft_view import Mode
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.session.draft_preview import PartPreview
 from skincal.session.part_draft import PartDraft
@@ -48,8 +48,8 @@ class Step(QWidget):
         self.module: int | None = None
         self.answered: IntArray | None = None
         self.column = QVBoxLayout(self)
-        self.column.setContentsMargins(GAP, GAP, GAP, GAP)
-        self.column.setSpacing(GAP)
+        self.column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
+        self.column.setSpacing(WIDGET_GAP_PX)
         head = QLabel(self.title)
         set_bold(head, TITLE_PT)
         self.column.addWidget(head)

@@ -51,7 +51,7 @@ from app.text.import_text import (
     stream_row,
 )
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from app.workers.processes import JobQueue, import_job, preview_job
 from app.workers.threads import ThreadService
 from skincal.files.importers.preview import RecordingFiles, RecordingPreview, guess_streams
@@ -64,11 +64,11 @@ from skincal.model.scene import Scene
 from skincal.session.importing import IMPORT_STOPPED, Imported, ImportRequest, missing_folders, take_away
 
 SIZE_PX = (760, 680)
-PREVIEW_DELAY_MS = 400
+TYPING_PAUSE_BEFORE_PREVIEW_MS = 400
 """A recording is previewed after this pause in typing."""
-PROGRESS_MS = 100
+PROGRESS_BAR_UPDATE_PERIOD_MS = 100
 """Between two updates of the progress bar."""
-STOP_PATIENCE_MS = 500
+KILL_STOPPED_IMPORT_AFTER_MS = 500
 """A stopped import ends within this time, or is killed: while it reads a large log, it does not react."""
 FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in RECORDING_IMPORTERS for suffix in each.suffixes)});;All files (*)"
 STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
@@ -166,7 +166,7 @@ class ImportDialog(QDialog):
         self.curve.setMinimumHeight(max(60, scaled(60)))
         inner = QWidget()
         column = QVBoxLayout(inner)
-        column.setContentsMargins(0, 0, GAP, 0)
+        column.setContentsMargins(0, 0, WIDGET_GAP_PX, 0)
         for widget in (self.form, self.kind, self.streams, self.curve_words, self.curve, self.findings):
             column.addWidget(widget)
         column.addStretch(1)
@@ -185,9 +185,14 @@ class ImportDialog(QDialog):
     def _connect(self) -> None:
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         for timer, interval_ms, is_single, act in (
-            (self._typing, PREVIEW_DELAY_MS, True, self._request_preview),
-            (self._progressing, PROGRESS_MS, False, lambda: self.progress.setValue(round(1000 * self._share))),
-            (self._patience, STOP_PATIENCE_MS, True, self._kill_import),
+            (self._typing, TYPING_PAUSE_BEFORE_PREVIEW_MS, True, self._request_preview),
+            (
+                self._progressing,
+                PROGRESS_BAR_UPDATE_PERIOD_MS,
+                False,
+                lambda: self.progress.setValue(round(1000 * self._share)),
+            ),
+            (self._patience, KILL_STOPPED_IMPORT_AFTER_MS, True, self._kill_import),
         ):
             timer.setInterval(interval_ms)
             timer.setSingleShot(is_single)

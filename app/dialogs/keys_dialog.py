@@ -10,7 +10,7 @@ from app.panels.widgets import plain_buttons
 
 MAX_SIZE_PX = (1240, 680)
 """A screen of 1280 by 720 without the desktop's frame."""
-BORDER_PX = 1
+SCROLL_AREA_BORDER_PX = 1
 """Frame of the scrolled area, which shows the focus."""
 COLUMN_COUNTS = (2, 1)
 """One column if two do not fit: the list scrolls vertically only."""
@@ -37,8 +37,8 @@ class KeysDialog(QDialog):
         column.addWidget(self.buttons)
         self.buttons.rejected.connect(self.reject)
         edges = column.contentsMargins()
-        across = edges.left() + edges.right() + 2 * BORDER_PX + self.area.verticalScrollBar().sizeHint().width()
-        down = edges.top() + edges.bottom() + 2 * BORDER_PX + column.spacing() + self.buttons.sizeHint().height()
+        across = edges.left() + edges.right() + 2 * SCROLL_AREA_BORDER_PX + self.area.verticalScrollBar().sizeHint().width()
+        down = edges.top() + edges.bottom() + 2 * SCROLL_AREA_BORDER_PX + column.spacing() + self.buttons.sizeHint().height()
         for count in COLUMN_COUNTS:
             self.list.setText(key_words(count))
             if self.list.sizeHint().width() + across <= MAX_SIZE_PX[0]:

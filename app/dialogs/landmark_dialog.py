@@ -21,13 +21,13 @@ from PySide6.QtWidgets import (
 from app.panels.widgets import plain_buttons, secondary_label
 from app.scene3d.view import View3D
 from app.text.message import Message
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
 from skincal.model.actions import Action, AddLandmark
-from skincal.model.tables import LENGTH_MAX
+from skincal.model.tables import MAX_LENGTH_M
 from skincal.words.units import UNITS
 
-MM_DECIMALS = 2
+MILLIMETRE_INPUT_DECIMALS = 2
 PICKED_NOTE = "The point that you clicked, in the frame {link}. A drawing may be more accurate."
 TYPED_NOTE = "From a drawing, in the frame {link}."
 CLICK_REQUEST = Message("Click the point on the part. K: type its position. Esc: cancel.", asks=True)
@@ -65,7 +65,7 @@ class LandmarkDialog(QDialog):
         add.setDefault(True)
         plain_buttons(self.buttons)
         row = QHBoxLayout()
-        row.setSpacing(GAP)
+        row.setSpacing(WIDGET_GAP_PX)
         for box in self.coordinates:
             row.addWidget(box, 1)
         label = QLabel("&Position")
@@ -114,9 +114,9 @@ def _millimetre_field(axis: str) -> QDoubleSpinBox:
     box = QDoubleSpinBox()
     # A decimal point, as in all numbers of the window.
     box.setLocale(QLocale.c())
-    limit = 1e3 * LENGTH_MAX
+    limit = 1e3 * MAX_LENGTH_M
     box.setRange(-limit, limit)
-    box.setDecimals(MM_DECIMALS)
+    box.setDecimals(MILLIMETRE_INPUT_DECIMALS)
     box.setPrefix(f"{axis}  ")
     box.setSuffix(f" {UNITS['m'].text}")
     box.setAccessibleName(f"{axis} in {UNITS['m'].text}")

@@ -30,12 +30,12 @@ from app.dialogs.form_widgets import ScenePicker, Sparkline, path_row, scrolled
 from app.panels.devices import link_sign
 from app.panels.widgets import choose_scene, choose_session_folder, compact_combo, digits_font, plain_buttons, secondary_label
 from app.session.opening import Addresses, OpenRequest, check_addresses, server_command
-from app.session.previews import CURVE_POINTS, Preview, Previews, list_ports, list_topics
+from app.session.previews import PREVIEW_CURVE_POINTS, Preview, Previews, list_ports, list_topics
 from app.session.recording import stop_all
 from app.state.view_state import LinkStatus, link_status
 from app.text.outcomes import preview_words
 from app.text_size import scaled, set_font
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, shortened
@@ -60,14 +60,14 @@ NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"
 STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
 SWAP_KEY = "F6"
-UPDATE_MS = 100
+LINK_PREVIEW_UPDATE_PERIOD_MS = 100
 CURVE_SIZE_PX = 120, 26
-STATE_MIN_HEIGHT_PX = 34
+STATE_TEXT_MIN_HEIGHT_PX = 34
 """Two lines, so that nothing moves when text appears."""
-WIDTH_PX = 700
+DIALOG_WIDTH_PX = 700
 MAX_SIZE_PX = 1200, 660
 """A larger form scrolls; a screen of 1280 x 720 shows all of it."""
-MAX_PORT_NAME_LENGTH = 80
+MAX_PORT_NAME_CHARS = 80
 MAX_LISTED_PORTS = 12
 
 
@@ -95,7 +95,7 @@ class StreamRow(QWidget):
         self.sign.setProperty("rich", True)
         self.verdict = QLabel()
         self.verdict.setWordWrap(True)
-        self.verdict.setMinimumHeight(scaled(STATE_MIN_HEIGHT_PX))
+        self.verdict.setMinimumHeight(scaled(STATE_TEXT_MIN_HEIGHT_PX))
         self.verdict.setAlignment(Qt.AlignmentFlag.AlignTop)
         self.verdict.setAccessibleName(f"state of the {name}")
         self.rate = QLabel()
@@ -135,7 +135,7 @@ class StreamRow(QWidget):
         text, cursor = self.field.text(), self.field.cursorPosition()
         self.box.clear()
         for address, what in ports:
-            words = (plain_text(address), shortened(plain_text(what), MAX_PORT_NAME_LENGTH))
+            words = (plain_text(address), shortened(plain_text(what), MAX_PORT_NAME_CHARS))
             self.box.addItem("   ".join(filter(None, words)), address)
         self.box.setCurrentIndex(-1)
         self.box.setEditText(text)
@@ -182,7 +182,7 @@ def scroll_points(values: Sequence[float]) -> FloatArray:
         return np.empty((0, 2))
     y = np.asarray(values)
     span = float(np.ptp(y)) or 1.0
-    return np.column_stack([1.0 + np.arange(1 - len(y), 1) / (CURVE_POINTS - 1), (y - y.min()) / span])
+    return np.column_stack([1.0 + np.arange(1 - len(y), 1) / (PREVIEW_CURVE_POINTS - 1), (y - y.min()) / span])
 
 
 class NewSessionDialog(QDialog):
@@ -258,7 +258,7 @@ class NewSessionDialog(QDialog):
         inner = QWidget()
         form = QGridLayout(inner)
         form.setColumnStretch(2, 1)
-        form.setVerticalSpacing(GAP // 2)
+        form.setVerticalSpacing(WIDGET_GAP_PX // 2)
         is_new = self._present is None
 
         def add_row(row: tuple[QLabel, QHBoxLayout]) -> None:
@@ -291,8 +291,8 @@ class NewSessionDialog(QDialog):
         column = QVBoxLayout(self)
         column.addWidget(self.area, 1)
         column.addWidget(self.buttons)
-        height = inner.sizeHint().height() + self.buttons.sizeHint().height() + 8 * GAP
-        self.resize(min(scaled(WIDTH_PX), MAX_SIZE_PX[0]), min(height, MAX_SIZE_PX[1]))
+        height = inner.sizeHint().height() + self.buttons.sizeHint().height() + 8 * WIDGET_GAP_PX
+        self.resize(min(scaled(DIALOG_WIDTH_PX), MAX_SIZE_PX[0]), min(height, MAX_SIZE_PX[1]))
         start.setFocus()
 
     def _connect(self) -> None:
@@ -307,7 +307,7 @@ class NewSessionDialog(QDialog):
             row.field.textChanged.connect(self._show_note)
         self.scene.scene_read.connect(self._take_scene)
         self._timer = QTimer(self)
-        self._timer.setInterval(UPDATE_MS)
+        self._timer.setInterval(LINK_PREVIEW_UPDATE_PERIOD_MS)
         self._timer.timeout.connect(self._show_previews)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
@@ -338,7 +338,7 @@ class NewSessionDialog(QDialog):
         self._topics = topics
         proposed = propose_topics(topics)
         names = ", ".join(plain_text(proposed[stream].topic) for stream in Stream if stream in proposed)
-        self.proposal.setText(f"Use the &ROS 2 topics {shortened(names, MAX_PORT_NAME_LENGTH)}")
+        self.proposal.setText(f"Use the &ROS 2 topics {shortened(names, MAX_PORT_NAME_CHARS)}")
         self.proposal.setVisible(bool(proposed))
         self._list_addresses()
 

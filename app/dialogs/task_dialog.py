@@ -11,7 +11,7 @@ from app.panels.widgets import plain_buttons, secondary_label
 from app.text.outcomes import METHOD_NAMES
 from skincal.taxels.result import Method
 
-MIN_WIDTH_PX = 560
+DIALOG_MIN_WIDTH_PX = 560
 
 
 class TaskDialog(QDialog):
@@ -21,7 +21,7 @@ class TaskDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle(title)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.setMinimumWidth(MIN_WIDTH_PX)
+        self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self.method = QComboBox()
         for method in methods:
             self.method.addItem(METHOD_NAMES[method], method)

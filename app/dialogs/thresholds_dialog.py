@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
 
 from app.panels.widgets import fit_to_screen, panel_scroll_area, plain_buttons, secondary_label, set_bold
 from app.state.view_state import ViewState
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Outcome
 from skincal.contacts.thresholds import NEWEST_POKES_COMPARED, threshold_uses
 from skincal.model.actions import SetThresholds
@@ -56,7 +56,7 @@ class ThresholdRow:
             grid.addWidget(widget, at, column)
         for below, widget in enumerate((self.objection, secondary_label(words.reason, wrap=True), self.used), start=1):
             grid.addWidget(widget, at + below, 0, 1, 4)
-        grid.setRowMinimumHeight(at + 4, GAP)
+        grid.setRowMinimumHeight(at + 4, WIDGET_GAP_PX)
 
     def show_problem(self, sentence: str) -> None:
         self.objection.setText(f"\N{BALLOT X} {sentence}")

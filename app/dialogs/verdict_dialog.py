@@ -19,16 +19,16 @@ from PySide6.QtWidgets import (
 from app.dialogs.form_widgets import ELLIPSIS, scrolled
 from app.panels.widgets import fit_to_screen, plain_buttons, put_rows, secondary_label, set_bold, table
 from app.text_size import scaled
-from app.theme import GAP, HEADLINE_PT
+from app.theme import HEADLINE_FONT_SIZE_PT, WIDGET_GAP_PX
 from skincal.guide.verdict import Verdict
 from skincal.words.units import ChannelNames, count
 from skincal.words.verdict_words import figures, left_words, verdict_sentence
 
 HEADINGS = ("Taxel", "Why it is not finished")
-MIN_WIDTH_PX = 680
-WIDTH_PX = 840
+DIALOG_MIN_WIDTH_PX = 680
+DIALOG_WIDTH_PX = 840
 LIST_MIN_HEIGHT_PX = 100
-MAX_HEIGHT_PX = 660
+DIALOG_MAX_HEIGHT_PX = 660
 """A higher dialog scrolls; a screen of 720 pixels shows all of it."""
 
 
@@ -59,7 +59,7 @@ class VerdictDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Verdict")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.setMinimumWidth(MIN_WIDTH_PX)
+        self.setMinimumWidth(DIALOG_MIN_WIDTH_PX)
         self._channels = [left.channel for left in verdict.left]
         self.sentence = QLabel(verdict_sentence(verdict))
         shown = (*figures(verdict), *((("Sensor and arm", rig),) if rig else ()))
@@ -88,7 +88,7 @@ class VerdictDialog(QDialog):
         self.left.header().setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
         # It gets the remaining height, and scrolls before the whole dialog does.
         self.left.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Ignored)
-        set_bold(self.sentence, HEADLINE_PT)
+        set_bold(self.sentence, HEADLINE_FONT_SIZE_PT)
         self.sentence.setAccessibleName("verdict")
         self.sentence.setWordWrap(True)
         form = QFormLayout()
@@ -97,7 +97,7 @@ class VerdictDialog(QDialog):
             form.addRow(secondary_label(name), value)
         self.words = QWidget()
         words = QVBoxLayout(self.words)
-        words.setSpacing(2 * GAP)
+        words.setSpacing(2 * WIDGET_GAP_PX)
         words.addWidget(self.sentence)
         words.addLayout(form)
         words.addWidget(self.heading)
@@ -118,9 +118,11 @@ class VerdictDialog(QDialog):
     def showEvent(self, event: QShowEvent) -> None:
         """Take the size of the wrapped words, whose fonts are known now, up to that of the screen."""
         super().showEvent(event)
-        fit_to_screen(self, (WIDTH_PX, MAX_HEIGHT_PX))
-        height = self.words.heightForWidth(self.width() - 4 * GAP) + self.buttons.sizeHint().height() + 4 * GAP
-        fit_to_screen(self, (WIDTH_PX, MAX_HEIGHT_PX if self._channels else min(height, MAX_HEIGHT_PX)))
+        fit_to_screen(self, (DIALOG_WIDTH_PX, DIALOG_MAX_HEIGHT_PX))
+        height = (
+            self.words.heightForWidth(self.width() - 4 * WIDGET_GAP_PX) + self.buttons.sizeHint().height() + 4 * WIDGET_GAP_PX
+        )
+        fit_to_screen(self, (DIALOG_WIDTH_PX, DIALOG_MAX_HEIGHT_PX if self._channels else min(height, DIALOG_MAX_HEIGHT_PX)))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Keep Enter in the list away from the default button."""

@@ -61,7 +61,7 @@ from app.text.compare_text import (
     spacing_words,
     worst_words,
 )
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.files.reference import Origin
 from skincal.geometry import FloatArray
 from skincal.model.skin import Layout
@@ -72,8 +72,8 @@ from skincal.taxels.differences import ModuleDifference, repeatability, worst_ro
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
 
-MAX_WORST = 10
-MAX_MODULE_ROWS = 7  # Modules of a forearm; a longer list scrolls
+MAX_LISTED_WORST_TAXELS = 10
+MAX_VISIBLE_MODULE_ROWS = 7  # Modules of a forearm; a longer list scrolls
 BLACK_DOT, ARROW = "\N{BLACK CIRCLE}", "\N{RIGHTWARDS ARROW}"
 TRUTH_SET = "Truth"
 
@@ -142,8 +142,8 @@ class ComparePanel(Panel):
 
     def _arrange(self) -> None:
         choices = QGridLayout()
-        choices.setHorizontalSpacing(GAP)
-        choices.setVerticalSpacing(GAP // 2)
+        choices.setHorizontalSpacing(WIDGET_GAP_PX)
+        choices.setVerticalSpacing(WIDGET_GAP_PX // 2)
         choices.setColumnStretch(1, 1)
         for row, (text, box, other) in enumerate(zip(("From", "To"), self.boxes, (self.all, self.scale), strict=True)):
             for column, widget in enumerate((secondary_label(text), box, other)):
@@ -155,7 +155,7 @@ class ComparePanel(Panel):
         choices.addLayout(more, 2, 1, 1, 2)
         inner = panel_scroll_area(self)
         column = QVBoxLayout(inner)
-        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         column.addLayout(choices)
         for widget in (self.legend, self.summary, self.motion, self.health):
             column.addWidget(widget)
@@ -208,7 +208,7 @@ class ComparePanel(Panel):
         self.summary.setText(difference_words(found.summary, pair, names, channels))
         self.motion.setText("" if is_same else motion_words(found.motion))
         self.motion.setVisible(bool(self.motion.text()))
-        rows = [] if is_same else worst_rows(found.lengths, MAX_WORST).tolist()
+        rows = [] if is_same else worst_rows(found.lengths, MAX_LISTED_WORST_TAXELS).tolist()
         self.worst.show_taxels([(channels[row], worst_words(channels[row], float(found.lengths[row]), names)) for row in rows])
         if self._layout is not None:
             self._show_modules(self._layout, found.modules, there)
@@ -222,7 +222,7 @@ class ComparePanel(Panel):
             for found in listed_modules(differences)
         ]
         put_rows(self.modules, cells)
-        fit_rows(self.modules, MAX_MODULE_ROWS)
+        fit_rows(self.modules, MAX_VISIBLE_MODULE_ROWS)
 
     def _spacing_ratios(self, positions: FloatArray) -> FloatArray:
         """Return the spacing of neighbours over that of the layout, for each module and last for all."""

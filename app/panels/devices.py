@@ -21,12 +21,12 @@ from app.state.view_state import LinkStatus, ViewState
 from app.text.guidance_text import BETWEEN
 from app.text.outcomes import LinkWords, link_lines
 from app.text_size import scaled, set_font
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.model.readings import LinkHealth, Stream
 from skincal.words.link_words import STREAM_NAMES, beside_words
 from skincal.words.units import count
 
-MIN_SHOWN_DELAY_S = 0.6  # A hand does not notice a shorter delay
+MIN_SHOWN_READING_DELAY_S = 0.6  # A hand does not notice a shorter delay
 NUMBERS_PERIOD_S, CHIPS_PERIOD_S = 0.25, 1.0
 """Faster numbers cannot be read; the foot of the window is read from the corner of the eye."""
 
@@ -42,14 +42,15 @@ _LINK_SIGNS = {
     LinkStatus.AWAY: ("\N{WHITE CIRCLE}", "muted"),
 }
 """Shape and colour of the theme for each state."""
-SIGN_PX = 18
-RATE_PT = 13
+STATUS_SYMBOL_SIZE_PX = 18
+RATE_FONT_SIZE_PT = 13
 
 
 def link_sign(look: LinkStatus) -> str:
     """Return the sign of a link's state as rich text."""
     sign, ink = _LINK_SIGNS[look]
-    return f'<span style="font-size:{scaled(SIGN_PX)}px; font-weight:bold; color:{getattr(theme_colours(), ink)}">{sign}</span>'
+    style = f"font-size:{scaled(STATUS_SYMBOL_SIZE_PX)}px; font-weight:bold; color:{getattr(theme_colours(), ink)}"
+    return f'<span style="{style}">{sign}</span>'
 
 
 class LinkCard(QFrame):
@@ -63,7 +64,7 @@ class LinkCard(QFrame):
         self.name = QLabel()
         set_bold(self.name)
         self.rate = QLabel()
-        set_font(self.rate, digits_font(RATE_PT), RATE_PT)
+        set_font(self.rate, digits_font(RATE_FONT_SIZE_PT), RATE_FONT_SIZE_PT)
         self.rate.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.about = ElidedLabel("muted")
         self.detail = secondary_label(wrap=True)
@@ -71,7 +72,7 @@ class LinkCard(QFrame):
         self.losses.setWordWrap(True)
         grid = QGridLayout(self)
         # Three cards fit into a window of 720 pixels.
-        grid.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
+        grid.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
         grid.setVerticalSpacing(0)
         grid.setColumnStretch(1, 1)
         grid.addWidget(self.sign, 0, 0)
@@ -114,8 +115,8 @@ class DevicesPanel(Panel):
         self.change.clicked.connect(lambda: self.command_wanted.emit("addresses"))
         inner = panel_scroll_area(self)
         self._column = QVBoxLayout(inner)
-        self._column.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
-        self._column.setSpacing(GAP // 2)
+        self._column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
+        self._column.setSpacing(WIDGET_GAP_PX // 2)
         self._column.addWidget(self.change, 0, Qt.AlignmentFlag.AlignLeft)
         self._column.addStretch(1)
         self.setWidget(inner)
@@ -144,8 +145,8 @@ class LinkChips(QLabel):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setContentsMargins(0, 0, GAP, 0)
-        self.setMinimumHeight(SIGN_PX)
+        self.setContentsMargins(0, 0, WIDGET_GAP_PX, 0)
+        self.setMinimumHeight(STATUS_SYMBOL_SIZE_PX)
         self.setProperty("quiet", True)
         self.setProperty("rich", True)
         self.setTextFormat(Qt.TextFormat.RichText)
@@ -153,7 +154,7 @@ class LinkChips(QLabel):
 
     def show_state(self, state: ViewState) -> None:
         links = link_lines(state)
-        late = f"catching up, {round(state.behind_s)} s behind" if state.behind_s >= MIN_SHOWN_DELAY_S else ""
+        late = f"catching up, {round(state.behind_s)} s behind" if state.behind_s >= MIN_SHOWN_READING_DELAY_S else ""
         looks = (words.look for words in links)
         shown = (theme_colours(), late, int(state.now_s / CHIPS_PERIOD_S), *looks)
         if shown != self._shown:

@@ -19,7 +19,7 @@ from app.panels.widgets import compact_combo, escape_tooltip, panel_scroll_area,
 from app.state.view_state import ViewState
 from app.text.errors_text import STATISTICS, SYMBOLS, Axis, axis_words, newest_words, quantity_words, source_words
 from app.text.outcomes import METHOD_NAMES
-from app.theme import GAP, method_hue
+from app.theme import WIDGET_GAP_PX, method_hue
 from skincal.geometry import FloatArray, IntArray
 from skincal.session.error_history import MAX, MEAN, P95, ErrorSeries
 from skincal.taxels.result import Method
@@ -27,14 +27,14 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.files.reference import TaxelPositions
 
-DRAW_PERIOD_S = 0.2  # Between two drawings while earlier points are being computed
+PLOT_REDRAW_PERIOD_S = 0.2  # Between two drawings while earlier points are being computed
 LINE_STYLES = {MEAN: Qt.PenStyle.SolidLine, P95: Qt.PenStyle.DashLine, MAX: Qt.PenStyle.DotLine}
 PLOT_SYMBOLS = {Method.FREE: "o", Method.SURFACE: "d", Method.MODULES: "t1"}
-MAX_SYMBOLS = 12  # Symbols along a line
+MAX_MARKERS_PER_CURVE = 12  # Symbols along a line
 METHOD_OFFSETS = {Method.FREE: -0.22, Method.SURFACE: 0.0, Method.MODULES: 0.22}
 """Methods are side by side at a module; 1 is the distance between modules."""
-TICK_HALF_WIDTH = 0.1  # Of the mark of the 95th percentile at a module
-MAX_MODULE_NUMBERS = 12  # Module numbers that fit under the plot
+PERCENTILE_TICK_HALF_WIDTH = 0.1  # Of the mark of the 95th percentile at a module
+MAX_MODULE_LABELS_ON_AXIS = 12  # Module numbers that fit under the plot
 AXIS_SETTING = "window/errors_against"
 
 
@@ -112,7 +112,7 @@ class ErrorPlot(StillPlot):
         at, values, joined = at[known], values[known], joined[known]
         for statistic in STATISTICS:
             self.curves[method, statistic].setData(at, values[:, statistic], connect=joined)
-        some = np.unique(np.linspace(0, len(at) - 1, min(len(at), MAX_SYMBOLS)).astype(np.int64))
+        some = np.unique(np.linspace(0, len(at) - 1, min(len(at), MAX_MARKERS_PER_CURVE)).astype(np.int64))
         self.symbols[method].setData(at[some], values[some, MEAN])
         return values[:, MEAN:]
 
@@ -122,7 +122,7 @@ class ErrorPlot(StillPlot):
         at, newest = np.flatnonzero(known) + METHOD_OFFSETS[method], newest[known]
         # At each module a line from the mean to the maximum, and a mark across it at p95.
         self.curves[method, MAX].setData(np.repeat(at, 2), newest[:, [MEAN, MAX]].ravel(), connect="pairs")
-        ends = (at[:, None] + [-TICK_HALF_WIDTH, TICK_HALF_WIDTH]).ravel()
+        ends = (at[:, None] + [-PERCENTILE_TICK_HALF_WIDTH, PERCENTILE_TICK_HALF_WIDTH]).ravel()
         self.curves[method, P95].setData(ends, np.repeat(newest[:, P95], 2), connect="pairs")
         self.curves[method, MEAN].setData([], [])
         self.symbols[method].setData(at, newest[:, MEAN])
@@ -135,7 +135,7 @@ class ErrorPlot(StillPlot):
         self.item.setYRange(math.log10(low), math.log10(high), padding=0.02)
         self.item.getAxis("left").setTicks([log_ticks(low, high)])
         if axis is Axis.MODULES:
-            step = math.ceil(len(self._modules) / MAX_MODULE_NUMBERS)
+            step = math.ceil(len(self._modules) / MAX_MODULE_LABELS_ON_AXIS)
             self.item.getAxis("bottom").setTicks([[(at, name) for at, name in enumerate(self._modules) if at % step == 0]])
             self.item.setXRange(-0.6, max(1, len(self._modules)) - 0.4, padding=0.0)
         else:
@@ -163,7 +163,7 @@ class ErrorsPanel(Panel):
         self._modules = [] if layout is None else [str(module.id) for module in layout.modules]
         self.course = context.guided.errors
         context.guided.shows_errors = self.isVisible
-        self._drawn_s = -DRAW_PERIOD_S
+        self._drawn_s = -PLOT_REDRAW_PERIOD_S
         self.source_box, self.module_box = compact_combo("compared with"), QComboBox()
         self.axis_buttons = {axis: QToolButton() for axis in Axis}
         self.lines = {method: QLabel() for method in self._methods}
@@ -210,8 +210,8 @@ class ErrorsPanel(Panel):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             figures.addWidget(label)
         head = QVBoxLayout()
-        head.setContentsMargins(GAP, GAP // 2, GAP, 0)
-        head.setSpacing(GAP // 2)
+        head.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, 0)
+        head.setSpacing(WIDGET_GAP_PX // 2)
         head.addWidget(self.source_box)
         head.addLayout(choices)
         head.addLayout(figures)
@@ -247,7 +247,7 @@ class ErrorsPanel(Panel):
     def show_state(self, state: ViewState) -> None:
         """Draw new errors; while earlier points are being computed, not at each tick."""
         self._state = state
-        is_recent = 0.0 <= state.now_s - self._drawn_s < DRAW_PERIOD_S
+        is_recent = 0.0 <= state.now_s - self._drawn_s < PLOT_REDRAW_PERIOD_S
         if self.isVisible() and not (self._shown and is_recent and self.course.series().missing):
             super().show_state(state)
 

@@ -9,11 +9,11 @@ from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout
 from app.panels.widgets import secondary_label, set_bold
 from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 
-WIDTH_PX = 280
-SHOWN_MS = 60_000
-TITLE_PT = 10.5
+HELP_CARD_WIDTH_PX = 280
+HELP_CARD_SHOWN_MS = 60_000
+TITLE_FONT_SIZE_PT = 10.5
 
 
 class FirstMinute(QFrame):
@@ -23,23 +23,23 @@ class FirstMinute(QFrame):
         super().__init__()
         self.setObjectName("card")
         self.setAccessibleName("first minute")
-        self.setFixedWidth(scaled(WIDTH_PX))
+        self.setFixedWidth(scaled(HELP_CARD_WIDTH_PX))
         column = QVBoxLayout(self)
-        column.setContentsMargins(2 * GAP, 2 * GAP, 2 * GAP, 2 * GAP)
-        column.setSpacing(GAP // 2)
+        column.setContentsMargins(2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX)
+        column.setSpacing(WIDGET_GAP_PX // 2)
         for number, (title, more) in enumerate(FIRST_MINUTE, 1):
             head = QLabel(f"{number}  {title}")
             head.setWordWrap(True)
-            set_bold(head, TITLE_PT)
+            set_bold(head, TITLE_FONT_SIZE_PT)
             column.addWidget(head)
             column.addWidget(QLabel(more, wordWrap=True))
-            column.addSpacing(GAP)
+            column.addSpacing(WIDGET_GAP_PX)
         column.addWidget(secondary_label(FIRST_MINUTE_END, wrap=True))
         column.addStretch(1)
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         self._timer.timeout.connect(self.leave)
-        self._timer.start(SHOWN_MS)
+        self._timer.start(HELP_CARD_SHOWN_MS)
 
     def leave(self) -> None:
         """Close the card."""

@@ -25,10 +25,10 @@ from app.panels.widgets import Painted, TaxelList, panel_scroll_area, put_rows, 
 from app.state.memo import is_same
 from app.state.policies import mark_of, worst
 from app.state.view_state import ViewState
-from app.text.errors_text import FULL_TRUST, MARKED_TRUST, TaxelPoke, rival_words, taxel_pokes
+from app.text.errors_text import MARK_POKES_WITH_TRUST_BELOW, MIN_TRUST_SHOWN_AS_FULL, TaxelPoke, rival_words, taxel_pokes
 from app.text.guidance_text import FOLLOWS, contacts_words, diversity_words, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, find_estimate
-from app.theme import GAP, Colours
+from app.theme import WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.guide.progress import AxisDiversity
 from skincal.model.actions import MarkDead, Revive
@@ -36,12 +36,12 @@ from skincal.taxels.result import Estimate, Method, State
 from skincal.words.taxel_words import state_sentence
 from skincal.words.units import DASH, ChannelNames, cell, count, direction, millimetres, number, point_mm
 
-PLOT_PX = 152
-TITLE_PT = 11
-DOT_PX = 4.0
-RADIUS_PX = PLOT_PX / 2 - DOT_PX - 3
-MIN_DOT_SHARE = 0.45  # Size of a contact without trust over that of a trusted one
-MAX_SHADE_ALPHA = 110
+PLOT_SIZE_PX = 152
+TITLE_FONT_SIZE_PT = 11
+CONTACT_DOT_SIZE_PX = 4.0
+RADIUS_PX = PLOT_SIZE_PX / 2 - CONTACT_DOT_SIZE_PX - 3
+UNTRUSTED_DOT_SIZE_RATIO = 0.45  # Size of a contact without trust over that of a trusted one
+MAX_GAIN_SHADE_ALPHA_OF_255 = 110
 """Opacity of the tint, 0 to 255, where the next contact would help most; dots must be visible on it."""
 _POSITION_LEGEND = (
     "\N{BLACK CIRCLE} strongest here  \N{WHITE CIRCLE} at a neighbour\n\N{MULTIPLICATION SIGN} mean contact point"
@@ -59,7 +59,7 @@ class AxisDiversityPlot(Painted):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setFixedSize(PLOT_PX, PLOT_PX)
+        self.setFixedSize(PLOT_SIZE_PX, PLOT_SIZE_PX)
         self._diversity: AxisDiversity | None = None
         self._view: AxisDiversityView | None = None
         self.setAccessibleName("contacts of the taxel, from above")
@@ -72,11 +72,11 @@ class AxisDiversityPlot(Painted):
         diversity, view = self._diversity, self._view
         if diversity is None or view is None:
             return
-        painter.translate(PLOT_PX / 2, PLOT_PX / 2)
+        painter.translate(PLOT_SIZE_PX / 2, PLOT_SIZE_PX / 2)
         self._draw_scale(painter, view, colours)
         text, ground = QColor(colours.text), QColor(colours.window)
         for place, own, trust in zip(view.dots, diversity.own.tolist(), diversity.trust.tolist(), strict=True):
-            size = DOT_PX * (MIN_DOT_SHARE + (1.0 - MIN_DOT_SHARE) * trust)
+            size = CONTACT_DOT_SIZE_PX * (UNTRUSTED_DOT_SIZE_RATIO + (1.0 - UNTRUSTED_DOT_SIZE_RATIO) * trust)
             # Filled for its own, a ring for its neighbours': readable without colour.
             painter.setPen(QPen(ground, 1.0) if own else QPen(text, 1.4))
             painter.setBrush(text if own else ground)
@@ -127,7 +127,7 @@ def _shade(shade: FloatArray, colour: QColor) -> QImage:
     share = np.where(shade > 0, (shade - least) / max(most - least, 1e-9), 0.0)
     pixels = np.zeros((*shade.shape, 4), dtype=np.uint8)
     pixels[..., :3] = colour.red(), colour.green(), colour.blue()
-    pixels[..., 3] = np.round(MAX_SHADE_ALPHA * share)
+    pixels[..., 3] = np.round(MAX_GAIN_SHADE_ALPHA_OF_255 * share)
     height, width = shade.shape
     # Copied, since the bytes are released with this function.
     return QImage(pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGBA8888).copy()
@@ -155,7 +155,7 @@ class AxisDiversityPanel(QWidget):
         words.addStretch(1)
         row = QHBoxLayout(self)
         row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(2 * GAP)
+        row.setSpacing(2 * WIDGET_GAP_PX)
         row.addWidget(self.plot, 0, Qt.AlignmentFlag.AlignTop)
         row.addLayout(words, 1)
         self.setWhatsThis(
@@ -232,7 +232,7 @@ class InspectPanel(Panel):
         self._methods, self._names = methods, names
         self._listed: tuple[object, ...] = ()
         self.heading = QLabel("No taxel selected")
-        set_bold(self.heading, TITLE_PT)
+        set_bold(self.heading, TITLE_FONT_SIZE_PT)
         self.cells = {method: [QLabel(DASH) for _ in ESTIMATE_ROWS] for method in methods}
         self.reason = secondary_label("Click a taxel on the map or in the 3D view.", wrap=True)
         self.use = QPushButton("Do not use this taxel")
@@ -252,7 +252,7 @@ class InspectPanel(Panel):
 
     def _arrange(self) -> None:
         grid = QGridLayout()
-        grid.setHorizontalSpacing(2 * GAP)
+        grid.setHorizontalSpacing(2 * WIDGET_GAP_PX)
         grid.setVerticalSpacing(2)
         for column, method in enumerate(self._methods, start=1):
             grid.addWidget(secondary_label(METHOD_NAMES[method]), 0, column)
@@ -265,7 +265,7 @@ class InspectPanel(Panel):
             grid.addWidget(secondary_label(text), row, 0, Qt.AlignmentFlag.AlignTop)
         inner = panel_scroll_area(self)
         panel = QVBoxLayout(inner)
-        panel.setContentsMargins(GAP, GAP, GAP, GAP)
+        panel.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         panel.addWidget(self.heading)
         panel.addWidget(self.diversity)
         panel.addLayout(grid)
@@ -335,6 +335,6 @@ class InspectPanel(Panel):
 
 def poke_cells(poke: TaxelPoke) -> tuple[str, ...]:
     """Make the cells of `POKE_HEADINGS`."""
-    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MARKED_TRUST else ""
-    trust = "1" if poke.trust >= FULL_TRUST else number(poke.trust, 2)
+    sign = "\N{CIRCLE WITH LEFT HALF BLACK} " if poke.trust < MARK_POKES_WITH_TRUST_BELOW else ""
+    trust = "1" if poke.trust >= MIN_TRUST_SHOWN_AS_FULL else number(poke.trust, 2)
     return (str(poke.poke), number(poke.weight, 2), sign + trust, cell(poke.miss, "m"))

@@ -10,10 +10,10 @@ from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton
 
 from app.panels.widgets import theme_colours
 from app.text.message import Message
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 
-SHOWN_MS = 8000  # A success or a finding disappears after this time
-MAX_WAITING = 20  # Messages that wait to be read; older ones are in the log
+SUCCESS_MESSAGE_SHOWN_MS = 8000  # A success or a finding disappears after this time
+MAX_QUEUED_MESSAGES = 20  # Messages that wait to be read; older ones are in the log
 
 
 class MessageBar(QFrame):
@@ -21,7 +21,7 @@ class MessageBar(QFrame):
 
     def __init__(self) -> None:
         super().__init__()
-        self._waiting: deque[Message] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[Message] = deque(maxlen=MAX_QUEUED_MESSAGES)
         self.text = QLabel()
         self.text.setWordWrap(True)
         # Messages quote files and devices: Qt would interpret HTML in them.
@@ -32,7 +32,7 @@ class MessageBar(QFrame):
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
         row = QHBoxLayout(self)
-        row.setContentsMargins(2 * GAP, GAP // 2, GAP, GAP // 2)
+        row.setContentsMargins(2 * WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
         row.addWidget(self.text, 1)
         row.addWidget(self.close_button)
         self.setAutoFillBackground(True)
@@ -82,7 +82,7 @@ class MessageBar(QFrame):
             widget.setPalette(palette)
         self.text.setText(f"{_sign(newest)}  {newest.text}")
         if not _is_permanent(newest):
-            self._timer.start(SHOWN_MS)
+            self._timer.start(SUCCESS_MESSAGE_SHOWN_MS)
 
 
 def _is_permanent(message: Message) -> bool:

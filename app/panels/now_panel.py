@@ -10,24 +10,24 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetrics, QPainter, QPainterPath, QPen, QPolygonF
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout
 
-from app.panels.top_view import DIAL_RADIUS, TopView, top_view
+from app.panels.top_view import DIAL_RADIUS_M, TopView, top_view
 from app.panels.widgets import ElidedLabel, FittedLabel, Painted, digits_font, escape_tooltip, mix, set_bold
 from app.state.view_state import ViewState
 from app.text.now_text import Now, NowMemory, Tone, now_line
-from app.theme import GAP, HEADLINE_PT, RESULT_PT, Colours
+from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT, WIDGET_GAP_PX, Colours
 from skincal.geometry import FloatArray
 from skincal.guide.press_coaching import max_angle_error
 from skincal.session.snapshot import Snapshot
 from skincal.words.units import degrees, millimetres, newtons
 
-SIGN_PX = 52
-GAUGE_PX = 170
-DIAL_PX = 104
-RIM_PX = 3.0
-TAXEL_PX = 2.4
+STATUS_ICON_SIZE_PX = 52
+FORCE_GAUGE_WIDTH_PX = 170
+TILT_DIAL_SIZE_PX = 104
+TILT_DIAL_RIM_WIDTH_PX = 3.0
+DIAL_TAXEL_DOT_RADIUS_PX = 2.4
 RING_PX, BALL_PX = 6.5, 6.0  # Radius of the ring around the target, and of the ball at the tool's upper end
-SIMULATED_PT = 12
-MIN_MOVE_PX = 0.2  # A smaller move is not drawn
+SIMULATED_LABEL_FONT_SIZE_PT = 12
+MIN_REDRAWN_MOVE_PX = 0.2  # A smaller move is not drawn
 
 _TONE_SIGNS: dict[Tone, list[list[tuple[float, float]]]] = {
     Tone.GOOD: [[(-8, 1), (-2, 7), (9, -7)]],
@@ -45,7 +45,7 @@ class Dial(Painted):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setFixedSize(DIAL_PX, DIAL_PX)
+        self.setFixedSize(TILT_DIAL_SIZE_PX, TILT_DIAL_SIZE_PX)
         self._view: TopView | None = None
         self._key: tuple[object, ...] = ()
         self.setAccessibleName("tool on the skin, from above")
@@ -75,13 +75,13 @@ class Dial(Painted):
     def _key_of(self, view: TopView, landed: int | None) -> tuple[object, ...]:
         """Return a key that changes with the picture."""
         arrays = (view.taxels, view.wanted, view.room, view.tip, view.upper)
-        step = MIN_MOVE_PX / self._scale()
+        step = MIN_REDRAWN_MOVE_PX / self._scale()
         steps = (b"" if each is None else np.round(each / step).astype(np.int64).tobytes() for each in arrays)
         return (*steps, view.channels.tobytes(), view.right, landed)
 
     def _scale(self) -> float:
         """Pixels a metre."""
-        return (DIAL_PX / 2 - RIM_PX) / DIAL_RADIUS
+        return (TILT_DIAL_SIZE_PX / 2 - TILT_DIAL_RIM_WIDTH_PX) / DIAL_RADIUS_M
 
     def _at(self, point: FloatArray) -> QPointF:
         x, y = (self._scale() * point).tolist()
@@ -89,17 +89,17 @@ class Dial(Painted):
 
     def _inside(self, point: FloatArray) -> QPointF:
         """Return the pixel of a point; a point outside the picture is drawn at the rim."""
-        size, most = float(np.sqrt(point @ point)), DIAL_RADIUS - BALL_PX / self._scale()
+        size, most = float(np.sqrt(point @ point)), DIAL_RADIUS_M - BALL_PX / self._scale()
         return self._at(point * min(1.0, most / size if size > 0 else 1.0))
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
         view = self._view
         if view is None:
             return
-        painter.translate(DIAL_PX / 2, DIAL_PX / 2)
-        radius = DIAL_PX / 2 - RIM_PX / 2
+        painter.translate(TILT_DIAL_SIZE_PX / 2, TILT_DIAL_SIZE_PX / 2)
+        radius = TILT_DIAL_SIZE_PX / 2 - TILT_DIAL_RIM_WIDTH_PX / 2
         rim = QRectF(-radius, -radius, 2 * radius, 2 * radius)
-        painter.setPen(QPen(QColor(colours.line), RIM_PX - 1))
+        painter.setPen(QPen(QColor(colours.line), TILT_DIAL_RIM_WIDTH_PX - 1))
         painter.setBrush(QColor(colours.window))
         painter.drawEllipse(rim)
         inside = QPainterPath()
@@ -108,9 +108,9 @@ class Dial(Painted):
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(mix(colours.muted, colours.window, 0.55))
         for place in view.taxels:
-            painter.drawEllipse(self._at(place), TAXEL_PX, TAXEL_PX)
+            painter.drawEllipse(self._at(place), DIAL_TAXEL_DOT_RADIUS_PX, DIAL_TAXEL_DOT_RADIUS_PX)
         self._draw_wanted(painter, view, QColor(colours.text))
-        if view.tip is not None and view.tip @ view.tip > DIAL_RADIUS**2:
+        if view.tip is not None and view.tip @ view.tip > DIAL_RADIUS_M**2:
             self._draw_wedge(painter, view.tip, colours)
         elif view.tip is not None and view.upper is not None:
             self._draw_tool(painter, self._at(view.tip), self._inside(view.upper), colours, right=view.right)
@@ -143,7 +143,7 @@ class Dial(Painted):
     def _draw_wedge(self, painter: QPainter, tip: FloatArray, colours: Colours) -> None:
         """Draw a wedge at the rim toward a tip outside the picture."""
         x, y = (tip / np.sqrt(tip @ tip)).tolist()
-        out, aside, rim = QPointF(x, -y), QPointF(y, x), DIAL_PX / 2 - RIM_PX
+        out, aside, rim = QPointF(x, -y), QPointF(y, x), TILT_DIAL_SIZE_PX / 2 - TILT_DIAL_RIM_WIDTH_PX
         painter.setPen(QPen(QColor(colours.window), 1.0))
         painter.setBrush(QColor(colours.bad))
         painter.drawPolygon(QPolygonF([out * rim, out * (rim - 12) + aside * 7, out * (rim - 12) - aside * 7]))
@@ -167,7 +167,7 @@ class Sign(Painted):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setFixedSize(SIGN_PX, SIGN_PX)
+        self.setFixedSize(STATUS_ICON_SIZE_PX, STATUS_ICON_SIZE_PX)
         self._tone = Tone.CALM
         self._share = 0.0
 
@@ -178,7 +178,7 @@ class Sign(Painted):
             self.update()
 
     def paint(self, painter: QPainter, colours: Colours) -> None:
-        ring = QRectF(5, 5, SIGN_PX - 10, SIGN_PX - 10)
+        ring = QRectF(5, 5, STATUS_ICON_SIZE_PX - 10, STATUS_ICON_SIZE_PX - 10)
         colour = QColor(getattr(colours, _TONE_COLOURS[self._tone]))
         painter.setPen(QPen(QColor(colours.line), 5))
         painter.drawEllipse(ring)
@@ -186,7 +186,7 @@ class Sign(Painted):
         painter.setPen(QPen(colour, 5, Qt.PenStyle.SolidLine, Qt.PenCapStyle.FlatCap))
         # Qt counts sixteenths of a degree, anticlockwise from three o'clock.
         painter.drawArc(ring, 90 * 16, -round(share * 360 * 16))
-        painter.translate(SIGN_PX / 2, SIGN_PX / 2)
+        painter.translate(STATUS_ICON_SIZE_PX / 2, STATUS_ICON_SIZE_PX / 2)
         painter.setPen(QPen(colour, 4, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap, Qt.PenJoinStyle.RoundJoin))
         for line in _TONE_SIGNS[self._tone]:
             painter.drawPolyline(QPolygonF([QPointF(x, y) for x, y in line]))
@@ -197,14 +197,14 @@ class ForceGauge(Painted):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setFixedWidth(GAUGE_PX)
+        self.setFixedWidth(FORCE_GAUGE_WIDTH_PX)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self._force = 0.0
         self._limits = (4.0, 15.0)
         self.setAccessibleName("force of the poke")
 
     def sizeHint(self) -> QSize:
-        return QSize(GAUGE_PX, SIGN_PX)
+        return QSize(FORCE_GAUGE_WIDTH_PX, STATUS_ICON_SIZE_PX)
 
     def set(self, force: float, low: float, high: float) -> None:
         """Show a force and its limits, N."""
@@ -257,12 +257,12 @@ class NowPanel(QFrame):
         self.simulated = QLabel()
         self.simulated.setAlignment(Qt.AlignmentFlag.AlignRight)
         self.simulated.setToolTip("No robot is connected: a simulated hand presses a simulated robot. Shift+P: change its pace")
-        set_bold(self.simulated, SIMULATED_PT)
+        set_bold(self.simulated, SIMULATED_LABEL_FONT_SIZE_PT)
         self.gauge = ForceGauge()
         self.dial = Dial()
         self.dial.hide()
-        set_bold(self.headline, HEADLINE_PT)
-        set_bold(self.result, RESULT_PT)
+        set_bold(self.headline, HEADLINE_FONT_SIZE_PT)
+        set_bold(self.result, RESULT_FONT_SIZE_PT)
         self.headline.setAccessibleName("what to do now")
         self.result.setAccessibleName("last result")
         self._arrange()
@@ -280,8 +280,8 @@ class NowPanel(QFrame):
         words.addWidget(self.detail)
         words.addStretch(1)
         row = QHBoxLayout(self)
-        row.setContentsMargins(2 * GAP, GAP, 2 * GAP, GAP)
-        row.setSpacing(2 * GAP)
+        row.setContentsMargins(2 * WIDGET_GAP_PX, WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, WIDGET_GAP_PX)
+        row.setSpacing(2 * WIDGET_GAP_PX)
         row.addWidget(self.sign)
         row.addWidget(self.dial)
         row.addLayout(words, 1)
@@ -290,7 +290,7 @@ class NowPanel(QFrame):
         right.addWidget(self.gauge, 1, Qt.AlignmentFlag.AlignRight)
         row.addLayout(right)
         # The same height with and without the dial, so that nothing moves when the guide is switched off.
-        row.addStrut(DIAL_PX + 2)
+        row.addStrut(TILT_DIAL_SIZE_PX + 2)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def begin_session(self, snapshot: Snapshot) -> None:

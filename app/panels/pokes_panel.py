@@ -27,7 +27,7 @@ from app.panels.widgets import escape_tooltip, make_copyable, panel_scroll_area,
 from app.state.view_state import ViewState
 from app.text.errors_text import doubt_mark, doubt_words, doubting
 from app.text.outcomes import force_of, peak_channel, pitch_of, pokes_words, rejections, tilt_of
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Contact, Rejection
 from skincal.model.actions import MissedLandmark
 from skincal.session.snapshot import PokeRecord, Snapshot
@@ -193,7 +193,7 @@ class PokesPanel(Panel):
         self.table = QTableView()
         self.table.setModel(self.model)
         self.tally = secondary_label(wrap=True)
-        self.tally.setContentsMargins(GAP, GAP // 2, GAP, GAP // 2)
+        self.tally.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX // 2, WIDGET_GAP_PX, WIDGET_GAP_PX // 2)
         self._prepare()
         inner = panel_scroll_area(self)
         column = QVBoxLayout(inner)

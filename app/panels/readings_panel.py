@@ -18,17 +18,17 @@ from app.panels.widgets import panel_scroll_area, theme_colours
 from app.state.policies import curve_range
 from app.state.view_state import ViewState
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray
 from skincal.words.units import UNITS, number
 
-SPAN_S = 10.0  # Length of the time axis, as the live view keeps it
-PLOT_COLUMNS = 500  # About the width of the panel in pixels
-CURVES_PERIOD_S = 0.09
+TIME_AXIS_SPAN_S = 10.0  # Length of the time axis, as the live view keeps it
+MAX_PLOT_COLUMNS_PER_CURVE = 500  # About the width of the panel in pixels
+CURVES_REDRAW_PERIOD_S = 0.09
 """Six curves cost as much as a picture of the 3D view, which is drawn three times as often."""
-NUMBERS_PERIOD_S = 0.2  # Faster numbers cannot be read
-MEAN_READINGS = 100  # Readings in the mean that is shown: a tenth of a second at 1 kHz
-MIN_PLOT_PX = 160  # Height of a plot at 100 %; below it the two plots are side by side
+NUMBERS_UPDATE_PERIOD_S = 0.2  # Faster numbers cannot be read
+READINGS_PER_SHOWN_MEAN = 100  # Readings in the mean that is shown: a tenth of a second at 1 kHz
+MIN_PLOT_HEIGHT_PX = 160  # Height of a plot at 100 %; below it the two plots are side by side
 
 
 def min_max_decimation(times: FloatArray, values: FloatArray, columns: int, span: float) -> tuple[FloatArray, FloatArray]:
@@ -70,9 +70,9 @@ class Curves(QWidget):
         self.header = QLabel()
         self.header.setTextFormat(Qt.TextFormat.RichText)
         self.header.setProperty("rich", True)
-        self.header.setContentsMargins(GAP, 2, GAP, 0)
+        self.header.setContentsMargins(WIDGET_GAP_PX, 2, WIDGET_GAP_PX, 0)
         self.plot = StillPlot(f"curves of the {title.lower()}", 44, 18, 60)
-        self.plot.item.setXRange(-SPAN_S, 0.0, padding=0.0)
+        self.plot.item.setXRange(-TIME_AXIS_SPAN_S, 0.0, padding=0.0)
         self.plot.item.setYRange(-floor, floor, padding=0.02)
         # Half a line, so that a number at the upper end is not cut.
         self.plot.item.layout.setContentsMargins(0, 7, 0, 0)
@@ -132,7 +132,7 @@ class ReadingsPanel(Panel):
         self._newest_s = self._numbers_s = -np.inf
         inner = panel_scroll_area(self)
         self._both = QBoxLayout(QBoxLayout.Direction.TopToBottom, inner)
-        self._both.setContentsMargins(0, GAP // 2, 0, 0)
+        self._both.setContentsMargins(0, WIDGET_GAP_PX // 2, 0, 0)
         self._both.setSpacing(0)
         self._both.addWidget(self.force, 1)
         self._both.addWidget(self.moment, 1)
@@ -145,7 +145,7 @@ class ReadingsPanel(Panel):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Put the plots side by side if they would be too low; their numbers then get a line of their own."""
         super().resizeEvent(event)
-        is_low = self.height() < 2 * (scaled(MIN_PLOT_PX) + self.force.header.sizeHint().height())
+        is_low = self.height() < 2 * (scaled(MIN_PLOT_HEIGHT_PX) + self.force.header.sizeHint().height())
         self._both.setDirection(QBoxLayout.Direction.LeftToRight if is_low else QBoxLayout.Direction.TopToBottom)
         for curves in (self.force, self.moment):
             curves.break_header(is_low)
@@ -157,7 +157,7 @@ class ReadingsPanel(Panel):
         """Draw the newest readings, unless the last drawing is recent."""
         times, wrench = state.live.wrench_s, state.live.wrench
         # A time before the last one is of another session.
-        if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_PERIOD_S:
+        if not len(times) or 0.0 <= times[-1] - self._newest_s < CURVES_REDRAW_PERIOD_S:
             return
         self._newest_s = float(times[-1])
         good = np.isfinite(wrench).all(axis=1)
@@ -165,13 +165,13 @@ class ReadingsPanel(Panel):
             times, wrench = times[good], wrench[good]
         if not len(times):
             return
-        columns, reduced = min_max_decimation(times, wrench, PLOT_COLUMNS, SPAN_S)
+        columns, reduced = min_max_decimation(times, wrench, MAX_PLOT_COLUMNS_PER_CURVE, TIME_AXIS_SPAN_S)
         before = columns - self._newest_s
         self.force.draw(before, reduced[:, :3])
         self.moment.draw(before, reduced[:, 3:])
-        if self._newest_s - self._numbers_s >= NUMBERS_PERIOD_S:
+        if self._newest_s - self._numbers_s >= NUMBERS_UPDATE_PERIOD_S:
             self._numbers_s = self._newest_s
-            mean = wrench[-MEAN_READINGS:].mean(axis=0)
+            mean = wrench[-READINGS_PER_SHOWN_MEAN:].mean(axis=0)
             self.force.show_numbers(mean[:3])
             self.moment.show_numbers(mean[3:])
 

@@ -21,7 +21,7 @@ from app.state.memo import is_same
 from app.state.view_state import ViewState
 from app.text.guidance_text import gain_words, landmark_words
 from app.text.rig_text import landmark_rows, offer_text, review_words
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 from skincal.contacts.outcome import Contact
 from skincal.model.actions import SetPose, Uncorrect
 from skincal.model.readings import Stream
@@ -64,7 +64,7 @@ class ArmPanel(QWidget):
             row.setData(0, Qt.ItemDataRole.UserRole, name)
             row.setText(1, "   ".join(cell(float(angle), "rad") for angle in np.atleast_1d(arm.poses[name])))
         column = QVBoxLayout(self)
-        column.setContentsMargins(0, GAP, 0, 0)
+        column.setContentsMargins(0, WIDGET_GAP_PX, 0, 0)
         column.addWidget(self.current)
         column.addWidget(self.how)
         column.addWidget(self.poses)
@@ -129,7 +129,7 @@ class RigPanel(Panel):
     def _arrange(self) -> None:
         inner = panel_scroll_area(self)
         column = QVBoxLayout(inner)
-        column.setContentsMargins(GAP, GAP, GAP, GAP)
+        column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         column.addWidget(self.asked)
         column.addWidget(self.said)
         row = QHBoxLayout()

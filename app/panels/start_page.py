@@ -7,7 +7,7 @@ from PySide6.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
 from app.panels.widgets import secondary_label
 from app.text_size import scaled
-from app.theme import GAP
+from app.theme import WIDGET_GAP_PX
 
 BUTTON_PX = 420
 BUTTON_TEXTS = {
@@ -34,7 +34,7 @@ class StartPage(QWidget):
         self.hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.buttons: dict[str, QPushButton] = {}
         self._column = QVBoxLayout(self)
-        self._column.setSpacing(GAP)
+        self._column.setSpacing(WIDGET_GAP_PX)
         self._column.addStretch(1)
         self._column.addWidget(self.words)
         for name, text in BUTTON_TEXTS.items():

@@ -48,7 +48,7 @@ from app.state.view_state import ViewState
 from app.text.guidance_text import done_channels, needs_words
 from app.text.outcomes import MARK_WORDS, METHOD_NAMES, error_words, pokes_words, summary_words
 from app.text_size import scaled
-from app.theme import GAP, HUES
+from app.theme import HUES, WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance
 from skincal.model.scene import Scene
@@ -56,25 +56,25 @@ from skincal.model.skin import Layout
 from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames, number
 
-MIN_TURN_GAIN = 1.25
+MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP = 1.25
 """Without a laid skin, a map that is this many times higher than wide is turned by a quarter."""
 QUARTER_ROTATIONS = tuple(np.round([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in np.arange(4) * np.pi / 2)
 """(2, 2) float each: turns to the left by none, one, two and three quarters."""
-ZOOM_STEP = 1.25  # Factor of one notch of the wheel, or key
-MAX_RADIUS_PX = 16.0  # Largest radius of a mark when the map is enlarged
-SMALL_RADIUS_PX = 3.0
+ZOOM_FACTOR_PER_STEP = 1.25  # Factor of one notch of the wheel, or key
+MAX_TAXEL_MARK_RADIUS_PX = 16.0  # Largest radius of a mark when the map is enlarged
+SMALL_TAXEL_MARK_RADIUS_PX = 3.0
 """Below this radius a quarter looks like a half; strength tells the state in addition to the shape."""
 MARK_OPACITY = {Mark.UNSEEN: 0.35, Mark.BLIND: 0.55, Mark.ROUGH: 0.75}  # Of a small mark
-MARK_RADIUS_SHARE = 0.30
+MARK_RADIUS_OVER_TAXEL_SPACING = 0.30
 """Radius of a mark over the distance of neighbours: marks do not touch, and an answer shows around them."""
-NUMBER_HEIGHT_SHARE = 0.42  # Height of a module's number over that of the module
-MIN_NUMBER_PX = 9.0  # A smaller number cannot be read
-NUMBER_INK = 0.35  # Share of the text's colour in it: legible where no taxel is, and not distracting
+NUMBER_HEIGHT_OVER_MODULE_HEIGHT = 0.42  # Height of a module's number over that of the module
+MIN_MODULE_NUMBER_HEIGHT_PX = 9.0  # A smaller number cannot be read
+MODULE_NUMBER_OPACITY = 0.35  # Share of the text's colour in it: legible where no taxel is, and not distracting
 RING_SHARE, TARGET_SHARE, MIN_TARGET_PX = 1.75, 2.5, 9.0
 """Radius of the rings around the selected taxel and the target over that of a mark; pixels of the latter at least."""
-MIN_WEDGE_PX = 9.0  # Size of the wedge of an ambiguous taxel at least
+MIN_AMBIGUOUS_TAXEL_WEDGE_PX = 9.0  # Size of the wedge of an ambiguous taxel at least
 NAME_PX, PLATE_OPACITY = 13, 0.85  # Height of the target's name, and the opacity of its background
-CLICK_REACH_PX = 14.0  # A click this near to a taxel means it
+MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a taxel means it
 ARROW_KEYS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Left: (-1, 0),
     Qt.Key.Key_Right: (1, 0),
@@ -82,9 +82,9 @@ ARROW_KEYS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Down: (0, -1),
 }
 ZOOM_KEYS: dict[int, float] = {
-    Qt.Key.Key_Plus: ZOOM_STEP,
-    Qt.Key.Key_Equal: ZOOM_STEP,
-    Qt.Key.Key_Minus: 1 / ZOOM_STEP,
+    Qt.Key.Key_Plus: ZOOM_FACTOR_PER_STEP,
+    Qt.Key.Key_Equal: ZOOM_FACTOR_PER_STEP,
+    Qt.Key.Key_Minus: 1 / ZOOM_FACTOR_PER_STEP,
     Qt.Key.Key_0: 0.0,
 }
 GOOD_MM = f"{GOOD_RMS * 1e3:.0f} mm"
@@ -153,7 +153,7 @@ def lay_out_map(layout: Layout | None, channels: IntArray, turns: int | None = N
         return MapLayout(channels, np.stack([column, -row], axis=1).astype(float), 1.0)
     if turns is None:
         across, up = np.ptp(layout.places[channels], axis=0)
-        turns = 3 if up > MIN_TURN_GAIN * across else 0
+        turns = 3 if up > MIN_HEIGHT_OVER_WIDTH_TO_TURN_MAP * across else 0
     turn = QUARTER_ROTATIONS[turns].T
     outlines = tuple(module.outline @ turn for module in layout.modules)
     labels = tuple(str(module.id) for module in layout.modules)
@@ -275,7 +275,7 @@ class TaxelMap(pg.GraphicsView):
             return None
         away = np.linalg.norm(self._plan.places - self._map_point(point), axis=1) * self._scale
         nearest = int(np.argmin(away))
-        return int(self._plan.channels[nearest]) if away[nearest] <= max(CLICK_REACH_PX, 2 * self._radius()) else None
+        return int(self._plan.channels[nearest]) if away[nearest] <= max(MAX_CLICK_DISTANCE_PX, 2 * self._radius()) else None
 
     def place_of(self, channel: int) -> QPointF:
         """Return the position of a channel, pixels of the widget."""
@@ -292,8 +292,8 @@ class TaxelMap(pg.GraphicsView):
         return "\n".join(filter(None, (name, f"{state}{rival}", needs, f"answers {answer} above its baseline")))
 
     def zoom(self, factor: float, point: QPointF) -> None:
-        """Zoom by a factor, up to `MAX_RADIUS_PX` or until all is seen; a point of the widget stays where it is."""
-        largest = MAX_RADIUS_PX / (self._plan.spacing * MARK_RADIUS_SHARE * self._scale / self._zoom)
+        """Zoom by a factor, up to `MAX_TAXEL_MARK_RADIUS_PX` or until all is seen; a point of the widget stays where it is."""
+        largest = MAX_TAXEL_MARK_RADIUS_PX / (self._plan.spacing * MARK_RADIUS_OVER_TAXEL_SPACING * self._scale / self._zoom)
         zoom, kept = min(max(1.0, self._zoom * factor), max(1.0, largest)), self._map_point(point)
         self._middle = kept + (self._middle - kept) * self._zoom / zoom
         self._zoom = zoom
@@ -314,7 +314,7 @@ class TaxelMap(pg.GraphicsView):
         return QGraphicsView.close(self)
 
     def wheelEvent(self, ev: QWheelEvent) -> None:
-        self.zoom(ZOOM_STEP ** (ev.angleDelta().y() / 120.0), ev.position())
+        self.zoom(ZOOM_FACTOR_PER_STEP ** (ev.angleDelta().y() / 120.0), ev.position())
         ev.accept()
 
     def mousePressEvent(self, ev: QMouseEvent) -> None:
@@ -369,7 +369,7 @@ class TaxelMap(pg.GraphicsView):
         self.viewport().update()
 
     def _radius(self) -> float:
-        return max(1.0, self._plan.spacing * self._scale * MARK_RADIUS_SHARE)
+        return max(1.0, self._plan.spacing * self._scale * MARK_RADIUS_OVER_TAXEL_SPACING)
 
     def _map_point(self, point: QPointF) -> FloatArray:
         """Return (2,) the point of the map at a point of the widget."""
@@ -423,9 +423,9 @@ class TaxelMap(pg.GraphicsView):
             polygon.setBrush(mix(colours.panel, hue, 0.07))
             corners, size = self._plan.outlines[index], float(np.ptp(self._plan.outlines[index], axis=0).min())
             text.setFont(font)
-            text.setBrush(mix(colours.panel, colours.text, NUMBER_INK))
-            text.setVisible(size * NUMBER_HEIGHT_SHARE * self._scale >= MIN_NUMBER_PX)
-            scale, middle = size * NUMBER_HEIGHT_SHARE / 40.0, text.boundingRect().center()
+            text.setBrush(mix(colours.panel, colours.text, MODULE_NUMBER_OPACITY))
+            text.setVisible(size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT * self._scale >= MIN_MODULE_NUMBER_HEIGHT_PX)
+            scale, middle = size * NUMBER_HEIGHT_OVER_MODULE_HEIGHT / 40.0, text.boundingRect().center()
             # Upright, although y of the map points up.
             move = QTransform.fromTranslate(*corners.mean(axis=0).tolist())
             text.setTransform(QTransform.fromTranslate(-middle.x(), -middle.y()) * QTransform.fromScale(scale, -scale) * move)
@@ -436,7 +436,7 @@ class TaxelMap(pg.GraphicsView):
         brushes: dict[tuple[int, str], QBrush] = {}
         for value, hue in {*zip(values, self._hues, strict=True)}:
             colour = QColor(colours.muted if value == Mark.DEAD.value else hue or colours.muted)
-            colour.setAlphaF(MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_RADIUS_PX else 1.0)
+            colour.setAlphaF(MARK_OPACITY.get(Mark(value), 1.0) if radius < SMALL_TAXEL_MARK_RADIUS_PX else 1.0)
             brushes[value, hue] = QBrush(colour)
         self._states.setData(
             pos=self._plan.places, size=2.0 * radius, pen=None, symbol=[self._symbols[value] for value in values],
@@ -445,8 +445,8 @@ class TaxelMap(pg.GraphicsView):
         # A wedge at the upper right of each taxel that may as well lie elsewhere.
         rivals = self._plan.places[np.isin(self._plan.channels, list(self._rivals))] + 0.9 * radius / self._scale
         self._wedges.setData(
-            pos=rivals, size=max(MIN_WEDGE_PX, 1.8 * radius), symbol=_wedge_path(), brush=pg.mkBrush(colours.text),
-            pen=pg.mkPen(colours.panel, width=1.2),
+            pos=rivals, size=max(MIN_AMBIGUOUS_TAXEL_WEDGE_PX, 1.8 * radius), symbol=_wedge_path(),
+            brush=pg.mkBrush(colours.text), pen=pg.mkPen(colours.panel, width=1.2),
         )  # fmt: skip
 
     def _draw_halos(self) -> None:
@@ -514,7 +514,7 @@ class MapCard(QFrame):
         self.methods.setAccessibleName("method")
         self.methods.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         grid = QGridLayout(self)
-        grid.setContentsMargins(GAP + 4, GAP // 2, GAP // 2, 1)
+        grid.setContentsMargins(WIDGET_GAP_PX + 4, WIDGET_GAP_PX // 2, WIDGET_GAP_PX // 2, 1)
         grid.setVerticalSpacing(0)
         grid.addWidget(self.progress, 0, 0, 1, 2)
         grid.addWidget(self.errors, 1, 0)

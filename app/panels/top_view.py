@@ -10,20 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.scene3d.camera import CameraPose
-from app.scene3d.lines import TOOL_LENGTH, cone_rim
+from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, cone_rim
 from skincal.geometry import FloatArray, IntArray
 from skincal.guide.guidance import Guidance, Target
 from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity, GuideSettings
 from skincal.taxels.result import Method
 
-DIAL_RADIUS = 0.022  # m. Half the width of the dial: a tool that leans by 39 degrees ends at its rim.
+DIAL_RADIUS_M = 0.022  # m. Half the width of the dial: a tool that leans by 39 degrees ends at its rim.
 RIM_SINE = float(np.sin(np.radians(45.0)))
 """Sine of the tilt at the rim of a picture of axis diversity; directions beyond are drawn at the rim."""
-TAXEL_RADIUS = 0.005
+CONTACT_PLOT_RADIUS_M = 0.005
 """m. Half the width of the picture of contacts around a taxel: the distance to its neighbour."""
-SHADE_POINTS = 48  # Points across a shade
-SHADE_SIGMA = 0.18
+SHADE_POINTS_PER_SIDE = 48  # Points across a shade
+SHADE_SMOOTHING_SIN_TILT = 0.18
 """Smoothing width of the shade, as sine of tilt: half the spacing of the sampled directions."""
 
 
@@ -69,14 +69,14 @@ def top_view(guidance: Guidance, target: Target, coaching: PokeError | None, acc
     # The upper end is wanted relative to the tip, even if that is off target.
     tip = np.zeros(2) if coaching is None else -(axes @ coaching.off)
     apart = (guidance.places - target.place) @ axes.T
-    near = np.flatnonzero((np.sum(apart * apart, axis=1) < DIAL_RADIUS**2) & (guidance.channels != target.channel))
+    near = np.flatnonzero((np.sum(apart * apart, axis=1) < DIAL_RADIUS_M**2) & (guidance.channels != target.channel))
     return TopView(
         channels=guidance.channels[near],
         taxels=apart[near],
-        wanted=tip - TOOL_LENGTH * (axes @ target.push),
-        room=tip - TOOL_LENGTH * (cone_rim(target.push, accepted) @ axes.T),
+        wanted=tip - DRAWN_TOOL_LENGTH_M * (axes @ target.push),
+        room=tip - DRAWN_TOOL_LENGTH_M * (cone_rim(target.push, accepted) @ axes.T),
         tip=None if coaching is None else tip,
-        upper=None if coaching is None else tip - TOOL_LENGTH * (axes @ coaching.push),
+        upper=None if coaching is None else tip - DRAWN_TOOL_LENGTH_M * (axes @ coaching.push),
         right=coaching is not None and coaching.error <= accepted,
     )
 
@@ -106,10 +106,10 @@ def diversity_view(diversity: AxisDiversity, method: Method, eye: CameraPose) ->
         shade = _shade(tried, diversity.worth, limit)
         wanted = tried[diversity.worth.argmax()] if shade.any() else None
     else:
-        dots, middle = diversity.offsets @ axes.T / TAXEL_RADIUS, diversity.beside @ axes.T / TAXEL_RADIUS
+        dots, middle = diversity.offsets @ axes.T / CONTACT_PLOT_RADIUS_M, diversity.beside @ axes.T / CONTACT_PLOT_RADIUS_M
         # The modules method needs no contacts around each taxel.
-        limit = GuideSettings().balance / TAXEL_RADIUS if method is Method.SURFACE else 0.0
-        shade = np.zeros((SHADE_POINTS, SHADE_POINTS))
+        limit = GuideSettings().balance / CONTACT_PLOT_RADIUS_M if method is Method.SURFACE else 0.0
+        shade = np.zeros((SHADE_POINTS_PER_SIDE, SHADE_POINTS_PER_SIDE))
         wanted = None
     return AxisDiversityView(_within(dots), limit, None if middle is None else _within(middle[None])[0], wanted, shade)
 
@@ -122,12 +122,12 @@ def _within(points: FloatArray) -> FloatArray:
 
 def _shade(tried: FloatArray, worth: FloatArray, limit: float) -> FloatArray:
     """Return the benefit inside the limit, smoothed from that of the sampled pushes, (d, 2)."""
-    step = (np.arange(SHADE_POINTS) + 0.5) / SHADE_POINTS * 2.0 - 1.0
+    step = (np.arange(SHADE_POINTS_PER_SIDE) + 0.5) / SHADE_POINTS_PER_SIDE * 2.0 - 1.0
     grid = np.stack(np.meshgrid(step, -step), axis=-1)
     most = float(worth.max())
     if not most > 0.0:
-        return np.zeros((SHADE_POINTS, SHADE_POINTS))
+        return np.zeros((SHADE_POINTS_PER_SIDE, SHADE_POINTS_PER_SIDE))
     square = np.sum((grid[:, :, None] - tried) ** 2, axis=-1)
-    near = np.exp(-square / (2.0 * (SHADE_SIGMA / RIM_SINE) ** 2))
+    near = np.exp(-square / (2.0 * (SHADE_SMOOTHING_SIN_TILT / RIM_SINE) ** 2))
     spread = (near @ worth) / (most * near.sum(axis=-1))
     return np.where(np.sum(grid**2, axis=-1) <= limit**2, np.clip(spread, 0.0, 1.0), 0.0)

@@ -42,8 +42,8 @@ from app.text_size import scaled, set_font, text_scale
 from app.theme import DARK, LIGHT, Colours
 from skincal.model.errors import plain_text
 
-MAX_ROWS = 12  # Rows of a table that is as high as its rows
-MIN_FITTED_SHARE = 0.75  # Large type below this share of its size cannot be read from two metres
+MAX_TABLE_ROWS_WITHOUT_SCROLLING = 12  # Rows of a table that is as high as its rows
+MIN_FITTED_FONT_SCALE = 0.75  # Large type below this share of its size cannot be read from two metres
 POSITION_FILES = "Known positions (*.json *.csv *.urdf *.txt *.ini);;All files (*)"
 
 
@@ -118,12 +118,12 @@ class FittedLabel(ElidedLabel):
     """One line of large type; it is drawn smaller if it does not fit, and only then with an ellipsis."""
 
     def fitted(self) -> QFont:
-        """Return the font of the drawn text: the label's own, or down to `MIN_FITTED_SHARE` of it.
+        """Return the font of the drawn text: the label's own, or down to `MIN_FITTED_FONT_SCALE` of it.
 
         With a larger text size, large type may shrink to the same absolute size, but not below the text around it.
         """
         font, step = QFont(self.font()), 0.5
-        least = MIN_FITTED_SHARE * font.pointSizeF()
+        least = MIN_FITTED_FONT_SCALE * font.pointSizeF()
         least = min(least, max(least / text_scale(), QApplication.font().pointSizeF()))
         while QFontMetrics(font).horizontalAdvance(self.text()) > self.width() and font.pointSizeF() - step >= least:
             font.setPointSizeF(font.pointSizeF() - step)
@@ -206,7 +206,7 @@ def put_rows(tree: QTreeWidget, rows: Sequence[Sequence[str]]) -> None:
             item.setText(column, text)
 
 
-def fit_rows(tree: QTreeWidget, most: int = MAX_ROWS) -> None:
+def fit_rows(tree: QTreeWidget, most: int = MAX_TABLE_ROWS_WITHOUT_SCROLLING) -> None:
     """Make a table as high as its rows, up to `most`; beyond that it scrolls."""
     row = tree.sizeHintForRow(0) if tree.topLevelItemCount() else 0
     height = tree.header().sizeHint().height() + row * min(tree.topLevelItemCount(), most) + 2 * tree.frameWidth() + 2

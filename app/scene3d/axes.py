@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 import pyvista as pv
 
-from app.scene3d.lines import TOOL_LENGTH
+from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, Segments
 from app.scene3d.scene_state import SceneColours, StaticScene, View3DState
 from skincal.contacts.outcome import Contact, Progress
@@ -16,8 +16,8 @@ from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.mesh.surface import contact_point
 from skincal.session.snapshot import Snapshot
 
-MAX_AXES = 30  # Axes of the selected taxel: more are a tangle, and the newest count most
-LENGTH_BEYOND = 0.012  # m. Length of an axis beyond the contact: enough depth to see where axes cross.
+MAX_DRAWN_FORCE_AXES = 30  # Axes of the selected taxel: more are a tangle, and the newest count most
+AXIS_LENGTH_BEYOND_CONTACT_M = 0.012  # m. Length of an axis beyond the contact: enough depth to see where axes cross.
 
 
 class AxesLayer(Layer):
@@ -93,7 +93,7 @@ def _key(progress: Progress) -> bytes:
 
 def _span(at: FloatArray, directions: FloatArray) -> FloatArray:
     """Return the drawn parts of force axes through points, (n, 2, 3) float, metres."""
-    return np.stack([at - TOOL_LENGTH * directions, at + LENGTH_BEYOND * directions], axis=1)
+    return np.stack([at - DRAWN_TOOL_LENGTH_M * directions, at + AXIS_LENGTH_BEYOND_CONTACT_M * directions], axis=1)
 
 
 def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
@@ -105,4 +105,4 @@ def _axis_of(contact: Contact) -> tuple[FloatArray, FloatArray]:
 def _contacts_of(snapshot: Snapshot, channel: int) -> list[Contact]:
     """Return the newest contacts that a channel answered, without excluded ones."""
     counting = (record.outcome for record in reversed(snapshot.pokes) if not record.excluded)
-    return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MAX_AXES))
+    return list(islice((c for c in counting if isinstance(c, Contact) and channel in c.channels), MAX_DRAWN_FORCE_AXES))

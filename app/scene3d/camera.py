@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.scene3d.scene_state import BALL_DIAMETER, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, View3DState
 from skincal.geometry import FloatArray, cross_matrix
 from skincal.guide.guidance import Target
 from skincal.guide.press_coaching import PRESSING_PHASES
@@ -21,22 +21,22 @@ from skincal.mesh.surface import Surface, point_on_skin
 if TYPE_CHECKING:
     from vtkmodules.vtkRenderingCore import vtkCamera, vtkRenderer
 
-VIEW_ANGLE_DEG = 24.0  # Narrow, so that sizes compare across the part, but wide enough to show depth
-VIEW_SLOPE = float(np.tan(np.radians(VIEW_ANGLE_DEG / 2)))
-FIT_MARGIN = 1.08  # Size of the picture over that of the part
-MIN_ELONGATION = 2.0  # Extent of a long part along its longest axis over that along the next, at least
+CAMERA_VIEW_ANGLE_DEG = 24.0  # Narrow, so that sizes compare across the part, but wide enough to show depth
+VIEW_SLOPE = float(np.tan(np.radians(CAMERA_VIEW_ANGLE_DEG / 2)))
+VIEW_SIZE_OVER_PART_SIZE = 1.08  # Size of the picture over that of the part
+LONG_PART_MIN_LENGTH_RATIO = 2.0  # Extent of a long part along its longest axis over that along the next, at least
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 20.0  # m, of the camera to what it looks at
-TURN_S = 0.36  # Slower turns keep the operator waiting; the eye does not follow faster ones
-AFTER_MANUAL_MOVE_S = 3.0
+CAMERA_TURN_DURATION_S = 0.36  # Slower turns keep the operator waiting; the eye does not follow faster ones
+PAUSE_AFTER_MANUAL_MOVE_S = 3.0
 MIN_FACING = float(np.cos(np.radians(50.0)))
 """Cosine. Skin that is turned away by more is seen at too flat an angle to aim."""
 RESIDUAL_TILT = float(np.radians(20.0))
 """rad between the view and the normal after a turn: a push that is seen from exactly above would be a dot."""
-TARGET_MAX_VIEW_SHARE = 0.75
+TARGET_MAX_OFFSET_OVER_HALF_VIEW = 0.75
 """Of the way from the middle of the picture to its edge: a target further out is brought to the middle."""
 MIN_BALL_PX, TARGET_BALL_PX = 5.0, 14.0
 """A target with a ball smaller than the first is brought closer, until the ball has the second size."""
-MIN_LEVEL_SIN = 0.3  # The part's level axis is kept level unless the camera looks along it by less than this
+MIN_SIN_VIEW_TO_LEVEL_AXIS = 0.3  # The part's level axis is kept level unless the camera looks along it by less than this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +129,7 @@ def place(camera: vtkCamera, pose: CameraPose) -> None:
     camera.SetFocalPoint(*pose.focus)
     camera.SetPosition(*pose.position)
     camera.SetViewUp(*pose.up)
-    camera.SetViewAngle(VIEW_ANGLE_DEG)
+    camera.SetViewAngle(CAMERA_VIEW_ANGLE_DEG)
 
 
 def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_height: float) -> CameraPose:
@@ -148,7 +148,7 @@ def fit(points: FloatArray, facing_: FloatArray | None, aspect: float, min_half_
 def fit_from(points: FloatArray, centre: FloatArray, axes: FloatArray, aspect: float, min_half_height: float) -> CameraPose:
     """Return the pose with these axes, (3, 3), that looks at `centre`, (3,), and has all points in the picture; see `fit`."""
     seen = (points - centre) @ axes.T if len(points) else np.zeros((1, 3))
-    distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * FIT_MARGIN / VIEW_SLOPE + seen[:, 2]
+    distances = np.maximum(np.abs(seen[:, 1]), np.abs(seen[:, 0]) / aspect) * VIEW_SIZE_OVER_PART_SIZE / VIEW_SLOPE + seen[:, 2]
     return CameraPose(axes, centre, max(float(distances.max()), min_half_height / VIEW_SLOPE))
 
 
@@ -169,7 +169,7 @@ def first_frame(points: FloatArray, facing_: FloatArray | None) -> tuple[FloatAr
 
 def _level(variances: FloatArray, principal: FloatArray, back: FloatArray) -> FloatArray:
     """Return the axis that is level in the picture: a long part's long axis, else one that keeps the link's z axis upright."""
-    if variances[2] < MIN_ELONGATION**2 * variances[1] and abs(float(back[2])) < 0.9:
+    if variances[2] < LONG_PART_MIN_LENGTH_RATIO**2 * variances[1] and abs(float(back[2])) < 0.9:
         return np.cross([0.0, 0.0, 1.0], back)
     along = principal[:, 2] if abs(float(principal[:, 2] @ back)) < 0.9 else principal[:, 1]
     return along * np.sign(along[np.argmax(np.abs(along))])
@@ -180,7 +180,7 @@ def long_axis(points: FloatArray) -> FloatArray | None:
     if len(points) < 3:
         return None
     variances, principal = np.linalg.eigh(np.cov(points.T))
-    return principal[:, 2] if variances[2] >= MIN_ELONGATION**2 * variances[1] else None
+    return principal[:, 2] if variances[2] >= LONG_PART_MIN_LENGTH_RATIO**2 * variances[1] else None
 
 
 def rotate(camera: vtkCamera, right_deg: float, up_deg: float) -> None:
@@ -213,7 +213,8 @@ def is_inside(pose: CameraPose, at: FloatArray, aspect: float) -> bool:
     """Return whether a point is well inside a picture of this width over height."""
     away = max(float((pose.position - at) @ pose.axes[2]), MIN_DISTANCE)
     return bool(
-        np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max() <= TARGET_MAX_VIEW_SHARE
+        np.abs(pose.axes[:2] @ (at - pose.focus) / (away * VIEW_SLOPE * np.array([aspect, 1.0]))).max()
+        <= TARGET_MAX_OFFSET_OVER_HALF_VIEW
     )
 
 
@@ -234,9 +235,9 @@ def turn_to(pose: CameraPose, at: FloatArray, normal: FloatArray, aspect: float,
 def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> FloatArray:
     """Return (3, 3) the axes of a camera that looks against `back`: level where it can be, else as upright as it was."""
     right = np.zeros(3) if level is None else level - float(level @ back) * back
-    if float(np.linalg.norm(right)) < MIN_LEVEL_SIN:
+    if float(np.linalg.norm(right)) < MIN_SIN_VIEW_TO_LEVEL_AXIS:
         right = np.cross(axes[1], back)
-        if float(np.linalg.norm(right)) < MIN_LEVEL_SIN:
+        if float(np.linalg.norm(right)) < MIN_SIN_VIEW_TO_LEVEL_AXIS:
             right = axes[0] - (axes[0] @ back) * back
     elif float(right @ axes[0]) < 0.0:
         right = -right
@@ -247,9 +248,9 @@ def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> Fl
 def move_closer(pose: CameraPose, at: FloatArray, height: float) -> CameraPose:
     """Return the pose, or a nearer one where a ball at a point would be smaller than `MIN_BALL_PX` in a picture so high."""
     away = float((pose.position - at) @ pose.axes[2])
-    if BALL_DIAMETER * height >= MIN_BALL_PX * 2.0 * VIEW_SLOPE * away:
+    if ESTIMATE_BALL_DIAMETER_M * height >= MIN_BALL_PX * 2.0 * VIEW_SLOPE * away:
         return pose
-    return CameraPose(pose.axes, at, max(MIN_DISTANCE, BALL_DIAMETER * height / (TARGET_BALL_PX * 2.0 * VIEW_SLOPE)))
+    return CameraPose(pose.axes, at, max(MIN_DISTANCE, ESTIMATE_BALL_DIAMETER_M * height / (TARGET_BALL_PX * 2.0 * VIEW_SLOPE)))
 
 
 def interpolate(start: CameraPose, end: CameraPose, share: float) -> CameraPose:
@@ -315,7 +316,7 @@ class AutoCamera:
             # After the poke an interrupted turn begins again.
             self._is_due, self._way = self._is_due or self._way is not None, None
             return False
-        if self.held or now_s - self._touched_s < AFTER_MANUAL_MOVE_S:
+        if self.held or now_s - self._touched_s < PAUSE_AFTER_MANUAL_MOVE_S:
             return False
         if self._is_due:
             self._is_due = False
@@ -328,7 +329,7 @@ class AutoCamera:
         if self._way is None:
             return False
         start, end, begun_s = self._way
-        share = min(1.0, (now_s - begun_s) / TURN_S)
+        share = min(1.0, (now_s - begun_s) / CAMERA_TURN_DURATION_S)
         place(camera, interpolate(start, end, share))
         if share == 1.0:
             self._way = None

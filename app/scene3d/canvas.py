@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 GL_RENDERER = 0x1F01
 SOFTWARE_RENDERERS = ("llvmpipe", "softpipe", "swrast", "swiftshader", "gdi generic", "basic render")
-GPU_MULTISAMPLES = 4  # Samples a pixel on a graphics card, where they cost little
+GPU_SAMPLES_PER_PIXEL = 4  # Samples a pixel on a graphics card, where they cost little
 DEFAULT_SIZE = (640, 400)  # Pixels of a first picture while the widget has no size yet
 
 
@@ -181,7 +181,7 @@ def mount(
 
         # Drawn only when Qt asks for it; its `render` would draw each picture twice.
         widget = QtInteractor(
-            parent, auto_update=False, multi_samples=GPU_MULTISAMPLES, shape=PLOTTER_SHAPE, border=False, lighting="none"
+            parent, auto_update=False, multi_samples=GPU_SAMPLES_PER_PIXEL, shape=PLOTTER_SHAPE, border=False, lighting="none"
         )  # fmt: skip
         # pyvistaqt would load a mesh that is dropped on it.
         widget.setAcceptDrops(False)

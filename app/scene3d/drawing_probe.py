@@ -17,9 +17,9 @@ PROBE_OPTION = "--probe-drawing"
 WINDOW_CLASS_VARIABLE = "VTK_DEFAULT_OPENGL_WINDOW"
 """VTK's own switch: the class that it makes for a window it is not given."""
 EGL, OSMESA = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"
-PROBE_TIMEOUT_S = 60.0
+DRAWING_PROBE_TIMEOUT_S = 60.0
 """s. A trial needs 0.5 s, on a busy machine some seconds; a driver that hangs would never answer."""
-PICTURE_PX = 16
+PROBE_PICTURE_SIZE_PX = 16
 NOTHING_DRAWS = (
     "No picture can be drawn: neither EGL with a driver nor OSMesa draws here ({why}). "
     "Install them, on Debian or Ubuntu with: apt-get install --no-install-recommends libegl1 libgl1-mesa-dri"
@@ -39,11 +39,11 @@ class DrawingProbe:
     def failure(self) -> str:
         """Wait for the child and say why it did not draw; empty if it did."""
         try:
-            code = self._child.wait(PROBE_TIMEOUT_S)
+            code = self._child.wait(DRAWING_PROBE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
-            return f"{self._window_class} gave no picture in {PROBE_TIMEOUT_S:.0f} s"
+            return f"{self._window_class} gave no picture in {DRAWING_PROBE_TIMEOUT_S:.0f} s"
         if not code:
             return ""
         return (
@@ -88,6 +88,6 @@ def draw_probe_picture(window_class: str) -> int:
     if not window.SupportsOpenGL():
         return 1
     window.SetOffScreenRendering(True)
-    window.SetSize(PICTURE_PX, PICTURE_PX)
+    window.SetSize(PROBE_PICTURE_SIZE_PX, PROBE_PICTURE_SIZE_PX)
     window.Render()
     return 0

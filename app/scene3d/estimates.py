@@ -19,21 +19,21 @@ from vtkmodules.vtkRenderingCore import vtkPointPicker, vtkRenderer
 from app.scene3d.camera import facing
 from app.scene3d.lines import crosses, rings
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, PART, Dots, Layer, MeshActor, Segments
-from app.scene3d.scene_state import BALL_DIAMETER, ColourArray, Comparison, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, ColourArray, Comparison, SceneColours, StaticScene, View3DState
 from skincal.geometry import FloatArray, IntArray
 from skincal.taxels.result import Estimate, Method, State
 
 BALL_PX = (5.0, 34.0)
 """Smallest and largest ball: below it a hue cannot be made out, above it balls hide each other."""
-CLICK_REACH_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
-RING_RADIUS = 2.6e-3  # m
-MARK_RADIUS = 1.3e-3  # m, of an open circle or a cross
-MARK_LIFT = 4e-4  # m. Marks float this far above the part.
-BLIND_HALF_LENGTH = 0.05
+MAX_CLICK_DISTANCE_PX = 14.0  # A click this near to a ball means it: half a finger's width on a common screen
+RING_RADIUS_M = 2.6e-3  # m
+OPEN_MARK_RADIUS_M = 1.3e-3  # m, of an open circle or a cross
+MARK_HEIGHT_ABOVE_PART_M = 4e-4  # m. Marks float this far above the part.
+UNKNOWN_DEPTH_HALF_LENGTH_M = 0.05
 """m. Half of the drawn line of a taxel that is known as a line only: about a forearm's radius."""
 CHI_3DOF_95 = 2.7955  # Square root of the 95 % quantile of chi-square with 3 degrees of freedom
 CHI_2DOF_95 = 2.4477  # The same with 2 degrees of freedom
-MAX_HALF_AXIS = 0.15  # m. Half axes are cut here: beyond it an ellipsoid is a line across the view anyhow.
+MAX_ELLIPSOID_HALF_AXIS_M = 0.15  # m. Half axes are cut here: beyond it an ellipsoid is a line across the view anyhow.
 OTHER_METHODS = (Method.SURFACE, Method.FREE, Method.MODULES)
 """Lines lead to the first of these that exists and is not the shown method."""
 
@@ -69,7 +69,7 @@ class EstimatesLayer(Layer):
         if self.viewpoint is None:
             return
         position = self.viewpoint.pose.position
-        self.balls.pixels = float(np.clip(BALL_DIAMETER / self.viewpoint.pixel, *BALL_PX))
+        self.balls.pixels = float(np.clip(ESTIMATE_BALL_DIAMETER_M / self.viewpoint.pixel, *BALL_PX))
         self.balls.set_pixel_ratio(self.viewpoint.ratio)
         # Negated, since a cosine is NaN where nothing has a far side.
         self.near = ~(facing(self._sides, self.places, position) < 0.0)
@@ -101,7 +101,7 @@ class EstimatesLayer(Layer):
         return self.places[self.near]
 
     def pick(self, x: float, y: float, renderer: vtkRenderer) -> int | None:
-        """Return the channel of the foremost ball at a pixel, else of one within `CLICK_REACH_PX`."""
+        """Return the channel of the foremost ball at a pixel, else of one within `MAX_CLICK_DISTANCE_PX`."""
         if self.viewpoint is None or self.balls.hidden or not self.near.any():
             return None
         self.balls.show(self.places[self.near], self._hues[self.near])
@@ -109,7 +109,7 @@ class EstimatesLayer(Layer):
         picker.PickFromListOn()
         picker.AddPickList(self.balls.actor)
         found = -1
-        for reach in (self.balls.pixels / 2.0, CLICK_REACH_PX):
+        for reach in (self.balls.pixels / 2.0, MAX_CLICK_DISTANCE_PX):
             picker.SetTolerance(reach * self.viewpoint.ratio / float(np.hypot(*self.viewpoint.size)))
             if found < 0 and picker.Pick(x, y, 0.0, renderer):
                 found = picker.GetPointId()
@@ -136,11 +136,11 @@ class EstimatesLayer(Layer):
         selected = [row[state.selected]] if state.selected in row else []
         blind, dead = ([at for at, e in enumerate(estimates) if e.state is kind] for kind in (State.BLIND, State.DEAD))
         drawn = [
-            (blind, rings(*self._places_of(blind), MARK_RADIUS, sides=12), hues[blind][:, None]),
-            (dead, crosses(*self._places_of(dead), MARK_RADIUS), ink),
+            (blind, rings(*self._places_of(blind), OPEN_MARK_RADIUS_M, sides=12), hues[blind][:, None]),
+            (dead, crosses(*self._places_of(dead), OPEN_MARK_RADIUS_M), ink),
             *(
                 (rows, rings(*self._places_of(rows, estimates), radius), ink)
-                for rows, radius in ((touched, RING_RADIUS), (selected, RING_RADIUS), (selected, 1.5 * RING_RADIUS))
+                for rows, radius in ((touched, RING_RADIUS_M), (selected, RING_RADIUS_M), (selected, 1.5 * RING_RADIUS_M))
             ),
         ]
         ends = np.concatenate([lines.reshape(-1, 2, 3) for _, lines, _ in drawn])
@@ -152,7 +152,7 @@ class EstimatesLayer(Layer):
     def _places_of(self, rows: list[int], estimates: Sequence[Estimate] = ()) -> tuple[FloatArray, FloatArray]:
         """Return positions, metres, NaN where unknown, and normals of taxels: by `estimates`, else as planned."""
         normals = self.static.normals[rows]
-        centres = self.static.places[rows] + MARK_LIFT * normals
+        centres = self.static.places[rows] + MARK_HEIGHT_ABOVE_PART_M * normals
         for at, row in enumerate(rows):
             estimate = estimates[row] if row < len(estimates) else None
             if estimate is not None and estimate.position is not None:
@@ -178,10 +178,13 @@ def _alternative(estimate: Estimate, planned: FloatArray) -> FloatArray:
         there = estimate.rival.position[None]
         up = np.array([[0.0, 0.0, 1.0] if estimate.normal is None else estimate.normal])
         line = np.stack([estimate.position[None], there], axis=1)
-        return np.concatenate([line, rings(there, up, RING_RADIUS).reshape(-1, 2, 3)])
+        return np.concatenate([line, rings(there, up, RING_RADIUS_M).reshape(-1, 2, 3)])
     if estimate.line_point is not None and estimate.worst_direction is not None:
         along = (planned - estimate.line_point) @ estimate.worst_direction if np.isfinite(planned).all() else 0.0
-        middle, half = estimate.line_point + along * estimate.worst_direction, BLIND_HALF_LENGTH * estimate.worst_direction
+        middle, half = (
+            estimate.line_point + along * estimate.worst_direction,
+            UNKNOWN_DEPTH_HALF_LENGTH_M * estimate.worst_direction,
+        )
         return np.stack([middle - half, middle + half])[None]
     return NO_POINTS
 
@@ -235,16 +238,18 @@ def region(estimate: Estimate) -> FloatArray:
         return np.empty((0, 1, 2, 3))
     variances, axes = np.linalg.eigh(estimate.covariance)
     is_flat = estimate.method is Method.SURFACE or estimate.triangle is not None
-    half = np.minimum((CHI_2DOF_95 if is_flat else CHI_3DOF_95) * np.sqrt(np.maximum(variances, 0.0)), MAX_HALF_AXIS)
+    half = np.minimum(
+        (CHI_2DOF_95 if is_flat else CHI_3DOF_95) * np.sqrt(np.maximum(variances, 0.0)), MAX_ELLIPSOID_HALF_AXIS_M
+    )
     # eigh sorts upwards: on a surface the first axis is the normal, and the disc is the circle across it.
     return estimate.position + (UNIT_CIRCLES[: 1 if is_flat else 3] * half) @ axes.T
 
 
-DOT_DIAMETER = 1.5e-3
+COMPARED_DOT_DIAMETER_M = 1.5e-3
 """m: half of an estimate's ball, so that the dots of several sets are seen next to each other."""
 DOT_PX = (4.0, 9.0)  # Smallest and largest dot
-MAX_HEAD = 2.4e-3  # m. Length of an arrow's head at most.
-MAX_HEAD_SHARE = 0.4  # Of an arrow's length in its head at most, so that a short arrow is not all head
+MAX_ARROWHEAD_LENGTH_M = 2.4e-3  # m. Length of an arrow's head at most.
+MAX_ARROWHEAD_SHARE_OF_ARROW = 0.4  # Of an arrow's length in its head at most, so that a short arrow is not all head
 
 
 class Heads(MeshActor):
@@ -263,7 +268,7 @@ class Heads(MeshActor):
         shafts, ways, lengths = shafts[lengths > 0.0], ways[lengths > 0.0], lengths[lengths > 0.0]
         self.is_empty = len(shafts) == 0
         if not self.is_empty:
-            size = np.minimum(MAX_HEAD, MAX_HEAD_SHARE * lengths)
+            size = np.minimum(MAX_ARROWHEAD_LENGTH_M, MAX_ARROWHEAD_SHARE_OF_ARROW * lengths)
             tips = pv.PolyData(shafts[:, 1] - (size / lengths / 2)[:, None] * ways)
             tips["way"], tips["size"] = ways, size
             cone = pv.Cone(height=1.0, radius=0.45, resolution=8)
@@ -298,7 +303,7 @@ class CompareLayer(Layer):
             for actor in (self.shafts, self.heads, self.dots):
                 actor.show(NO_POINTS, self.colours.ink)
             return
-        self.dots.pixels = float(np.clip(DOT_DIAMETER / self.viewpoint.pixel, *DOT_PX))
+        self.dots.pixels = float(np.clip(COMPARED_DOT_DIAMETER_M / self.viewpoint.pixel, *DOT_PX))
         self.dots.set_pixel_ratio(self.viewpoint.ratio)
         near = ~(facing(self.static.skin_normals, self.static.places, self.viewpoint.pose.position) < 0.0)
         dots = {name: _select_known(places, near) for name, places in self._shown.sets.items()}

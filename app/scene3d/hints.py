@@ -8,10 +8,10 @@ import pyvista as pv
 from app.scene3d.mesh_actors import FRONT, Label, Layer, Segments
 from app.scene3d.scene_state import StaticScene
 
-EDGE_PX = 26.0  # Between the hints and the edge of the picture
+HINT_EDGE_MARGIN_PX = 26.0  # Between the hints and the edge of the picture
 AXIS_PX, MAX_BAR_PX, TICK_PX = 30.0, 120.0, 5.0
 LINE_PX, RIM_PX = 2.0, 5.0  # Lines, and the background's colour around them
-RIM_DEPTH = 2e-3  # Of the distance to the hints: the rim is behind the lines
+RIM_SETBACK_OVER_HINT_DISTANCE = 2e-3  # Of the distance to the hints: the rim is behind the lines
 
 
 class HintsLayer(Layer):
@@ -30,9 +30,9 @@ class HintsLayer(Layer):
         width, height = np.array(self.viewpoint.size) / self.viewpoint.ratio
         length_mm = round_below(MAX_BAR_PX * pixel * 1e3)
         bar = length_mm * 1e-3 / pixel
-        middle = np.full(2, EDGE_PX + AXIS_PX)
+        middle = np.full(2, HINT_EDGE_MARGIN_PX + AXIS_PX)
         axes = pose.axes[:2].T * AXIS_PX
-        right, low = width - EDGE_PX, EDGE_PX
+        right, low = width - HINT_EDGE_MARGIN_PX, HINT_EDGE_MARGIN_PX
         left, tick = right - bar, np.array([0.0, TICK_PX])
         bar_ends = np.array([(left, low), (right, low)])
         lines = np.stack([
@@ -42,7 +42,7 @@ class HintsLayer(Layer):
         from_middle = (lines.reshape(-1, 2) - (width / 2, height / 2)) * pixel
         points = pose.focus + from_middle @ pose.axes[:2]
         self.lines.show(points, self.colours.ink)
-        self.rim.show(points + RIM_DEPTH * (points - pose.position), self.colours.background)
+        self.rim.show(points + RIM_SETBACK_OVER_HINT_DISTANCE * (points - pose.position), self.colours.background)
         ends = points.reshape(-1, 2, 3)
         letters = [Label(letter, end[0] + 1.35 * (end[1] - end[0]), 0.0, 3.0) for letter, end in zip("xyz", ends, strict=False)]
         above_bar = ends[3].mean(axis=0) + (TICK_PX + 11.0) * pixel * pose.up

@@ -18,12 +18,12 @@ from app.scene3d.mesh_actors import FRONT, Label
 from app.scene3d.scene_state import SceneColours
 from skincal.geometry import FloatArray
 
-FONT_POINTS = 14
+LABEL_FONT_SIZE_PT = 14
 LETTER_PX = np.array([8.5, 20.0])  # Width of a letter and height of a line with its plate, at most
 LABEL_DIRECTIONS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=float)
 """Right and up: where words are tried, in this order."""
-OBSTACLE_PX = 7.0  # Half the width of what labels should not cover
-PLATE_OPACITY = 0.85  # Words on such a plate have a contrast of 4.5:1 on any colour
+LABEL_OBSTACLE_HALF_WIDTH_PX = 7.0  # Half the width of what labels should not cover
+LABEL_BACKGROUND_OPACITY = 0.85  # Words on such a plate have a contrast of 4.5:1 on any colour
 
 
 class Labels:
@@ -34,7 +34,7 @@ class Labels:
         plotter.subplot(0, FRONT)
         self.actor = plotter.add_point_labels(
             self.mesh, "labels", always_visible=True, show_points=False, shape="rect", reset_camera=False, render=False,
-            font_size=FONT_POINTS, shape_opacity=PLATE_OPACITY,
+            font_size=LABEL_FONT_SIZE_PT, shape_opacity=LABEL_BACKGROUND_OPACITY,
         )  # fmt: skip
         self._mapper = cast("vtkLabelPlacementMapper", self.actor.GetMapper())
         self._mapper.SetMaximumLabelFraction(1.0)
@@ -50,7 +50,7 @@ class Labels:
     def set_font_scale(self, scale: float) -> None:
         """Write with letters `scale` times as large as usual."""
         self._scale = scale
-        self._hierarchy.GetTextProperty().SetFontSize(round(FONT_POINTS * scale))
+        self._hierarchy.GetTextProperty().SetFontSize(round(LABEL_FONT_SIZE_PT * scale))
         self._hierarchy.Modified()
 
     def show(self, labels: Sequence[Label], obstacles: FloatArray, viewpoint: Viewpoint) -> None:
@@ -67,7 +67,7 @@ class Labels:
         middles, halves = viewpoint.on_screen(at), np.array([[len(label.text), 1.0] for label in labels]) * LETTER_PX / 2.0
         halves *= self._scale
         edge = np.array(viewpoint.size) / viewpoint.ratio / 2.0
-        taken = np.concatenate([obstacles - OBSTACLE_PX, obstacles + OBSTACLE_PX], axis=1)
+        taken = np.concatenate([obstacles - LABEL_OBSTACLE_HALF_WIDTH_PX, obstacles + LABEL_OBSTACLE_HALF_WIDTH_PX], axis=1)
         for row, (label, half) in enumerate(zip(labels, halves, strict=True)):
             places = middles[row] + (LABEL_DIRECTIONS * (label.gap + half) if label.gap else np.zeros((1, 2)))
             sides = np.minimum((places + half)[:, None], taken[:, 2:]) - np.maximum((places - half)[:, None], taken[:, :2])

@@ -15,12 +15,12 @@ from skincal.model.scene import Landmark
 from skincal.session.landmark_pokes import landmark_normals
 from skincal.session.snapshot import Snapshot
 
-DIAMOND_RADIUS = 2.6e-3
+LANDMARK_DIAMOND_RADIUS_M = 2.6e-3
 """m. From the middle of a diamond to its corners: a screw's head, and well inside the target's ring."""
-MIN_DIAMOND_PX = 8.0  # The same on the screen at least, so that it is found on a whole body
-MAX_NAMES = 12  # More landmarks than this are drawn without their names, which would hide each other
-LABEL_GAP_PX = 6.0  # Between a diamond and its name
-MIN_FACING = 0.05
+MIN_LANDMARK_DIAMOND_RADIUS_PX = 8.0  # The same on the screen at least, so that it is found on a whole body
+MAX_LANDMARKS_WITH_NAMES = 12  # More landmarks than this are drawn without their names, which would hide each other
+LANDMARK_TO_NAME_GAP_PX = 6.0  # Between a diamond and its name
+MIN_LANDMARK_FACING_COSINE = 0.05
 """Cosine. A landmark that is turned further from the camera is behind the part, or seen as a line."""
 
 
@@ -58,16 +58,16 @@ class LandmarksLayer(Layer):
         """Keep the diamonds large enough to be found, and leave out those on the part's far side."""
         if self.viewpoint is None:
             return
-        radius = max(DIAMOND_RADIUS, MIN_DIAMOND_PX * self.viewpoint.pixel)
-        near = facing(self._normals, self.places, self.viewpoint.pose.position) >= MIN_FACING
+        radius = max(LANDMARK_DIAMOND_RADIUS_M, MIN_LANDMARK_DIAMOND_RADIUS_PX * self.viewpoint.pixel)
+        near = facing(self._normals, self.places, self.viewpoint.pose.position) >= MIN_LANDMARK_FACING_COSINE
         fresh = near & np.array([landmark.name not in self._poked for landmark in self._landmarks], dtype=bool)
         diamonds = rings(self.places[near], self._normals[near], radius, sides=4)
         inner = crosses(self.places[fresh], self._normals[fresh], radius)
         sides = np.where(fresh[near][:, None], np.array(self.colours.ink), _pale(self.colours)).repeat(8, axis=0)
         colours = np.concatenate([sides, np.tile(self.colours.ink, (4 * len(inner), 1))])
         self.marks.show(np.concatenate([diamonds.reshape(-1, 3), inner.reshape(-1, 3)]), colours.astype(np.uint8))
-        gap = radius / self.viewpoint.pixel + LABEL_GAP_PX
-        named = self._landmarks if len(self._landmarks) <= MAX_NAMES else ()
+        gap = radius / self.viewpoint.pixel + LANDMARK_TO_NAME_GAP_PX
+        named = self._landmarks if len(self._landmarks) <= MAX_LANDMARKS_WITH_NAMES else ()
         self.labels = [Label(mark.name, mark.place, gap, 1.0) for mark, seen in zip(named, near, strict=False) if seen]
 
 

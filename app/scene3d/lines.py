@@ -6,7 +6,7 @@ import numpy as np
 
 from skincal.geometry import FloatArray
 
-TOOL_LENGTH = 0.035  # m, of a drawn tool: arrow of the target, stick of the dial, force axis outside the part
+DRAWN_TOOL_LENGTH_M = 0.035  # m, of a drawn tool: arrow of the target, stick of the dial, force axis outside the part
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,8 +18,8 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.skin import Layout
 
-FRONT_OPACITY = 0.55
-EDGE_ANGLE_DEG = 40.0  # Edges sharper than this are shaded sharp
+FRONT_FACES_OPACITY = 0.55
+SHARP_EDGE_MIN_ANGLE_DEG = 40.0  # Edges sharper than this are shaded sharp
 
 
 class SurfaceLayer(Layer):
@@ -35,8 +35,8 @@ class SurfaceLayer(Layer):
             self.mesh, culling="front", ambient=0.8, diffuse=0.2, copy_mesh=False, reset_camera=False, render=False
         )  # fmt: skip
         self.outside = plotter.add_mesh(
-            self.mesh, culling="back", opacity=FRONT_OPACITY, ambient=0.25, diffuse=0.75, copy_mesh=False, reset_camera=False,
-            render=False,
+            self.mesh, culling="back", opacity=FRONT_FACES_OPACITY, ambient=0.25, diffuse=0.75, copy_mesh=False,
+            reset_camera=False, render=False,
         )  # fmt: skip
 
     def set_surface(self, surface: Surface) -> None:
@@ -49,18 +49,18 @@ class SurfaceLayer(Layer):
 
 def _shaded(surface: Surface) -> pv.PolyData:
     mesh = pv.PolyData.from_regular_faces(surface.vertices, surface.triangles)
-    mesh.compute_normals(split_vertices=True, feature_angle=EDGE_ANGLE_DEG, consistent_normals=False, inplace=True)
+    mesh.compute_normals(split_vertices=True, feature_angle=SHARP_EDGE_MIN_ANGLE_DEG, consistent_normals=False, inplace=True)
     return mesh
 
 
-OUTLINE_LIFT = 4e-4
+OUTLINE_HEIGHT_ABOVE_PART_M = 4e-4
 """m. Lines and dots float this far above the part, so that the mesh's flat triangles do not cut them."""
-NUMBER_GAP_PX = 2.0  # Between a module's first corner and its number: no taxel is there
-MIN_MODULE_PX = 40.0  # Numbers on modules that are smaller on the screen would cover them
-MIN_FACING = 0.3
+MODULE_TO_NUMBER_GAP_PX = 2.0  # Between a module's first corner and its number: no taxel is there
+MIN_NUMBERED_MODULE_SIZE_PX = 40.0  # Numbers on modules that are smaller on the screen would cover them
+MIN_MODULE_FACING_COSINE = 0.3
 """Cosine. Numbers of modules that are turned further from the camera would overlap at the part's edge."""
-MAX_NUMBERS = 40  # Numbers on more modules than this would cover the skin
-HUE_SHARE = 0.55  # Of the hue in a dot of the plan, the rest is grey: fainter than any estimate
+MAX_NUMBERED_MODULES = 40  # Numbers on more modules than this would cover the skin
+PLAN_DOT_HUE_SHARE = 0.55  # Of the hue in a dot of the plan, the rest is grey: fainter than any estimate
 
 
 class ModulesLayer(Layer):
@@ -89,26 +89,28 @@ class ModulesLayer(Layer):
             known, corners = np.isfinite(places[:, 0]), outline[np.isfinite(outline).all(axis=1)]
             if known.any() and len(corners):
                 normal = normals[known].mean(axis=0)
-                self._numbers.append((Label(str(module.id), corners[0], NUMBER_GAP_PX), normal / np.linalg.norm(normal)))
+                self._numbers.append(
+                    (Label(str(module.id), corners[0], MODULE_TO_NUMBER_GAP_PX), normal / np.linalg.norm(normal))
+                )
                 self._module_size = float(np.ptp(corners, axis=0).max())
 
     def set_colours(self, colours: SceneColours) -> None:
         self.colours = colours
         known = np.isfinite(self.static.places[:, 0])
-        points = (self.static.places + OUTLINE_LIFT * self.static.normals)[known]
-        shades = HUE_SHARE * self.static.hues[known] + (1 - HUE_SHARE) * np.array(colours.faint)
+        points = (self.static.places + OUTLINE_HEIGHT_ABOVE_PART_M * self.static.normals)[known]
+        shades = PLAN_DOT_HUE_SHARE * self.static.hues[known] + (1 - PLAN_DOT_HUE_SHARE) * np.array(colours.faint)
         self.dots.show(points, shades.astype(np.uint8))
 
     def draw(self) -> None:
         """Leave out the numbers of modules that are turned away."""
-        if self.viewpoint is None or len(self._numbers) > MAX_NUMBERS:
+        if self.viewpoint is None or len(self._numbers) > MAX_NUMBERED_MODULES:
             return
         position, is_flat = self.viewpoint.pose.position, self.static.surface is None
         self.labels = [
             label
             for label, normal in self._numbers
-            if self._module_size > MIN_MODULE_PX * self.viewpoint.pixel
-            and (is_flat or facing(normal[None], label.at[None], position)[0] > MIN_FACING)
+            if self._module_size > MIN_NUMBERED_MODULE_SIZE_PX * self.viewpoint.pixel
+            and (is_flat or facing(normal[None], label.at[None], position)[0] > MIN_MODULE_FACING_COSINE)
         ]
 
 
@@ -129,4 +131,6 @@ def _lifted(outline: FloatArray, places: FloatArray, normals: FloatArray) -> Flo
     if not known.any():
         return outline
     distance = np.linalg.norm(outline[:, None] - places[known], axis=-1)
-    return outline + OUTLINE_LIFT * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]
+    return (
+        outline + OUTLINE_HEIGHT_ABOVE_PART_M * normals[known][np.where(np.isfinite(distance), distance, np.inf).argmin(axis=1)]
+    )

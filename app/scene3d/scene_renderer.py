@@ -21,15 +21,15 @@ from app.scene3d.labels import Labels
 from app.scene3d.landmarks import LandmarksLayer
 from app.scene3d.mesh_actors import FRONT, PART, Layer, window_of
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
-from app.scene3d.scene_state import DEFAULT_RADIUS, SceneColours, StaticScene, View3DState
+from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, SceneColours, StaticScene, View3DState
 from app.scene3d.target import TargetLayer
 from skincal.geometry import FloatArray
 
-MIN_HALF_HEIGHT = 0.015  # m, of the view: half a module
+MIN_VIEW_HALF_HEIGHT_M = 0.015  # m, of the view: half a module
 FIRST_LEAN_DEG = (-14.0, -10.0)  # The first view is this far off straight, so that depth can be seen
 PLOTTER_SHAPE = (1, 2)
 """Shape of the plotter's grid: a renderer for the part and one before it, both as large as the picture."""
-POINTS_PER_INCH = 72.0
+FONT_POINTS_PER_INCH = 72.0
 
 
 class SceneRenderer:
@@ -61,7 +61,7 @@ class SceneRenderer:
         self.auto_camera = AutoCamera(static.surface, long_axis(static.extent))
         self._viewpoint: Viewpoint | None = None
         self._scales = (0.0, 0.0)
-        self._known_reach = (np.zeros(3), DEFAULT_RADIUS)
+        self._known_reach = (np.zeros(3), DEFAULT_VIEW_HALF_HEIGHT_M)
         # At the start of every picture, also of those that Qt requests.
         self._observer = self.window.AddObserver(vtkCommand.StartEvent, self._before_picture)
         self.set_colours(colours)
@@ -124,7 +124,7 @@ class SceneRenderer:
         """Bring the whole part into the picture."""
         self.is_moved = False
         has_extent = len(self.static.extent) > 0
-        pose = self.fitted_pose(MIN_HALF_HEIGHT if has_extent else DEFAULT_RADIUS)
+        pose = self.fitted_pose(MIN_VIEW_HALF_HEIGHT_M if has_extent else DEFAULT_VIEW_HALF_HEIGHT_M)
         place(self.camera, pose)
         self._known_reach = pose.focus, camera.VIEW_SLOPE * pose.distance
         if has_extent:
@@ -184,7 +184,7 @@ class SceneRenderer:
         scales, window = self.scales(), self.window
         if scales != self._scales:
             self._scales = scales
-            window.SetDPI(round(POINTS_PER_INCH * scales[0]))
+            window.SetDPI(round(FONT_POINTS_PER_INCH * scales[0]))
             self.labels.set_font_scale(scales[1])
             for layer in self.layers:
                 for actors in layer.parts().values():

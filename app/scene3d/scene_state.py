@@ -31,11 +31,11 @@ ColourArray: TypeAlias = NDArray[np.uint8]
 
 HUES = np.array([list(bytes.fromhex(hue[1:])) for hue in theme.HUES], dtype=np.uint8)
 """(7, 3) the modules' hues: seven that colour-blind people tell apart."""
-BALL_DIAMETER = 3.2e-3
+ESTIMATE_BALL_DIAMETER_M = 3.2e-3
 """m. Diameter of a ball: neighbours of the densest skin here are 5 mm apart, so balls that touch are wrong."""
-DEFAULT_RADIUS = 0.06
+DEFAULT_VIEW_HALF_HEIGHT_M = 0.06
 """m. Half the height of the view while the part's size is unknown: about a forearm's width."""
-MIN_MEAN_NORMAL = 0.3
+ONE_SIDED_SKIN_MIN_MEAN_NORMAL = 0.3
 """Length of the mean normal from which skin has one side to look at: evenly around a tube it is 0, around half of it 0.64."""
 
 
@@ -170,4 +170,4 @@ class StaticScene:
         known = np.isfinite(self.places[:, 0])
         mean = self.normals[known].sum(axis=0) / max(1, int(known.sum()))
         length = float(np.linalg.norm(mean))
-        return None if length < MIN_MEAN_NORMAL else mean / length
+        return None if length < ONE_SIDED_SKIN_MIN_MEAN_NORMAL else mean / length

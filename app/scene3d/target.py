@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pyvista as pv
 
-from app.scene3d.lines import TOOL_LENGTH, closed, cone_rim, tangents
+from app.scene3d.lines import DRAWN_TOOL_LENGTH_M, closed, cone_rim, tangents
 from app.scene3d.mesh_actors import FRONT, NO_POINTS, Label, Layer, MeshActor, Segments, Solid
 from app.scene3d.scene_state import StaticScene, View3DState
 from skincal.geometry import FloatArray
@@ -19,13 +19,13 @@ from skincal.guide.guidance import Target
 from skincal.mesh.surface import point_on_skin
 from skincal.words.units import ChannelNames
 
-RING_RADIUS = 4.6e-3  # m: around the rings of a selected taxel, and below the distance to the next one
+TARGET_RING_RADIUS_M = 4.6e-3  # m: around the rings of a selected taxel, and below the distance to the next one
 CORE_RADIUS, OUTLINE_RADIUS = 0.36e-3, 0.75e-3
 """m, of the ring's tube and the arrow's shaft: white, and black around it."""
 HEAD_LENGTH, HEAD_RADIUS = 8e-3, 2.2e-3  # m
-MIN_RING_PX = 13.0  # Radius of the ring at least, so that it is found on a whole body
-CONE_SPOKES = 4  # Lines of the cone, from the tip to its rim
-LABEL_GAP_PX = 9.0  # Between ring and name
+MIN_TARGET_RING_RADIUS_PX = 13.0  # Radius of the ring at least, so that it is found on a whole body
+TARGET_CONE_LINE_COUNT = 4  # Lines of the cone, from the tip to its rim
+TARGET_RING_TO_NAME_GAP_PX = 9.0  # Between ring and name
 LABEL_FREE_SHARES = np.linspace(0.2, 1.0, 6)  # Shares of the arrow's length, at which labels keep clear of it
 BLACK, WHITE = (0, 0, 0), (255, 255, 255)
 
@@ -43,7 +43,7 @@ class TargetLayer(Layer):
         self.ring, self.arrow = Solid(plotter, _ring(CORE_RADIUS)), Solid(plotter, _arrow(0.0))
         self.cone = Segments(plotter, FRONT, 1.5)
         self.at: FloatArray = np.zeros(3)  # (3,) float, metres: where the target's line meets the skin
-        self._length = TOOL_LENGTH
+        self._length = DRAWN_TOOL_LENGTH_M
         self._key: tuple[object, ...] = ()
         self._leeway = 0.0  # rad, half angle of the cone
         self._target: Target | None = None
@@ -70,8 +70,8 @@ class TargetLayer(Layer):
         """Keep the ring large enough to be found when the camera moves away."""
         target, scale = self._target, 1.0
         if self.viewpoint is not None:
-            scale = max(1.0, MIN_RING_PX * self.viewpoint.pixel / RING_RADIUS)
-        self.labels, self._length = (), scale * TOOL_LENGTH
+            scale = max(1.0, MIN_TARGET_RING_RADIUS_PX * self.viewpoint.pixel / TARGET_RING_RADIUS_M)
+        self.labels, self._length = (), scale * DRAWN_TOOL_LENGTH_M
         if target is None:
             for actor in (*self.parts()[self.name], self.cone):
                 actor.show(NO_POINTS, BLACK)
@@ -85,7 +85,7 @@ class TargetLayer(Layer):
         lines = _cone(target.push, self._leeway) if self._leeway else NO_POINTS
         self.cone.show(self.at + scale * lines, ((np.array(self.colours.ink, float) + self.colours.faint) / 2).astype(np.uint8))
         if self.viewpoint is not None and target.channel is not None and not target.landmark:
-            gap = scale * RING_RADIUS / self.viewpoint.pixel + LABEL_GAP_PX
+            gap = scale * TARGET_RING_RADIUS_M / self.viewpoint.pixel + TARGET_RING_TO_NAME_GAP_PX
             if target.normal @ (self.viewpoint.pose.position - self.at) > 0.0:
                 self.labels = (Label(self._names.short(target.channel), self.at, gap, 2.0),)
 
@@ -106,25 +106,25 @@ def _frame(third: FloatArray) -> FloatArray:
 def _ring(tube_radius: float) -> pv.PolyData:
     """Make a ring about the z axis."""
     return pv.ParametricTorus(
-        ringradius=RING_RADIUS, crosssectionradius=tube_radius, u_res=48, v_res=10, w_res=2
+        ringradius=TARGET_RING_RADIUS_M, crosssectionradius=tube_radius, u_res=48, v_res=10, w_res=2
     )  # fmt: skip
 
 
 def _arrow(margin: float) -> pv.PolyData:
     """Make an arrow along x whose tip is at the origin, larger by a margin on every side, in metres."""
-    length = TOOL_LENGTH + 3.0 * margin
+    length = DRAWN_TOOL_LENGTH_M + 3.0 * margin
     return pv.Arrow(
-        start=(-TOOL_LENGTH - margin, 0.0, 0.0), scale=length, shaft_radius=(1.5 * CORE_RADIUS + margin) / length,
+        start=(-DRAWN_TOOL_LENGTH_M - margin, 0.0, 0.0), scale=length, shaft_radius=(1.5 * CORE_RADIUS + margin) / length,
         tip_radius=(HEAD_RADIUS + 1.5 * margin) / length, tip_length=(HEAD_LENGTH + 3.0 * margin) / length,
         shaft_resolution=12, tip_resolution=16,
     )  # fmt: skip
 
 
 def _cone(push: FloatArray, angle: float) -> FloatArray:
-    """Return rim and spokes of a cone as segments, (36 + CONE_SPOKES, 2, 3) float, metres.
+    """Return rim and spokes of a cone as segments, (36 + TARGET_CONE_LINE_COUNT, 2, 3) float, metres.
 
     It opens from the origin against `push`, (3,) float, unit; `angle`, rad, lies between its axis and its side.
     """
-    corners = -TOOL_LENGTH * cone_rim(push, angle)
-    ends = corners[:: len(corners) // CONE_SPOKES]
+    corners = -DRAWN_TOOL_LENGTH_M * cone_rim(push, angle)
+    ends = corners[:: len(corners) // TARGET_CONE_LINE_COUNT]
     return np.concatenate([closed(corners), np.stack([np.zeros_like(ends), ends], axis=1)])

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from app.scene3d.scene_renderer import SceneRenderer
 
 LOG = logging.getLogger(__name__)
-CLOSE_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
+VTK_CLOSE_TIMEOUT_S = 60.0  # Closing waits at most this long for VTK to load: a program that ends while VTK draws crashes
 MAX_CLICK_MOVE_PX = 4.0
 """A press that moves less before its release is a click: hands tremble by two or three pixels."""
-DRAG_DEGREES = 220.0
+ROTATION_PER_FULL_DRAG_DEG = 220.0
 """A drag across the shorter side of the view turns the part by this much: a bit more than to its far side."""
-WHEEL_STEP = 1.15  # Zoom factor for one notch of the wheel
-WHEEL_NOTCH = 120.0  # Qt's units of a notch
+ZOOM_FACTOR_PER_WHEEL_NOTCH = 1.15  # Zoom factor for one notch of the wheel
+QT_WHEEL_UNITS_PER_NOTCH = 120.0  # Qt's units of a notch
 KEYS = (QEvent.Type.KeyPress, QEvent.Type.KeyRelease, QEvent.Type.ShortcutOverride)
 
 
@@ -88,9 +88,9 @@ class Pointer(QObject):
         """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
-            notches = event.angleDelta().y() / WHEEL_NOTCH
+            notches = event.angleDelta().y() / QT_WHEEL_UNITS_PER_NOTCH
             if not self.tool.turn_wheel(notches, *self._pixels(event.position())):
-                camera.zoom(self._camera(), WHEEL_STEP**notches)
+                camera.zoom(self._camera(), ZOOM_FACTOR_PER_WHEEL_NOTCH**notches)
                 self._note_move()
         elif kind in (QEvent.Type.MouseButtonPress, QEvent.Type.MouseButtonDblClick) and isinstance(event, QMouseEvent):
             self._start = self._last = event.position()
@@ -124,9 +124,11 @@ class Pointer(QObject):
             height = max(1, self._canvas.height())
             camera.pan(self._camera(), step.x() / height, -step.y() / height)
         elif buttons & Qt.MouseButton.LeftButton:
-            camera.rotate(self._camera(), step.x() * DRAG_DEGREES / size, -step.y() * DRAG_DEGREES / size)
+            camera.rotate(
+                self._camera(), step.x() * ROTATION_PER_FULL_DRAG_DEG / size, -step.y() * ROTATION_PER_FULL_DRAG_DEG / size
+            )
         else:
-            camera.zoom(self._camera(), WHEEL_STEP ** (-step.y() / 20))
+            camera.zoom(self._camera(), ZOOM_FACTOR_PER_WHEEL_NOTCH ** (-step.y() / 20))
         self._note_move()
 
     def _release(self, event: QMouseEvent) -> None:
@@ -323,7 +325,7 @@ class View3D(QWidget):
     def close_view(self) -> None:
         """Stop everything and give it back; the widget stays, empty. Safe at any time and more than once."""
         if self._threads is not None:
-            self._threads.close(CLOSE_S)
+            self._threads.close(VTK_CLOSE_TIMEOUT_S)
             self._threads = None
         if self._renderer is not None:
             self._renderer.close()

@@ -43,31 +43,31 @@ if TYPE_CHECKING:
     from skincal.taxels.contact_table import Evidence
     from skincal.taxels.result import Method
 
-TICK_MS = 33
+TICK_PERIOD_MS = 33
 """30 pictures per second."""
-BUSY_TICK_MS = 4
+BUSY_TICK_PERIOD_MS = 4
 """Until the next tick while readings or taxels wait."""
-MIN_PICTURE_S = 0.010
+MIN_PICTURE_INTERVAL_S = 0.010
 """Between two pictures, at least. Well below a tick, since the timer may fire early after a long tick."""
-MIN_BUSY_PICTURE_S = 0.1
+MIN_BUSY_PICTURE_INTERVAL_S = 0.1
 """The same while readings or taxels wait: readings go before pictures."""
-IDLE_PICTURE_S = 0.5
+IDLE_PICTURE_INTERVAL_S = 0.5
 """Between two pictures without data, to show that a link fell silent."""
-SOLVING_SHOWN_S = 0.4
+SHOW_SOLVING_AFTER_S = 0.4
 """Solving that lasts longer is shown."""
-DRAIN_S = 0.012
+READINGS_TIME_PER_TICK_S = 0.012
 """Time for readings per tick; the rest waits, so that the window stays responsive."""
-BACKLOG_LIMIT_NS = 1_000_000_000
+BACKLOG_MAX_DELAY_NS = 1_000_000_000
 """Readings that wait longer are soon dropped: they go before pictures."""
-BACKLOG_DRAIN_S = 0.060
+BACKLOG_READINGS_TIME_PER_TICK_S = 0.060
 """Time for readings per tick then: the window still answers within 0.1 s."""
-SOLVE_S = 0.012
+SOLVING_TIME_PER_TICK_S = 0.012
 """Time for solving per tick. All taxels, as after a correction, take several ticks."""
-MAX_UNSOLVED = 200
+MAX_UNSOLVED_TAXELS = 200
 """With more unsolved taxels an action is refused: the window shows a state from before the last change."""
 PACES = (1, 2, 4)
 """Speed of the simulated operator between pokes, relative to a careful person."""
-DEMO_PACE = 2
+DEMO_SPEED_FACTOR = 2
 """A poke takes 1.5 s, and the modules method finishes in two minutes."""
 ANY_PORT = "0"
 """The system chooses a free port."""
@@ -162,7 +162,7 @@ class Controller(QObject):
         self.demo = False
         self._reset()
         self._timer = QTimer(self)
-        self._timer.setInterval(TICK_MS)
+        self._timer.setInterval(TICK_PERIOD_MS)
         self._timer.timeout.connect(self.tick)
 
     def _reset(self) -> None:
@@ -193,7 +193,7 @@ class Controller(QObject):
         self._release()
         self._set_running(Running.OPENING)
         self._storage = storage = SessionFolder(request, self._documents)
-        self.demo, self.pace = request.demo, DEMO_PACE if request.demo else 1
+        self.demo, self.pace = request.demo, DEMO_SPEED_FACTOR if request.demo else 1
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
@@ -318,7 +318,7 @@ class Controller(QObject):
 
     def _take_robot_answers(self, recording: Recording) -> None:
         """Handle the answers of robots; a skip has to wait as long as an action."""
-        if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > MAX_UNSOLVED:
+        if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS:
             return
         sentences = self.guided.handle_answers(recording.pipeline, self._targets, time.monotonic_ns())
         for sentence in () if self.simulated else sentences:
@@ -401,20 +401,26 @@ class Controller(QObject):
             return
         self._take_robot_answers(recording)
         drained = self._take_in(recording)
-        snapshot = recording.pipeline.snapshot(SOLVE_S)
+        snapshot = recording.pipeline.snapshot(SOLVING_TIME_PER_TICK_S)
         is_busy = recording.has_backlog or recording.pipeline.session.unsolved > 0
-        interval = BUSY_TICK_MS if is_busy else TICK_MS
+        interval = BUSY_TICK_PERIOD_MS if is_busy else TICK_PERIOD_MS
         # Setting the interval restarts the timer, even with the same value.
         if self._timer.interval() != interval:
             self._timer.setInterval(interval)
         now_ns = time.monotonic_ns()
-        pause_s = MIN_BUSY_PICTURE_S if is_busy else MIN_PICTURE_S if drained or self._has_news else IDLE_PICTURE_S
+        pause_s = (
+            MIN_BUSY_PICTURE_INTERVAL_S
+            if is_busy
+            else MIN_PICTURE_INTERVAL_S
+            if drained or self._has_news
+            else IDLE_PICTURE_INTERVAL_S
+        )
         if snapshot is not self._shown or now_ns - self._shown_ns >= 1e9 * pause_s:
             self._publish(recording, snapshot, now_ns)
 
     def _take_in(self, recording: Recording) -> bool:
-        is_far_behind = recording.has_backlog and 0 < recording.reached_ns < time.monotonic_ns() - BACKLOG_LIMIT_NS
-        drained = recording.drain(BACKLOG_DRAIN_S if is_far_behind else DRAIN_S)
+        is_far_behind = recording.has_backlog and 0 < recording.reached_ns < time.monotonic_ns() - BACKLOG_MAX_DELAY_NS
+        drained = recording.drain(BACKLOG_READINGS_TIME_PER_TICK_S if is_far_behind else READINGS_TIME_PER_TICK_S)
         recording.pipeline.tick(time.monotonic_ns())
         if recording.pipeline.journal_failure and self.running is Running.STREAMING:
             self._say_failure(refused_words(recording.pipeline.journal_failure))
@@ -434,7 +440,7 @@ class Controller(QObject):
             guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
             guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
-        unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SOLVING_SHOWN_S else 0
+        unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SHOW_SOLVING_AFTER_S else 0
         self.ticked.emit(Tick(snapshot, live, reached_ns, (now_ns - reached_ns) * 1e-9, session.evidence, unsolved))
 
     def publish_again(self) -> None:
@@ -510,7 +516,7 @@ class Controller(QObject):
         """Do an action on the session; return whether it was possible."""
         if self._recording is None:
             return False
-        if self._recording.pipeline.session.unsolved > MAX_UNSOLVED:
+        if self._recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS:
             self._say_failure(STILL_SOLVING)
             return False
         pipeline = self._recording.pipeline
@@ -520,8 +526,8 @@ class Controller(QObject):
             self._say_failure(str(error))
             return False
         # Solving all taxels starts in the next tick.
-        shown = self._shown if pipeline.session.unsolved > MAX_UNSOLVED else None
-        self._publish(self._recording, shown or pipeline.snapshot(SOLVE_S), time.monotonic_ns())
+        shown = self._shown if pipeline.session.unsolved > MAX_UNSOLVED_TAXELS else None
+        self._publish(self._recording, shown or pipeline.snapshot(SOLVING_TIME_PER_TICK_S), time.monotonic_ns())
         return True
 
     def act_all(self, actions: Iterable[Action]) -> None:
@@ -563,7 +569,7 @@ class Controller(QObject):
         """Say why no results can be written now; empty if they can."""
         if self._recording is None or self._part is None:
             return NO_SESSION
-        return STILL_SOLVING if self._recording.pipeline.session.unsolved > MAX_UNSOLVED else ""
+        return STILL_SOLVING if self._recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS else ""
 
     def export(
         self,

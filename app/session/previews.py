@@ -19,9 +19,9 @@ from skincal.streams.intake import LinkIntake
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, describe_links, serial_ports, yarp_ports
 from skincal.streams.ros_topics import FoundTopic, list_ros_topics
 
-CURVE_POINTS = 80
+PREVIEW_CURVE_POINTS = 80
 """Points of a small curve: eight seconds at ten updates per second."""
-MAX_UPDATE_S = 0.010
+MAX_WORK_PER_LINK_UPDATE_S = 0.010
 """Limit of work per update and link; the rest waits."""
 
 
@@ -63,12 +63,12 @@ class _Preview:
         self._first: dict[Stream, FloatArray] = {}
         self._now: dict[Stream, float] = {}
         self._frames: dict[Stream, list[FloatArray]] = {stream: [] for stream in spec.carries}
-        self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=CURVE_POINTS) for stream in spec.carries}
+        self._curves: dict[Stream, deque[float]] = {stream: deque(maxlen=PREVIEW_CURVE_POINTS) for stream in spec.carries}
         self.reader = Reader(spec, self._inbox)
         self.reader.start()
 
     def update(self) -> None:
-        end_s = time.perf_counter() + MAX_UPDATE_S
+        end_s = time.perf_counter() + MAX_WORK_PER_LINK_UPDATE_S
         self._now.clear()
         for frames in self._frames.values():
             frames.clear()

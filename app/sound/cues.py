@@ -25,15 +25,15 @@ from skincal.guide.press_coaching import PRESSING_PHASES
 from skincal.session.snapshot import Snapshot
 from skincal.words.poke_words import REASON_WORDS
 
-SAMPLE_RATE = 48_000
+SAMPLE_RATE_HZ = 48_000
 """Hz, the usual rate of sound devices."""
-MAX_LENGTH_S = 0.120
+MAX_CUE_LENGTH_S = 0.120
 """No sound is longer: the next may follow at once."""
-PEAK_LEVEL = 0.35
+CUE_PEAK_OVER_FULL_SCALE = 0.35
 """Largest sample as a share of full scale: audible next to a fan, and not startling."""
-FADE_S = 0.003
+NOTE_FADE_TIME_S = 0.003
 """Time in which a note fades in and out; a harder edge clicks."""
-ALARM_PERIOD_S = 3.0
+DEVICE_LOST_ALARM_PERIOD_S = 3.0
 """The alarm for a lost device is repeated this often."""
 
 
@@ -77,21 +77,25 @@ _NOTES: Mapping[Cue, tuple[Note, ...]] = {
 
 @cache
 def samples_of(sound: Cue) -> bytes:
-    """Synthesise a sound: mono, signed 16 bits in the machine's byte order, at `SAMPLE_RATE`."""
-    wave = np.zeros(round(MAX_LENGTH_S * SAMPLE_RATE))
+    """Synthesise a sound: mono, signed 16 bits in the machine's byte order, at `SAMPLE_RATE_HZ`."""
+    wave = np.zeros(round(MAX_CUE_LENGTH_S * SAMPLE_RATE_HZ))
     for note in _NOTES[sound]:
-        begin = round(note.start_s * SAMPLE_RATE)
+        begin = round(note.start_s * SAMPLE_RATE_HZ)
         heard = _wave(note)
         wave[begin : begin + len(heard)] += heard
     end = int(np.flatnonzero(wave)[-1]) + 1
-    return np.round(wave[:end] * (PEAK_LEVEL / np.abs(wave).max()) * np.iinfo(np.int16).max).astype(np.int16).tobytes()
+    return (
+        np.round(wave[:end] * (CUE_PEAK_OVER_FULL_SCALE / np.abs(wave).max()) * np.iinfo(np.int16).max)
+        .astype(np.int16)
+        .tobytes()
+    )
 
 
 def _wave(note: Note) -> FloatArray:
     """Synthesise a note, (n,) float, faded at both ends."""
-    time = np.arange(round(note.length_s * SAMPLE_RATE)) / SAMPLE_RATE
+    time = np.arange(round(note.length_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     tone = sum((np.sin(2.0 * np.pi * pitch * time) / rank for rank, pitch in enumerate(note.pitches, 1)), np.zeros(len(time)))
-    edges = np.clip(np.minimum(time, note.length_s - time) / FADE_S, 0.0, 1.0)
+    edges = np.clip(np.minimum(time, note.length_s - time) / NOTE_FADE_TIME_S, 0.0, 1.0)
     return tone * np.sin(0.5 * np.pi * edges) ** 2 * np.exp(-time / note.fading_s)
 
 
@@ -144,7 +148,7 @@ def due_cue(memory: CueMemory, at: ViewState) -> tuple[DueCue | None, CueMemory]
         return None, following
     if not lost:
         return _poking_cue(memory, following), following
-    if lost <= memory.lost and at.now_s - memory.alarm_s < ALARM_PERIOD_S:
+    if lost <= memory.lost and at.now_s - memory.alarm_s < DEVICE_LOST_ALARM_PERIOD_S:
         return None, following
     return DueCue(Cue.LOST), replace(following, alarm_s=at.now_s)
 

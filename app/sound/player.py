@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from app.sound.cues import Cue
 
 LOG = logging.getLogger(__name__)
-PERIOD_MS = 10
-BUFFERED_PERIODS = 4
+AUDIO_PERIOD_MS = 10
+BUFFERED_AUDIO_PERIODS = 4
 """The device buffers 40 ms: more would delay a sound, less would stutter while a picture is drawn."""
-MAX_DELAY_S = 0.3
+MAX_SOUND_DELAY_S = 0.3
 """A later sound is not played: its cause is over."""
-STUCK_S = 1.0
+REOPEN_STUCK_DEVICE_AFTER_S = 1.0
 """A device that has not read a sound for this long is opened again."""
-STOP_S = 1.0
+DEVICE_CLOSE_TIMEOUT_S = 1.0
 """Closing waits this long for the device."""
 
 Stream = Generator[bytes, int, None]
@@ -109,7 +109,7 @@ def open_output(*, real: bool = True) -> Output:
     NoSoundError
         There is no device, or the library is not installed.
     """
-    from app.sound.cues import SAMPLE_RATE
+    from app.sound.cues import SAMPLE_RATE_HZ
 
     try:
         import miniaudio
@@ -125,9 +125,9 @@ def open_output(*, real: bool = True) -> Output:
         return miniaudio.PlaybackDevice(
             miniaudio.SampleFormat.SIGNED16,
             nchannels=1,
-            sample_rate=SAMPLE_RATE,
-            buffersize_msec=PERIOD_MS,
-            callback_periods=BUFFERED_PERIODS,
+            sample_rate=SAMPLE_RATE_HZ,
+            buffersize_msec=AUDIO_PERIOD_MS,
+            callback_periods=BUFFERED_AUDIO_PERIODS,
             backends=found if real else [kinds.NULL],
             app_name="skincal",
         )
@@ -152,7 +152,7 @@ class Line:
 
     @property
     def is_stuck(self) -> bool:
-        return not self.taken and bool(self.samples) and time.monotonic() - self.since_s > STUCK_S
+        return not self.taken and bool(self.samples) and time.monotonic() - self.since_s > REOPEN_STUCK_DEVICE_AFTER_S
 
 
 class Player:
@@ -201,7 +201,7 @@ class Player:
         thread, self._thread = self._thread, None
         if thread is not None:
             self._orders.put(None)
-            thread.join(STOP_S)
+            thread.join(DEVICE_CLOSE_TIMEOUT_S)
 
     def _order(self, sound: Cue | None, word: str = "") -> None:
         if self._closed or not self.on:
@@ -221,7 +221,7 @@ class Player:
                 continue
             try:
                 self._open()
-                if sound is None or time.monotonic() - ordered_s > MAX_DELAY_S:
+                if sound is None or time.monotonic() - ordered_s > MAX_SOUND_DELAY_S:
                     continue
                 from app.sound.cues import samples_of
 

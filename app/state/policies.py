@@ -28,7 +28,7 @@ from skincal.taxels.result import Estimate, State
 from skincal.words.rig_words import frame_sentence
 
 GOOD_RMS = GuideSettings().wanted  # m. Expected errors up to this are drawn as good: the goal of the guide.
-MAX_WORST = 12  # Taxels in the list of the worst: as many as fit without scrolling
+MAX_LISTED_WORST_TAXELS = 12  # Taxels in the list of the worst: as many as fit without scrolling
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +213,7 @@ def marks(estimates: Sequence[Estimate], width: int, done: Collection[int] = ())
     return result
 
 
-def worst(estimates: Sequence[Estimate], shown: int = MAX_WORST) -> tuple[Estimate, ...]:
+def worst(estimates: Sequence[Estimate], shown: int = MAX_LISTED_WORST_TAXELS) -> tuple[Estimate, ...]:
     """Return the taxels that need pokes most: not pressed, then undetermined, then by falling expected error."""
     order = {State.UNSEEN: 0, State.BLIND: 1, State.ESTIMATED: 2}
     living = [e for e in estimates if e.state is not State.DEAD]

@@ -22,17 +22,17 @@ UPRIGHT_MAX_TILT = float(np.radians(5.0))
 """rad. A smaller tilt cannot be held by hand: the tool is asked to be upright."""
 NEIGHBOUR_MIN_COS = float(np.cos(np.radians(35.0)))
 """A neighbour shows a direction that is off by less; the six neighbours of a taxel are 60 degrees apart."""
-NEIGHBOUR_MAX_DISTANCE = 0.020
+NEIGHBOUR_MAX_DISTANCE_M = 0.020
 """m. A neighbour further away shows no direction to somebody who looks at the taxel."""
-HINT_DELAY_S = 0.25  # A hint must hold this long before it is shown: a hand that is just arriving needs none
-FORCE_HYSTERESIS = 0.3
+HINT_DEBOUNCE_S = 0.25  # A hint must hold this long before it is shown: a hand that is just arriving needs none
+FORCE_HINT_HYSTERESIS_N = 0.3
 """N. "Press harder" and "press softer" stay until the force is inside by this much: three times a good sensor's noise."""
 AIM_SHOWN, AIM_HIDDEN = 0.004, 0.003
 """m. The aim hint is shown above the one distance and hidden below the other: nine in ten pokes of a hand with 2 mm sd
 are nearer."""
 TILT_HYSTERESIS = float(np.radians(2.0))
 """rad. A tilt hint stays until the tilt is inside the limit by this much."""
-OTHER_TAXEL_DISTANCE = 0.015
+OTHER_TAXEL_MIN_DISTANCE_M = 0.015
 """m. A tip this far off, three taxels, is on another taxel on purpose: there is nothing to correct."""
 SAME_TILT, SAME_AIM = float(np.radians(3.0)), 0.0015
 """rad and m. A hint stays unchanged while its number changes by less."""
@@ -70,7 +70,7 @@ def _neighbour(guidance: Guidance, target: Target, along: FloatArray) -> int | N
     offset = guidance.places - target.place
     offset -= (offset @ target.normal)[:, None] * target.normal
     distance = np.sqrt(np.sum(offset * offset, axis=1))
-    found = (offset @ along > NEIGHBOUR_MIN_COS * distance) & (distance <= NEIGHBOUR_MAX_DISTANCE)
+    found = (offset @ along > NEIGHBOUR_MIN_COS * distance) & (distance <= NEIGHBOUR_MAX_DISTANCE_M)
     found &= guidance.channels != target.channel
     return int(guidance.channels[np.where(found, distance, np.inf).argmin()]) if found.any() else None
 
@@ -110,7 +110,7 @@ class CoachMemory:
     hint: PressHint | None = None
     """The hint that is shown."""
     coming: PressHint | None = None
-    """The hint that will be shown if it holds for `HINT_DELAY_S`."""
+    """The hint that will be shown if it holds for `HINT_DEBOUNCE_S`."""
     coming_since_s: float = -math.inf
 
 
@@ -127,7 +127,7 @@ def follow_press(memory: CoachMemory, at: ViewState) -> CoachMemory:
         return replace(memory, coming=memory.hint)
     if not _is_alike(wanted, memory.coming):
         return replace(memory, coming=wanted, coming_since_s=at.now_s)
-    if at.now_s - memory.coming_since_s >= HINT_DELAY_S:
+    if at.now_s - memory.coming_since_s >= HINT_DEBOUNCE_S:
         return replace(memory, hint=wanted, coming=wanted)
     return memory
 
@@ -135,18 +135,18 @@ def follow_press(memory: CoachMemory, at: ViewState) -> CoachMemory:
 def _force_level(before: ForceLevel, at: ViewState) -> ForceLevel:
     progress, limits = at.live.progress, at.scene.contacts
     size = float(np.linalg.norm(progress.force))
-    low = limits.force_min + (FORCE_HYSTERESIS if before is ForceLevel.LOW else 0.0)
+    low = limits.force_min + (FORCE_HINT_HYSTERESIS_N if before is ForceLevel.LOW else 0.0)
     # A poke that is held still counts, so its force is high enough.
     if progress.phase is PressPhase.PRESSING and size < low:
         return ForceLevel.LOW
-    high = limits.force_max - (FORCE_HYSTERESIS if before is ForceLevel.HIGH else 0.0)
+    high = limits.force_max - (FORCE_HINT_HYSTERESIS_N if before is ForceLevel.HIGH else 0.0)
     return ForceLevel.HIGH if size > high else ForceLevel.RIGHT
 
 
 def _hint(shown: PressHint | None, at: ViewState) -> PressHint | None:
     """Return the hint for this moment; one that is shown already ends a little later than it began."""
     coaching, target, guidance = at.coaching, at.target, at.guidance
-    if coaching is None or target is None or guidance is None or coaching.away > OTHER_TAXEL_DISTANCE:
+    if coaching is None or target is None or guidance is None or coaching.away > OTHER_TAXEL_MIN_DISTANCE_M:
         return None
     is_aim = shown is not None and shown.ask is HintKind.AIM
     if is_on_other_taxel(coaching, target) and coaching.away > (AIM_HIDDEN if is_aim else AIM_SHOWN):

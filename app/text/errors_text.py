@@ -30,11 +30,11 @@ STATISTICS = {
     MAX: "\N{MIDDLE DOT}\N{MIDDLE DOT}\N{MIDDLE DOT} worst",
 }
 """Names of the statistics, with their line styles."""
-MARKED_TRUST = 0.5
+MARK_POKES_WITH_TRUST_BELOW = 0.5
 """Pokes with less trust are marked in the list: 99 of 100 good pokes have more."""
-FULL_TRUST = 0.995
+MIN_TRUST_SHOWN_AS_FULL = 0.995
 """A poke with this trust counts fully, to two decimals."""
-MAX_LISTED_POKES = 100
+MAX_LISTED_POKES_PER_TAXEL = 100
 """The list of a taxel has its newest pokes."""
 
 
@@ -131,7 +131,7 @@ def taxel_pokes(snapshot: Snapshot, estimate: Estimate) -> tuple[TaxelPoke, ...]
         for record in reversed(snapshot.pokes)
         if not record.excluded and isinstance(record.outcome, Contact) and estimate.channel in record.outcome.channels.tolist()
     )
-    listed = list(islice(touching, MAX_LISTED_POKES))
+    listed = list(islice(touching, MAX_LISTED_POKES_PER_TAXEL))
     return tuple(
         TaxelPoke(c.poke, weight_of(c, estimate.channel), estimate.doubted.get(c.poke, 1.0), miss)
         for c, miss in zip(listed, _misses(listed, estimate), strict=True)
@@ -143,14 +143,14 @@ def doubting(estimates: Iterable[Estimate]) -> Mapping[int, Sequence[Estimate]]:
     found: dict[int, list[Estimate]] = {}
     for estimate in estimates:
         for poke, trust in estimate.doubted.items():
-            if trust < FULL_TRUST:
+            if trust < MIN_TRUST_SHOWN_AS_FULL:
                 found.setdefault(poke, []).append(estimate)
     return {poke: sorted(those, key=lambda e: e.doubted[poke]) for poke, those in found.items()}
 
 
 def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> str:
     """Mark of a doubted poke in the list: `"counts 0.2 for 17-05"`; may be empty."""
-    marked = [e for e in doubters if e.doubted[poke] < MARKED_TRUST]
+    marked = [e for e in doubters if e.doubted[poke] < MARK_POKES_WITH_TRUST_BELOW]
     if not marked:
         return ""
     more = f" +{len(marked) - 1}" if len(marked) > 1 else ""

@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from app.state.press_coach import (
-    OTHER_TAXEL_DISTANCE,
+    OTHER_TAXEL_MIN_DISTANCE_M,
     UPRIGHT_MAX_TILT,
     CoachMemory,
     ForceLevel,
@@ -26,7 +26,7 @@ from skincal.taxels.result import Method
 from skincal.words.units import ChannelNames, cell, count, degrees, millimetres, minutes, newtons
 from skincal.words.verdict_words import needs_clause
 
-MAX_NAMED_FINISHED = 3
+MAX_NAMED_FINISHED_TAXELS = 3
 """Finished taxels named after one poke."""
 BETWEEN = "  \N{MIDDLE DOT}  "
 REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
@@ -160,8 +160,8 @@ def done_words(channels: Sequence[int], names: ChannelNames) -> str:
     """Name newly finished taxels: `"17-04, 17-05 finished"`; empty if none are."""
     if not channels:
         return ""
-    named = ", ".join(names.short(channel) for channel in channels[:MAX_NAMED_FINISHED])
-    more = len(channels) - MAX_NAMED_FINISHED
+    named = ", ".join(names.short(channel) for channel in channels[:MAX_NAMED_FINISHED_TAXELS])
+    more = len(channels) - MAX_NAMED_FINISHED_TAXELS
     return f"{named} and {more} more finished" if more > 0 else f"{named} finished"
 
 
@@ -207,7 +207,7 @@ def pressing_words(coaching: PokeError | None, target: Target | None, names: Cha
     """Compare the press with the requested poke: `"1.4 mm off target · lean 26° (wanted 28°)"`; or empty."""
     if coaching is None or target is None:
         return ""
-    if coaching.away > OTHER_TAXEL_DISTANCE:
+    if coaching.away > OTHER_TAXEL_MIN_DISTANCE_M:
         return "" if coaching.landed is None else _landed_words(coaching.landed, names)
     wanted = "" if target.tilt < UPRIGHT_MAX_TILT else f" (wanted {degrees(target.tilt)})"
     lean = f"lean {degrees(coaching.tilt)}{wanted}"

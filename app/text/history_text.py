@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from skincal.session.snapshot import Snapshot
 from skincal.session.undo import ActionEntry, HistoryEntry, describe_entry
 
-MAX_LINES = 500
+MAX_HISTORY_LINES = 500
 """The list has the newest lines."""
 EARLIER_TIME = "earlier"
 """Time of an entry that has no known time."""
@@ -47,7 +47,9 @@ def history_lines(snapshot: Snapshot, now_s: float) -> list[HistoryLine]:
     ]
     # Undo skips a poke excluded by hand: its exclusion is an entry of its own.
     counting = [entry for entry in reversed(snapshot.history.entries) if isinstance(entry, ActionEntry) or entry not in out]
-    lines += [HistoryLine(when(entry), describe_entry(entry), at + 1, 0) for at, entry in enumerate(counting[:MAX_LINES])]
+    lines += [
+        HistoryLine(when(entry), describe_entry(entry), at + 1, 0) for at, entry in enumerate(counting[:MAX_HISTORY_LINES])
+    ]
     return lines
 
 

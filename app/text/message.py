@@ -9,7 +9,7 @@ from pathlib import Path
 from skincal.model.errors import plain_text
 
 REPORTING = "Writing the report. A message follows when it is finished."
-ADDRESS_LINE_LENGTH = 120
+ADDRESS_LINE_MAX_CHARS = 120
 """Characters a line of the question about addresses: fits a window of 1280 pixels."""
 NO_ADDRESSES = "This session has no device with an address. Ctrl+N: new session with devices."
 PART_NOT_SAVED = "What you said of this part is not saved. Leave the page all the same?"
@@ -42,7 +42,7 @@ def connect_words(addresses: Sequence[str]) -> str:
     """Ask before the devices of a recorded session are connected for the first time."""
     # In full: the part left out could be the one that matters.
     shown = map(plain_text, addresses)
-    lines = [text[at : at + ADDRESS_LINE_LENGTH] for text in shown for at in range(0, len(text), ADDRESS_LINE_LENGTH)]
+    lines = [text[at : at + ADDRESS_LINE_MAX_CHARS] for text in shown for at in range(0, len(text), ADDRESS_LINE_MAX_CHARS)]
     return "This session uses devices that were not connected on this computer before:\n\n" + "\n".join(lines)
 
 

@@ -43,15 +43,15 @@ from skincal.words.link_words import link_name
 from skincal.words.poke_words import MISSED_ADVICE, missed_words
 from skincal.words.units import count, newtons, number
 
-RESULT_SHOWN_S = 2.5
+MIN_POKE_RESULT_SHOWN_S = 2.5
 """The result of a poke stays at least this long unless the next poke begins: enough to read a dozen words."""
 LAST_ACTION_SHOWN_S = 6.0
 """The operator's last action is shown this long."""
-PHASE_DEBOUNCE_S = 0.15
+IDLE_PHASE_DEBOUNCE_S = 0.15
 """An idle phase must last this long before it is shown, so that noise does not make the line flicker."""
 
 
-MAX_NAMED_POSES = 3
+MAX_NAMED_ARM_POSES = 3
 CHANGE_HINT = "  \N{MIDDLE DOT}  A: change addresses"
 _SHORT_VERDICTS = {
     LinkAnswer.NO_READING: "no readings",
@@ -127,8 +127,8 @@ class NowMemory:
 def now_line(memory: NowMemory, at: ViewState) -> tuple[Now, NowMemory]:
     """Make the status line and the memory for the next tick.
 
-    A problem comes first, then a poke in progress, then a result for `RESULT_SHOWN_S`, then an idle phase after
-    `PHASE_DEBOUNCE_S`.
+    A problem comes first, then a poke in progress, then a result for `MIN_POKE_RESULT_SHOWN_S`, then an idle phase after
+    `IDLE_PHASE_DEBOUNCE_S`.
     """
     asked = None if at.target is None else at.target.channel
     memory = replace(_see_deed(_see_outcome(memory, at), at), asked=asked, guidance=at.guidance)
@@ -185,7 +185,7 @@ def _see_outcome(memory: NowMemory, at: ViewState) -> NowMemory:
         return memory
     grown = newly_done(memory.guidance, at.guidance)
     if is_news(memory.outcome, newest):
-        until_s = at.now_s + RESULT_SHOWN_S
+        until_s = at.now_s + MIN_POKE_RESULT_SHOWN_S
         return replace(
             memory,
             outcome=newest,
@@ -205,7 +205,7 @@ def _settle(memory: NowMemory, at: ViewState) -> NowMemory:
     if phase is not memory.coming:
         memory = replace(memory, coming=phase, coming_since_s=at.now_s)
     # Begin and end of a poke are shown at once: the detector's two thresholds prevent flicker.
-    if phase in PRESSING_PHASES or memory.phase in PRESSING_PHASES or at.now_s - memory.coming_since_s >= PHASE_DEBOUNCE_S:
+    if phase in PRESSING_PHASES or memory.phase in PRESSING_PHASES or at.now_s - memory.coming_since_s >= IDLE_PHASE_DEBOUNCE_S:
         memory = replace(memory, phase=phase)
     return memory
 
@@ -310,7 +310,7 @@ def _ask_pose(at: ViewState) -> Now:
     names = list(at.scene.arm.poses) if at.scene.arm is not None else []
     if not names:
         return Now(Tone.BAD, "Arm pose unknown", f"The scene has no named poses: connect the joints{CHANGE_HINT}")
-    some = ", ".join(names[:MAX_NAMED_POSES]) + (", \N{HORIZONTAL ELLIPSIS}" if len(names) > MAX_NAMED_POSES else "")
+    some = ", ".join(names[:MAX_NAMED_ARM_POSES]) + (", \N{HORIZONTAL ELLIPSIS}" if len(names) > MAX_NAMED_ARM_POSES else "")
     return Now(Tone.GO, "Choose the arm pose", f"Pokes count only then. Key 7: {some}")
 
 

@@ -36,13 +36,13 @@ MARK_WORDS: Mapping[Mark, str] = {
     Mark.DEAD: "disabled",
 }
 
-HEADLINE_REASON_LENGTH = 36
+HEADLINE_REASON_MAX_CHARS = 36
 """Characters that large type has room for next to "rejected", in a window of 1280 pixels."""
 
 
 def _headline_reason(rejection: Rejection) -> str:
     words = rejection_words(rejection)
-    return words if len(words) <= HEADLINE_REASON_LENGTH else REASON_WORDS[rejection.reason]
+    return words if len(words) <= HEADLINE_REASON_MAX_CHARS else REASON_WORDS[rejection.reason]
 
 
 def peak_channel(outcome: Outcome) -> int | None:

@@ -15,11 +15,11 @@ from PySide6.QtCore import QObject, QProcess, QProcessEnvironment, Signal
 
 import skincal
 
-STOP_MS = 700
+PROCESS_STOP_TIMEOUT_MS = 700
 """Time for the process to end after its input closed, before it is terminated, then killed."""
-SHOWN_ERROR_LENGTH = 400
+SHOWN_ERROR_MAX_CHARS = 400
 """Characters of its error output that are shown."""
-INPUT_ERROR_CODE = 2
+INPUT_ERROR_EXIT_CODE = 2
 """Exit code of a command with wrong input, which prints one sentence."""
 SENTENCE_PREFIX = "skincal: "
 
@@ -78,7 +78,7 @@ class DeviceProcess(QObject):
             if not self.is_running:
                 return
             end()
-            self._process.waitForFinished(STOP_MS)
+            self._process.waitForFinished(PROCESS_STOP_TIMEOUT_MS)
 
     def _read(self) -> None:
         if self._stopping:
@@ -113,10 +113,10 @@ class DeviceProcess(QObject):
 def end_words(code: int | None, printed: str) -> str:
     """Describe the end of a process: `code` is `None` if it was killed, `printed` its error output."""
     last = printed.rpartition("\n")[2]
-    if code == INPUT_ERROR_CODE and last.startswith(SENTENCE_PREFIX):
+    if code == INPUT_ERROR_EXIT_CODE and last.startswith(SENTENCE_PREFIX):
         return last.removeprefix(SENTENCE_PREFIX)
     how = "was killed" if code is None else f"ended (code {code})"
-    return f"The device process {how}. {printed[-SHOWN_ERROR_LENGTH:]}".strip()
+    return f"The device process {how}. {printed[-SHOWN_ERROR_MAX_CHARS:]}".strip()
 
 
 def parse_links(line: bytes) -> tuple[object, ...]:

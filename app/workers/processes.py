@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from skincal.taxels.result import Method
 
 T = TypeVar("T")
-NICE_INCREMENT = 5
+WORKER_NICE_INCREMENT = 5
 """The process gives way to the window."""
-STOP_S = 0.7
+KILLED_PROCESS_WAIT_S = 0.7
 """Closing waits this long for a killed process, which holds nothing that could be lost."""
-SKIN_POKES_PER_REVIEW = 10
+SKIN_POKES_PER_RIG_REVIEW = 10
 """A single poke on the skin changes the result by less than is shown."""
 
 
@@ -129,7 +129,7 @@ class WorkerProcess:
             process = self._process
         if process is not None:
             process.kill()
-            process.join(STOP_S)
+            process.join(KILLED_PROCESS_WAIT_S)
 
     def _start(self) -> Connection[Any, Any]:
         # Imported late: the window starts without it.
@@ -162,7 +162,7 @@ class WorkerProcess:
             connection.close()
         if self._process is None:
             return None
-        self._process.join(STOP_S)
+        self._process.join(KILLED_PROCESS_WAIT_S)
         return self._process.exitcode
 
 
@@ -194,7 +194,7 @@ def serve(connection: Connection[Any, Any], newest: Any) -> None:
     """Answer requests, in the process, until the window's end of the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in a terminal is for the window, which ends this process
     if hasattr(os, "nice"):
-        os.nice(NICE_INCREMENT)
+        os.nice(WORKER_NICE_INCREMENT)
     while True:
         try:
             request_id, work, arguments = connection.recv()
@@ -375,6 +375,6 @@ def _is_due(asked: Snapshot, now: Snapshot) -> bool:
         has_final_tare = before.outcome is not after.outcome and after.outcome.poke in now.at_landmarks
         return before.excluded != after.excluded or has_final_tare
 
-    if facts(asked) != facts(now) or len(now.pokes) >= len(asked.pokes) + SKIN_POKES_PER_REVIEW:
+    if facts(asked) != facts(now) or len(now.pokes) >= len(asked.pokes) + SKIN_POKES_PER_RIG_REVIEW:
         return True
     return any(map(has_changed, asked.pokes, now.pokes))

@@ -20,7 +20,7 @@ from PySide6.QtCore import QObject, Qt, Signal
 from skincal.model.errors import InputError
 
 LOG = logging.getLogger(__name__)
-STOP_S = 2.0
+THREAD_STOP_TIMEOUT_S = 2.0
 """Closing waits this long for requested work; the thread is a daemon and ends with the program."""
 T = TypeVar("T")
 
@@ -108,7 +108,7 @@ class ThreadService:
         if thread is not None:
             thread.join()
 
-    def close(self, limit_s: float = STOP_S) -> None:
+    def close(self, limit_s: float = THREAD_STOP_TIMEOUT_S) -> None:
         """Accept no more, wait for requested work up to a limit, and ignore its answers."""
         self._closed = True
         self.renew()

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from skincal.streams.decoders.auto_detect import LinkDecoder
     from skincal.streams.links import ChunkQueue
 
-LISTEN_S = 3.0
+LISTEN_TIME_PER_PORT_S = 3.0
 """s on each serial port: three baud rates."""
-SAY_S = 1.0
+WATCH_LINE_PERIOD_S = 1.0
 """s between two lines of `watch`."""
 WRENCH_VALUES = 6
 
@@ -150,10 +150,10 @@ def watch(
     reader.start()
     try:
         with stopping() as stop:
-            due_s = time.monotonic() + min(SAY_S, seconds or SAY_S)
+            due_s = time.monotonic() + min(WATCH_LINE_PERIOD_S, seconds or WATCH_LINE_PERIOD_S)
             while not stop.is_set() and time.monotonic() < end_s and (reader.running or not items.empty()):
                 _feed_until(watched, items, due_s)
-                due_s += SAY_S
+                due_s += WATCH_LINE_PERIOD_S
                 figures = watched.figures()
                 say(json.dumps(figures) if as_json else f"{figures['format'] or '?'}  {_words(figures)}")
     finally:
@@ -219,7 +219,7 @@ def _on_port(name: str, description: str) -> dict[str, str]:
         link = open_link(LinkSpec("link", name, streams))
     except LinkError as failure:
         return {"address": name, "what": f"{description}: {failure}"}
-    came, end_s = 0, time.monotonic() + LISTEN_S
+    came, end_s = 0, time.monotonic() + LISTEN_TIME_PER_PORT_S
     tried: tuple[int, ...] = ()
     try:
         while time.monotonic() < end_s:

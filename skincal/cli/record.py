@@ -28,7 +28,7 @@ from skincal.cli.terminal import say
 from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
-from skincal.model.readings import SILENT_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
+from skincal.model.readings import LINK_SILENT_AFTER_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
 from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
@@ -50,14 +50,14 @@ LinkOption = Annotated[
 ]
 ORDER_MAX_BYTES = 1 << 16
 """Of a line on standard input; a longer one is no order."""
-SHOWN_BYTES = 200
-POKES_MOST = 100_000
+SHOWN_ORDER_MAX_BYTES = 200
+MAX_REQUESTED_POKES = 100_000
 """Largest allowed number of pokes: more than twenty for each taxel of a whole body. More is a slip, and would fill the disk."""
-DRAIN_WAIT_S = 0.05
+READING_WAIT_TIMEOUT_S = 0.05
 """s. How long the loop waits for the next reading; short enough to look at the clock 20 times a second."""
-OPENING_NS = 1_500_000_000
+REPORT_UNOPENED_LINK_AFTER_NS = 1_500_000_000
 """A link that is not open after this time, such as a host whose name is unknown, is reported."""
-LINK_CHECK_NS = 250_000_000
+LINK_CHECK_PERIOD_NS = 250_000_000
 """Time between two checks of the links."""
 
 
@@ -93,7 +93,7 @@ def record(
     joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
-    pokes: Annotated[int | None, typer.Option(min=1, max=POKES_MOST, help="Stop after this many pokes.")] = None,
+    pokes: Annotated[int | None, typer.Option(min=1, max=MAX_REQUESTED_POKES, help="Stop after this many pokes.")] = None,
     orders: Annotated[bool, typer.Option("--orders", help="Take orders from stdin, one a line.")] = False,
     targets: Annotated[
         str | None,
@@ -207,7 +207,7 @@ def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> Non
     try:
         pipeline.act(action_from_json(parse_json(item.text)), item.host_ns)
     except (InputError, ValueError, AttributeError) as error:
-        say(f"order {item.text[:SHOWN_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
+        say(f"order {item.text[:SHOWN_ORDER_MAX_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
 def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
@@ -248,11 +248,11 @@ def _loop(
         sentences: list[str] = [] if robot is None else robot.guide_robot(now_ns)
         if now_ns >= next_check_ns:
             sentences += reports.new(pipeline.live(now_ns).links, states, now_ns)
-            next_check_ns = now_ns + LINK_CHECK_NS
+            next_check_ns = now_ns + LINK_CHECK_PERIOD_NS
         for sentence in sentences:
             say(sentence, err=True)
         try:
-            item: Chunk | LinkEvent | OrderLine = items.get(timeout=DRAIN_WAIT_S)
+            item: Chunk | LinkEvent | OrderLine = items.get(timeout=READING_WAIT_TIMEOUT_S)
         except queue.Empty:
             pipeline.tick(time.monotonic_ns())
             over = [states.get(name) for name, reader in readers.items() if not reader.running]
@@ -298,13 +298,13 @@ class LinkReports:
         from skincal.words.link_words import link_verdict_words
 
         if link.state is not LinkState.OPEN:
-            waits = link.link not in events and now_ns - self._begin_ns >= OPENING_NS
+            waits = link.link not in events and now_ns - self._begin_ns >= REPORT_UNOPENED_LINK_AFTER_NS
             return "is not open yet, and gives no reason; check its address and the network. Trying on." if waits else ""
         if link.verdict.answer is LinkAnswer.LISTENING:
             return None
         if link.verdict.answer is LinkAnswer.NO_ANSWER:
             return (
-                f"is open but silent for {SILENT_S:g} s; check the device's power, its cable, its baud rate "
+                f"is open but silent for {LINK_SILENT_AFTER_S:g} s; check the device's power, its cable, its baud rate "
                 "and that it was started."
             )
         return "" if link.verdict.answer is LinkAnswer.GOOD else link_verdict_words(link.verdict)

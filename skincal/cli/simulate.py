@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skincal.cli.record import POKES_MOST, SceneOption, find_scene, finish, stopping
+from skincal.cli.record import MAX_REQUESTED_POKES, SceneOption, find_scene, finish, stopping
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
-from skincal.model.errors import INTERRUPTED_EXIT_CODE, InputError
+from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 from skincal.model.readings import SENSOR_STREAMS, Stream
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from skincal.simulate.serve import Server
     from skincal.simulate.simulated_rig import Rig
 
-SERVED_NOISE_NM = 2e-6
+SERVED_MOMENT_NOISE_NM = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
-SESSION_POKES = 252
+DEFAULT_SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 
 
@@ -65,7 +65,7 @@ def simulate(
     serve: Annotated[bool, typer.Option("--serve", help="Be the devices, in real time, until stdin closes or Ctrl-C.")] = False,
     pokes: Annotated[
         int | None,
-        typer.Option(min=1, max=POKES_MOST, help="How many pokes; 252 for a session, no end when served."),
+        typer.Option(min=1, max=MAX_REQUESTED_POKES, help="How many pokes; 252 for a session, no end when served."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 1,
     errors: Annotated[
@@ -119,7 +119,7 @@ def simulate(
     names = tuple(name.strip() for name in poses.split(",") if name.strip())
     habits = (Habits.careful() if careful else Habits()).at_pace(pace)
     if out is not None:
-        count = pokes or SESSION_POKES
+        count = pokes or DEFAULT_SESSION_POKES
         _record(
             partial(simulate_session, loaded, surface, out, count, seed, wrong, poses=names, habits=habits), out, count, as_json
         )
@@ -128,7 +128,7 @@ def simulate(
     rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
-    settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_NOISE_NM)
+    settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_MOMENT_NOISE_NM)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})
@@ -154,7 +154,7 @@ def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as
         say(f"stopped: the session has {has}, and is kept; for all of them name another folder by --out.", err=True)
     finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
     if stop.is_set():
-        raise typer.Exit(INTERRUPTED_EXIT_CODE)
+        raise typer.Exit(CTRL_C_EXIT_CODE)
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:

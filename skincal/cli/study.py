@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skincal.studies import Study
 
 DEFAULT_FOLDER = Path("studies")
-DOTS_PER_INCH = 130
+FIGURE_DOTS_PER_INCH = 130
 FIGURE_INCHES = (12.0, 7.0)
 """Width and height, unless a study sets its own."""
 Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s.")]
@@ -95,7 +95,7 @@ def _write(study: Study, name: str, result: dict[str, Any], folder: Path) -> lis
     from skincal.plotting import render
 
     kinds = ("svg", "png")
-    pictures = render(partial(study.draw, result), FIGURE_INCHES, kinds, DOTS_PER_INCH)
+    pictures = render(partial(study.draw, result), FIGURE_INCHES, kinds, FIGURE_DOTS_PER_INCH)
     files = {"json": (json.dumps(result, indent=1, allow_nan=False) + "\n").encode(), **dict(zip(kinds, pictures, strict=True))}
     written: list[Path] = []
     for ending, data in files.items():

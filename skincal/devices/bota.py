@@ -22,8 +22,8 @@ from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import TEMPERATURE, Loss, Stream
 
 DATA_STRUCT = struct.Struct("<H6fIf")
-FRAME_BYTES = 37
-MAX_PLAUSIBLE_READING = 1e6
+BOTA_FRAME_BYTES = 37
+MAX_PLAUSIBLE_FORCE_OR_MOMENT = 1e6
 """N and N m. No sensor has such a range; half of the noise whose checksum fits by chance exceeds it."""
 TEMPERATURE_MIN_DEGC, TEMPERATURE_MAX_DEGC = -60.0, 160.0
 SKIPPED, OVERRANGE, INVALID, RAW = 1, 2, 4, 8
@@ -44,13 +44,13 @@ def crc_x25(data: bytes) -> int:
 
 
 def _frame_end(buffer: bytes, at: int) -> int:
-    frame = buffer[at : at + FRAME_BYTES]
+    frame = buffer[at : at + BOTA_FRAME_BYTES]
     if crc_x25(frame[1:-2]) != frame[-2] | frame[-1] << 8:
         return 0
     _, *wrench, _, temperature = DATA_STRUCT.unpack_from(frame, 1)
     # Sixteen bits fit by chance once in 65,536 bytes AA of a line at the wrong baud rate.
-    is_plausible = all(not math.isfinite(value) or abs(value) < MAX_PLAUSIBLE_READING for value in wrench)
-    return at + FRAME_BYTES if TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and is_plausible else 0
+    is_plausible = all(not math.isfinite(value) or abs(value) < MAX_PLAUSIBLE_FORCE_OR_MOMENT for value in wrench)
+    return at + BOTA_FRAME_BYTES if TEMPERATURE_MIN_DEGC < temperature < TEMPERATURE_MAX_DEGC and is_plausible else 0
 
 
 class BotaHandshake(Handshake):
@@ -74,7 +74,7 @@ class BotaDecoder(FrameDecoder):
         self._time = DeviceTime()
 
     def _make_splitter(self) -> FrameSplitter:
-        return HeadSplitter(b"\xaa", FRAME_BYTES, _frame_end)
+        return HeadSplitter(b"\xaa", BOTA_FRAME_BYTES, _frame_end)
 
     def _decode(self, frame: bytes) -> Loss | None:
         status, *wrench, raw_us, temperature = DATA_STRUCT.unpack_from(frame, 1)

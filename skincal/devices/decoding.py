@@ -28,24 +28,24 @@ SEQ_MAX = 1 << 62
 """Largest counter that a batch can hold."""
 STAMP_MAX_S = 5e9
 """s. Times of any clock are nearer to 0 (the year 2128); a larger one has a wrong digit."""
-CRC_CCITT_START = 0xFFFF
+CRC_CCITT_INITIAL_VALUE = 0xFFFF
 SATURATED_BIT = 1
 INVALID_BIT = 2
-WRENCH_WIDTH = 6
+WRENCH_VALUES = 6
 DEFAULT_UNITS = {
     Stream.WRENCH: "Fx Fy Fz in N, Mx My Mz in N m",
     Stream.SKIN: "raw values",
     Stream.JOINTS: "joint angles in degrees",
     Stream.TIP: "x y z of the tip in m",
 }
-UNIT_MAX_CHARS = 20
+UNIT_NAME_MAX_CHARS = 20
 """Characters kept of a unit that a device names."""
 PERIOD_NEWEST_WEIGHT = 1 / 16
 """Weight of the newest interval in the mean interval of a record: settles within some 16 records."""
-GAP_TOLERANCE_STEPS = 2.0
-GAP_TOLERANCE_SHARE = 0.25
-"""A gap of s numbers fits a time of s intervals to within `GAP_TOLERANCE_STEPS + GAP_TOLERANCE_SHARE * s`: devices keep no
-exact pace. If numbers and time do not fit, the device restarted, and nothing is known to be missing."""
+SEQUENCE_GAP_TOLERANCE_STEPS = 2.0
+SEQUENCE_GAP_TOLERANCE_SHARE = 0.25
+"""A gap of s numbers fits a time of s intervals to within `SEQUENCE_GAP_TOLERANCE_STEPS + SEQUENCE_GAP_TOLERANCE_SHARE * s`:
+devices keep no exact pace. If numbers and time do not fit, the device restarted, and nothing is known to be missing."""
 _WIDTH_ADVICE = {
     Stream.SKIN: "set [skin] channels of the scene, or the board's n, to the same number",
     Stream.WRENCH: "a wrench is fx fy fz mx my mz",
@@ -120,7 +120,7 @@ class SequenceCounter:
             return False
         if math.isnan(self._period_s) or math.isnan(elapsed_s):
             return True
-        return abs(elapsed_s / self._period_s - step) <= GAP_TOLERANCE_STEPS + GAP_TOLERANCE_SHARE * step
+        return abs(elapsed_s / self._period_s - step) <= SEQUENCE_GAP_TOLERANCE_STEPS + SEQUENCE_GAP_TOLERANCE_SHARE * step
 
 
 class GapCounter:
@@ -324,7 +324,7 @@ class FrameDecoder(ABC):
         self._status = ""
         """What the device reports of itself now, a sentence; empty if nothing."""
         self._carries = carries
-        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_WIDTH, Stream.JOINTS: None, Stream.TIP: None}
+        widths = {Stream.SKIN: channels, Stream.WRENCH: WRENCH_VALUES, Stream.JOINTS: None, Stream.TIP: None}
         self._widths = {stream: widths[stream] for stream in Stream if stream in carries}
         # Readings of each stream since the last batch: number, device's clock, values, status.
         self._readings: dict[Stream, list[tuple[int, float, list[float] | NDArray[Any], int]]] = defaultdict(list)
@@ -439,6 +439,6 @@ class FrameDecoder(ABC):
             self._problem = (
                 f"{board} says that it sends n={n} taxels where {channels} are expected; {_WIDTH_ADVICE[Stream.SKIN]}"
             )
-        unit = header.get("unit", "raw")[:UNIT_MAX_CHARS]
+        unit = header.get("unit", "raw")[:UNIT_NAME_MAX_CHARS]
         if kind == "taxel" and unit != "raw":
             self.units[Stream.SKIN] = f"values in {unit}"

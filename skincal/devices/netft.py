@@ -27,10 +27,10 @@ RECORD_STRUCT = struct.Struct("!III6i")
 MAGIC, STOP, STREAM_ON = 0x1234, 0, 2
 PAGE, RECORDS = 1, 2
 """Kinds of packets."""
-PAGE_MAX_BYTES = 65536
+WEB_PAGE_MAX_BYTES = 65536
 """Bytes. Pages of Net F/T boxes have 3 to 10 kB."""
 RECORD_NUMBER_MODULUS = 1 << 32
-REORDERED_MAX = 32
+REORDERED_RECORD_MAX_STEPS_BACK = 32
 """A record at most this many numbers behind was overtaken on its way. Further behind, the sensor restarted."""
 FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lb": 4.4482216152605, "klb": 4448.2216152605, "kg": 9.80665, "g": 9.80665e-3}
 """N, by the unit's name in small letters without marks and the f of force."""
@@ -170,7 +170,7 @@ class RdtDecoder(FrameDecoder):
         self._total = 0
 
     def _make_splitter(self) -> FrameSplitter:
-        return packet_splitter(PAGE_MAX_BYTES)
+        return packet_splitter(WEB_PAGE_MAX_BYTES)
 
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]
@@ -204,7 +204,7 @@ class RdtDecoder(FrameDecoder):
     def _is_new(self, number: int) -> bool:
         """Count the numbers missing before a record; return False for one that was overtaken or came twice."""
         last, step = self._last, 0 if self._last is None else (number - self._last) % RECORD_NUMBER_MODULUS
-        if last is not None and (step == 0 or RECORD_NUMBER_MODULUS - step <= REORDERED_MAX):
+        if last is not None and (step == 0 or RECORD_NUMBER_MODULUS - step <= REORDERED_RECORD_MAX_STEPS_BACK):
             return False
         self._last = number
         if last is None or step >= RECORD_NUMBER_MODULUS // 2:
@@ -251,7 +251,7 @@ def _with_page(address: DeviceAddress, questions: Questions) -> DeviceAddress:
     else:
         where = f"{address.text} (its page, http://{address.host}:{port}/netftapi2.xml)"
         try:
-            page = questions.get_page(where, address.host, port, "/netftapi2.xml")[:PAGE_MAX_BYTES]
+            page = questions.get_page(where, address.host, port, "/netftapi2.xml")[:WEB_PAGE_MAX_BYTES]
         except LinkError as error:
             raise LinkError(error.kind, f"{error} Or {COUNTS_ADVICE}.") from error
     try:

@@ -23,12 +23,12 @@ from skincal.model.readings import Loss, Stream
 BEGIN, END = bytes.fromhex("55667788"), bytes.fromhex("AABBCCDD")
 FRAME_MAX_BYTES = 8192
 """Bytes. If a frame is longer, its beginning was none."""
-END_MARKS_MAX = 8
+MAX_END_MARKS_TRIED_PER_FRAME = 8
 """End marks tried for one frame: four bytes of data look like one once in 4 billion."""
 HUB_STRUCT = struct.Struct("<IQ")
 PILLAR_STRUCT = struct.Struct("<H6f")
 HUB_KIND, PILLARS_KIND = 1, 3
-ITEMS_MAX = 64
+MAX_SENSORS_OR_PILLARS = 64
 """Sensors of a hub, and pillars of a sensor: the maker has 2 and 9."""
 
 
@@ -38,7 +38,7 @@ def _frame_end(buffer: bytes, at: int) -> int | None:
     if not 1 <= buffer[begin] <= 4:
         return 0
     end = begin
-    for _ in range(END_MARKS_MAX):
+    for _ in range(MAX_END_MARKS_TRIED_PER_FRAME):
         end = buffer.find(END, end + 1, last)
         if end < 0:
             return None if len(buffer) < last else 0
@@ -104,7 +104,7 @@ def _blocks(data: bytes) -> dict[int, bytes]:
 def _count(block: bytes, at: int, size: int) -> tuple[int, int]:
     """Return the number of items and the place of the first one, which follows as many offsets."""
     (count,) = struct.unpack_from("<H", block, at)
-    if count > ITEMS_MAX:
+    if count > MAX_SENSORS_OR_PILLARS:
         raise ValueError("count")
     return count, at + 2 + count * size
 

@@ -12,7 +12,7 @@ import math
 import struct
 from typing import ClassVar
 
-from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_WIDTH, FrameDecoder, FrameSplitter, HeadSplitter
+from skincal.devices.decoding import NO_SEQ, SATURATED_BIT, WRENCH_VALUES, FrameDecoder, FrameSplitter, HeadSplitter
 from skincal.devices.family import Family, Form, Handshake, Route, Vector
 from skincal.model.readings import Loss, Stream
 
@@ -20,12 +20,12 @@ FRAME_HEAD = b"\x20\x4e"
 FRAME_STRUCT = struct.Struct("<2s6hH")
 COUNTS_PER_SI_UNIT = (100.0, 100.0, 100.0, 1000.0, 1000.0, 1000.0)
 """Counts for each N and N m."""
-SATURATED_COUNT = 32767
+SATURATED_RAW_COUNT = 32767
 STOP_BYTES = b"\xff" * 50
 START_BYTES = bytes.fromhex("0910019A0001020200CDCA")
 START_ANSWER = bytes.fromhex("0910019A00012152")
 """The answer to `START_BYTES`, before the stream."""
-TEXT_MAX_BYTES = 200
+READING_TEXT_MAX_BYTES = 200
 """Bytes of one reading as text."""
 
 
@@ -86,7 +86,7 @@ class RobotiqDecoder(FrameDecoder):
         _, *counts, _ = FRAME_STRUCT.unpack(frame)
         self.valid_records += 1
         values = [count / size for count, size in zip(counts, COUNTS_PER_SI_UNIT, strict=True)]
-        flags = SATURATED_BIT if max(abs(count) for count in counts) >= SATURATED_COUNT else 0
+        flags = SATURATED_BIT if max(abs(count) for count in counts) >= SATURATED_RAW_COUNT else 0
         return self._add(Stream.WRENCH, NO_SEQ, math.nan, values, flags)
 
 
@@ -95,7 +95,7 @@ class RobotiqTextDecoder(FrameDecoder):
 
     name: ClassVar[str] = "Robotiq text"
     mark: ClassVar[bytes] = b")"
-    limit: ClassVar[int] = TEXT_MAX_BYTES
+    limit: ClassVar[int] = READING_TEXT_MAX_BYTES
 
     def _decode(self, frame: bytes) -> Loss | None:
         before, opened, inside = frame.rpartition(b"(")
@@ -105,7 +105,7 @@ class RobotiqTextDecoder(FrameDecoder):
             values = [float(word) for word in inside.decode("ascii").split(",")]
         except ValueError:
             return Loss.UNREADABLE
-        if len(values) != WRENCH_WIDTH or b"_" in inside:
+        if len(values) != WRENCH_VALUES or b"_" in inside:
             return Loss.BAD_WIDTH
         if before.strip():
             self.counts[Loss.UNREADABLE] += 0 if self._first else 1

@@ -20,11 +20,11 @@ from skincal.model.readings import Loss, Stream
 
 HEAD_STRUCT = struct.Struct("!HB")
 VERSION, OUTPUTS, START, DATA = b"VOSU"
-RATE_HZ = 125.0
+OUTPUT_RATE_HZ = 125.0
 """Hz. Every controller can send at this rate; e-Series could at 500 Hz."""
 FIELD_OF_STREAM = {Stream.WRENCH: "ft_raw_wrench", Stream.JOINTS: "actual_q"}
 FIELD_KIND = "VECTOR6D"
-SHOWN_MAX_CHARS = 60
+SHOWN_TYPE_NAME_MAX_CHARS = 60
 
 
 def packet(kind: int, payload: bytes) -> bytes:
@@ -75,7 +75,7 @@ class RtdeHandshake(Handshake):
         if kind == VERSION:
             if payload != b"\x01":
                 raise HandshakeError("the controller does not speak version 2 of RTDE; it needs newer software")
-            return packet(OUTPUTS, struct.pack("!d", RATE_HZ) + ",".join(self._fields).encode())
+            return packet(OUTPUTS, struct.pack("!d", OUTPUT_RATE_HZ) + ",".join(self._fields).encode())
         if kind == OUTPUTS:
             self._check(payload[1:].decode("ascii", "replace").split(","))
             return packet(START, b"")
@@ -91,7 +91,7 @@ class RtdeHandshake(Handshake):
             if kind == "NOT_FOUND":
                 raise HandshakeError(f"the controller has no {name}; it needs newer software, and a sensor at its flange")
             if kind != want:
-                raise HandshakeError(f"{name} is of the kind {kind[:SHOWN_MAX_CHARS]!r}; expected {want}")
+                raise HandshakeError(f"{name} is of the kind {kind[:SHOWN_TYPE_NAME_MAX_CHARS]!r}; expected {want}")
         if len(kinds) != len(wanted):
             raise HandshakeError(f"the controller answers {len(kinds)} fields; it was asked for {len(wanted)}")
 

@@ -41,7 +41,7 @@ HEAD_BYTES = YARP_INT_STRUCT.size + 10
 """YARP int, two counts, eight bytes FF."""
 MESSAGE_MAX_BYTES = 1 << 20
 """Bytes. A skin of 4,200 channels has 33,600; a longer message is refused before it is kept."""
-DEPTH_MAX = 8
+NESTED_LIST_MAX_DEPTH = 8
 READER_NAME = b"skincal\x00"
 """No slash in front: that would announce a port."""
 READER_HELLO = YARP_INT_STRUCT.pack(b"YA", FAST_TCP, b"RP") + INT32_STRUCT.pack(len(READER_NAME)) + READER_NAME
@@ -190,7 +190,7 @@ class _Reader:
             return self.take(4).rstrip(b"\x00").decode("ascii", "replace")
         if tag in (_STRING, _BLOB):
             return self.take(self.int32()).decode("utf-8", "replace")
-        if tag & (_LIST | _DICT) and depth < DEPTH_MAX:
+        if tag & (_LIST | _DICT) and depth < NESTED_LIST_MAX_DEPTH:
             return self._list(tag & ~(_LIST | _DICT), depth)
         raise ProtocolError(f"a value is of the unknown kind {tag}")
 
@@ -298,7 +298,7 @@ class YarpPortDecoder(FrameDecoder):
 
 CONFIG_MAX_BYTES = 1 << 16
 """Size of a file of YARP's settings: each is a line or two."""
-NAMES_SHOWN = 3
+MAX_EXAMPLE_PORTS_NAMED = 3
 """Ports named as examples if a port is unknown."""
 
 
@@ -350,7 +350,7 @@ def find_port(address: DeviceAddress, questions: Questions) -> DeviceAddress:
     found = ask_names(address.text, server, address.path, questions).get(address.path)
     if found is None:
         known = ask_names(address.text, server, "", questions)
-        some = ", ".join(islice((name for name in known if len(name) < 80), NAMES_SHOWN)) or "none"
+        some = ", ".join(islice((name for name in known if len(name) < 80), MAX_EXAMPLE_PORTS_NAMED)) or "none"
         raise LinkError(
             FailureKind.ABSENT,
             f"{address.text}: the name server {server[0]}:{server[1]} knows no port {address.path}; it knows "

@@ -46,17 +46,17 @@ from skincal.taxels.shared_errors import predicted_error
 from skincal.words.rig_words import correction_words
 from skincal.words.taxel_words import state_sentence
 
-BOX_MARGIN_M = 0.020
+PART_BOX_MARGIN_M = 0.020
 """m. Taxels are on the part: the paper's largest error is 19.4 mm, a typo is 100 mm."""
-DUPLICATE_MAX_M = 1e-6
+DUPLICATE_POSITION_MAX_DISTANCE_M = 1e-6
 """m. Positions nearer than the file's last digit are one position."""
-UNIT_TOLERANCE = 1e-6
+UNIT_NORMAL_LENGTH_TOLERANCE = 1e-6
 """A unit vector of doubles is unit to 1e-15; more than this was never normalised."""
-CHIRALITY_TAXELS = 6
+MIRROR_CHECK_MIN_TAXELS_PER_MODULE = 6
 """Least taxels of a module whose handedness is judged: three more than a plane fit uses up."""
-CHIRALITY_RATIO = 0.6
+MIRROR_CHECK_MAX_RESIDUAL_RATIO = 0.6
 """The mirrored layout must fit this much better to say so; the paper's modules fit 2.1 mm straight, 10.4 mm mirrored."""
-NEIGHBOUR_SPACINGS = 1.3
+NEIGHBOUR_MAX_SPACINGS = 1.3
 """Taxels of one module within this many spacings are neighbours: 1.0 apart, the next ring is 1.7."""
 SPACING_RATIOS = (0.7, 1.4)
 """Median distance of neighbours over that of the layout: 4 to 6 mm for 5 mm, and room for scatter, which widens it."""
@@ -100,22 +100,22 @@ def _own_faults(taxels: PlacedTaxels) -> Iterator[Fault]:
     at_origin = np.abs(taxels.positions).max(axis=1, initial=0.0) <= ORIGIN_RADIUS
     yield taxels.channels[at_origin], "at 0 0 0, which readers take as no taxel: channels {}."
     # Neighbouring cells are not compared: copies agree in every digit.
-    cells = np.round(taxels.positions / DUPLICATE_MAX_M).astype(np.int64)
+    cells = np.round(taxels.positions / DUPLICATE_POSITION_MAX_DISTANCE_M).astype(np.int64)
     _, group, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     shared = taxels.channels[count[group.ravel()] > 1]
     yield shared, "the same position for several taxels, so at most one is right: channels {}."
     lengths = np.linalg.norm(taxels.normals, axis=1)
-    off = taxels.channels[(lengths > 0) & (np.abs(lengths - 1.0) > UNIT_TOLERANCE)]
+    off = taxels.channels[(lengths > 0) & (np.abs(lengths - 1.0) > UNIT_NORMAL_LENGTH_TOLERANCE)]
     yield off, "a normal that is not unit: channels {}."
     yield taxels.channels[lengths == 0], "no normal, written as 0 0 0: channels {}."
 
 
 def _faults_against(taxels: PlacedTaxels, reference: ExpectedSurface, outward: FloatArray | None) -> Iterator[Fault]:
-    low, high = reference.points.min(axis=0) - BOX_MARGIN_M, reference.points.max(axis=0) + BOX_MARGIN_M
+    low, high = reference.points.min(axis=0) - PART_BOX_MARGIN_M, reference.points.max(axis=0) + PART_BOX_MARGIN_M
     beyond = np.maximum(low - taxels.positions, taxels.positions - high).max(axis=1)
     yield (
         taxels.channels[beyond > 0],
-        f"more than {BOX_MARGIN_M * 1e3:.0f} mm outside the box of {reference.what}, by up to "
+        f"more than {PART_BOX_MARGIN_M * 1e3:.0f} mm outside the box of {reference.what}, by up to "
         f"{beyond.max(initial=0.0) * 1e3:.0f} mm more: channels {{}}; check units, frame and arm pose.",
     )
     if outward is not None:
@@ -153,7 +153,7 @@ def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
     own, placed = _pads_of(module, taxels)
     normal = taxels.normals[placed].sum(axis=0)
     length = np.linalg.norm(normal)
-    if len(own) < CHIRALITY_TAXELS or length == 0:
+    if len(own) < MIRROR_CHECK_MIN_TAXELS_PER_MODULE or length == 0:
         return False
     pads, positions, normal = module.pads[own], taxels.positions[placed], normal / length
     # Two directions across the normal: the pads are compared in this plane.
@@ -162,7 +162,7 @@ def _is_mirrored(module: Module, taxels: PlacedTaxels) -> bool:
     across = across / np.linalg.norm(across)
     flat = np.stack([positions @ across, positions @ (turn @ across)], axis=1)
     straight = _misfit(pads, flat)
-    return _misfit(pads * np.array([-1.0, 1.0]), flat) < CHIRALITY_RATIO * straight
+    return _misfit(pads * np.array([-1.0, 1.0]), flat) < MIRROR_CHECK_MAX_RESIDUAL_RATIO * straight
 
 
 def _misfit(pads: FloatArray, flat: FloatArray) -> float:
@@ -181,7 +181,7 @@ def _stretches(module: Module, taxels: PlacedTaxels, spacing: float) -> list[flo
     first, second = np.triu_indices(len(own), 1)
     pads, positions = module.pads[own], taxels.positions[placed]
     planned = np.linalg.norm(pads[first] - pads[second], axis=1)
-    near = planned < NEIGHBOUR_SPACINGS * spacing
+    near = planned < NEIGHBOUR_MAX_SPACINGS * spacing
     distances = np.linalg.norm(positions[first[near]] - positions[second[near]], axis=1)
     return (distances / planned[near]).tolist()
 

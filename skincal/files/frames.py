@@ -25,7 +25,7 @@ from skincal.geometry import FloatArray
 from skincal.taxels.result import Method
 from skincal.words.rig_words import correction_words
 
-SITE_RADIUS = 0.0025
+DEFAULT_TOUCH_SITE_RADIUS_M = 0.0025
 """m. Of a touch site where no layout says how far taxels lie apart: half of the iCub's 5 mm."""
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -102,9 +102,9 @@ def npz_bytes(calibration: Calibration, method: Method) -> bytes:
 
 
 def taxel_radius(calibration: Calibration) -> float:
-    """Half of the layout's spacing, metres, or `SITE_RADIUS` without a layout of several taxels."""
+    """Half of the layout's spacing, metres, or `DEFAULT_TOUCH_SITE_RADIUS_M` without a layout of several taxels."""
     layout = calibration.scene.skin.layout
-    return SITE_RADIUS if layout is None or not np.isfinite(layout.spacing) else layout.spacing / 2
+    return DEFAULT_TOUCH_SITE_RADIUS_M if layout is None or not np.isfinite(layout.spacing) else layout.spacing / 2
 
 
 def angles_of(normals: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ half of a pair. Ours stand after the last row: some programs skip a fixed number
 
 Two traps of `skinPart`: it drops the last row, and it fails where the file's name is given without a slash.
 
-Positions and normals have `POSITION_DECIMALS` decimals: a micrometre, a thousandth of the best taxel's uncertainty.
+Positions and normals have `POSITION_DECIMAL_PLACES` decimals: a micrometre, a thousandth of the best taxel's uncertainty.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ from skincal.model.skin import Layout
 from skincal.taxels.result import Estimate, Method, State
 from skincal.words.rig_words import correction_words
 
-POSITION_DECIMALS = 6
+POSITION_DECIMAL_PLACES = 6
 NO_TAXEL = -1
 THERMAL_PAD = -2
-ORIGIN_RADIUS = 0.5 * 10.0**-POSITION_DECIMALS
+ORIGIN_RADIUS = 0.5 * 10.0**-POSITION_DECIMAL_PLACES
 """m. A position nearer to the origin is written as zeros, which readers take as no taxel."""
 SKIN_PARTS = (
     "l_hand", "l_forearm", "l_upper_arm", "r_hand", "r_forearm", "r_upper_arm", "chest",
@@ -130,7 +130,7 @@ def has_comment(path: Path, comment: str) -> bool:
 
 def _format_row(row: list[float]) -> str:
     # Rounded first: adding 0.0 turns the -0 that rounding may leave into 0.
-    return " ".join(f"{round(value, POSITION_DECIMALS) + 0.0:.{POSITION_DECIMALS}f}" for value in row)
+    return " ".join(f"{round(value, POSITION_DECIMAL_PLACES) + 0.0:.{POSITION_DECIMAL_PLACES}f}" for value in row)
 
 
 def _comments(calibration: Calibration, method: Method, estimates: tuple[Estimate, ...]) -> list[str]:

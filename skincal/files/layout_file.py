@@ -17,7 +17,7 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Layout, load_layout, read_layout
 from skincal.modules.health import LayoutRepair, ModuleChange
 
-SAME_ANGLE_RAD = 1e-7
+SAME_ANGLE_TOLERANCE_RAD = 1e-7
 """rad: angles that differ by less are the same; a file has six digits of a degree."""
 
 
@@ -84,7 +84,7 @@ def _check(found: Layout, meant: Layout, path: Path) -> None:
         # Over the circle: angles that are whole turns apart are the same.
         turn = abs(float(np.angle(np.exp(1j * (module.angle - wanted.angle)))))
         same = (module.id, module.first_channel, module.mirror) == (wanted.id, wanted.first_channel, wanted.mirror)
-        if not same or turn > SAME_ANGLE_RAD or not np.array_equal(module.place, wanted.place):
+        if not same or turn > SAME_ANGLE_TOLERANCE_RAD or not np.array_equal(module.place, wanted.place):
             raise InputError(
                 f"{path}: module {wanted.id} would not be read as it was meant; change the layout by hand: "
                 f"first_channel = {wanted.first_channel}, angle_deg = {np.degrees(wanted.angle):g}, "

@@ -26,7 +26,7 @@ OPTIONAL: Mapping[str, Any] = {"optional": True}
 """Metadata of a field that is left out while it is `None`, so that older files keep their bytes."""
 ARRAY_SHAPES = {"tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
 """Shapes of arrays by the name of their field; all others have one dimension."""
-MAX_POSE_M = 1e3
+MAX_POSE_COORDINATE_M = 1e3
 """m. Largest number in a pose: no sensor is a kilometre away."""
 
 
@@ -126,6 +126,6 @@ def _read_array(value: Any, kind: type[Any], shape: tuple[int, ...] | None) -> A
 def _shared_pose(raw: bytes) -> FloatArray:
     """Read a pose, (4, 4), from its bytes: one read-only array for all pokes in it."""
     pose = np.frombuffer(raw).reshape(4, 4)
-    if not np.abs(pose).max() < MAX_POSE_M:  # nor NaN
+    if not np.abs(pose).max() < MAX_POSE_COORDINATE_M:  # nor NaN
         raise ValueError("a pose is none of a robot")
     return pose

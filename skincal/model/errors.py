@@ -5,11 +5,11 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 
-INTERRUPTED_EXIT_CODE = 130
+CTRL_C_EXIT_CODE = 130
 """After Ctrl-C: what a shell reports of a program that the signal ended."""
-MAX_SENTENCE_CHARS = 300
+ERROR_SENTENCE_MAX_CHARS = 300
 """Five lines of a terminal. A quote in a sentence may be a whole file."""
-MAX_WORD_CHARS = 80
+MAX_WORD_CHARS_IN_LONG_SENTENCE = 80
 """Of a word, such as a path, in a sentence that is too long."""
 UNPRINTABLE_CATEGORIES = ("Cc", "Cf", "Cs")
 """Unicode's categories of characters that move a terminal's cursor, reverse the order of letters, or are half a letter."""
@@ -19,7 +19,7 @@ class InputError(Exception):
     """Wrong input. The message says what was found, what was expected and what to do. Exit code 2, no traceback.
 
     Every reader of files and sessions raises it. The sentence quotes files and devices: control characters are replaced, and
-    the middle is left out beyond `MAX_SENTENCE_CHARS`.
+    the middle is left out beyond `ERROR_SENTENCE_MAX_CHARS`.
     """
 
     def __init__(self, sentence: str) -> None:
@@ -33,11 +33,14 @@ def plain_text(text: str) -> str:
     return "".join("?" if unicodedata.category(letter) in UNPRINTABLE_CATEGORIES else letter for letter in text)
 
 
-def shortened(sentence: str, max_chars: int = MAX_SENTENCE_CHARS) -> str:
+def shortened(sentence: str, max_chars: int = ERROR_SENTENCE_MAX_CHARS) -> str:
     """Shorten a sentence: first the middle of long words is left out, then the middle of the whole."""
     if len(sentence) <= max_chars:
         return sentence
-    shorter = " ".join(_without_middle(word, MAX_WORD_CHARS, MAX_WORD_CHARS // 2) for word in sentence.split(" "))
+    shorter = " ".join(
+        _without_middle(word, MAX_WORD_CHARS_IN_LONG_SENTENCE, MAX_WORD_CHARS_IN_LONG_SENTENCE // 2)
+        for word in sentence.split(" ")
+    )
     return _without_middle(shorter, max_chars, max_chars * 2 // 3)
 
 
@@ -45,11 +48,11 @@ def _without_middle(text: str, max_chars: int, head: int) -> str:
     return text if len(text) <= max_chars else f"{text[:head]}\N{HORIZONTAL ELLIPSIS}{text[head + 1 - max_chars :]}"
 
 
-MAX_LISTED_RANGES = 8
+MAX_LISTED_CHANNEL_RANGES = 8
 """Ranges of channels in a sentence before the number of further ones."""
 
 
-def list_channels(channels: Iterable[int], max_ranges: int = MAX_LISTED_RANGES) -> str:
+def list_channels(channels: Iterable[int], max_ranges: int = MAX_LISTED_CHANNEL_RANGES) -> str:
     """Write channel numbers as ranges, such as `3, 204-215 and 2 more ranges`."""
     ranges: list[list[int]] = []
     for channel in sorted(int(channel) for channel in channels):

@@ -144,13 +144,13 @@ class SideReading:
         return SideReading(min(self.least, later.least), max(self.most, later.most), later.now)
 
 
-SILENT_S = 2.0
+LINK_SILENT_AFTER_S = 2.0
 """s without data after which a link is silent. Joints at 1 Hz are slow, not silent."""
 
 
 def is_silent(last_s: float, now_s: float) -> bool:
     """Whether a link or a skin is silent at `now_s`; its newest data came at `last_s` of the same clock."""
-    return now_s - last_s > SILENT_S
+    return now_s - last_s > LINK_SILENT_AFTER_S
 
 
 class LinkAnswer(Enum):

@@ -18,7 +18,7 @@ from skincal.geometry import Arm, DhLink, FloatArray
 from skincal.model.errors import InputError
 from skincal.model.robot import RobotSpec, read_robot
 from skincal.model.skin import Anchor, Layout, load_layout, read_anchor
-from skincal.model.tables import LENGTH_MAX, Table, check_degrees, check_metres, parse_toml, read_text
+from skincal.model.tables import MAX_LENGTH_M, Table, check_degrees, check_metres, parse_toml, read_text
 from skincal.model.urdf import UrdfChain
 
 _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
@@ -26,11 +26,11 @@ _KEYS_IN_DEGREES = {"pose_turn": "pose_turn_deg"}
 SETTING_MIN, SETTING_MAX = 1e-9, 1e6
 """Of thresholds and noise, in their units. No sensor of a robot resolves a nanometre or a nanonewton; raw units of a device of
 20 bits end at a million."""
-MAX_SETTING_S = 60.0
+MAX_TIME_SETTING_S = 60.0
 """s. Nobody holds still for a minute at each poke."""
 FORCE_ORDER = ("release_force", "touch_force", "force_min", "force_max")
 """Force thresholds in ascending order."""
-MAX_JOINT_COLUMNS = 1000
+MAX_JOINT_STREAM_COLUMNS = 1000
 """Of a joint stream: a humanoid has about a hundred."""
 DISTANCE_SD_RANGE_M = (1e-5, 0.1)
 """m. Nobody measures a hundredth of a millimetre on a soft skin."""
@@ -271,8 +271,8 @@ def _read_arm(table: Table) -> ArmSpec:
     columns: FloatArray = table.array("joints", (None,))
     if not len(columns) or (columns < 0).any() or (columns != np.rint(columns)).any():
         raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns of the joint stream, counted from 0.")
-    if (columns >= MAX_JOINT_COLUMNS).any():
-        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns below {MAX_JOINT_COLUMNS}.")
+    if (columns >= MAX_JOINT_STREAM_COLUMNS).any():
+        raise InputError(f"{table.where}: joints is {columns.tolist()}; expected columns below {MAX_JOINT_STREAM_COLUMNS}.")
     joints = tuple(int(j) for j in columns)
     rows: FloatArray = table.array("dh", (len(joints), 4))
     check_metres(rows[:, :2], f"{table.where}: dh")
@@ -328,11 +328,11 @@ def _read_distances(root: Table, layout: Layout | None) -> tuple[KnownDistance, 
         if (ends != np.rint(ends)).any():
             raise InputError(f"{table.where}: {given[0]} is {ends.tolist()}; expected two whole numbers.")
         length, sd = (table.take(key, float) * 1e-3 for key in ("mm", "sd_mm"))
-        if not 0 < length <= LENGTH_MAX or not DISTANCE_SD_RANGE_M[0] <= sd <= DISTANCE_SD_RANGE_M[1]:
+        if not 0 < length <= MAX_LENGTH_M or not DISTANCE_SD_RANGE_M[0] <= sd <= DISTANCE_SD_RANGE_M[1]:
             least, most = (f"{limit * 1e3:g}" for limit in DISTANCE_SD_RANGE_M)
             raise InputError(
                 f"{table.where}: mm is {length * 1e3:g} and sd_mm {sd * 1e3:g}; expected a distance above 0 and up to "
-                f"{LENGTH_MAX * 1e3:g}, known to {least} to {most}."
+                f"{MAX_LENGTH_M * 1e3:g}, known to {least} to {most}."
             )
         table.refuse_unknown_keys()
         known = KnownDistance((int(ends[0]), int(ends[1])), given[0] == "taxels", length, sd)
@@ -394,7 +394,7 @@ def _check_setting(where: str, key: str, value: float, default: float) -> None:
 
 def setting_limit(key: str) -> float:
     """Largest value of a threshold or a noise, in its unit."""
-    return MAX_SETTING_S if key.endswith("_s") else SETTING_MAX
+    return MAX_TIME_SETTING_S if key.endswith("_s") else SETTING_MAX
 
 
 def _check_force_order(where: str, settings: ContactSettings) -> None:

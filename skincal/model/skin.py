@@ -31,7 +31,7 @@ class ModuleKind:
     """Local index of the taxel that represents the module (`taxel2Repr`)."""
 
 
-TAXELS_PER_BLOCK = 256
+TAXELS_PER_NEIGHBOUR_SEARCH = 256
 """Taxels whose neighbours are searched at once: 17 MB of differences to 4,200 taxels."""
 _KINDS = (
     # icub-main app/skinGui, Triangle.h: the paper's 12-taxel triangle, side 30 mm.
@@ -139,11 +139,11 @@ class Layout:
         places = self.places[self.channels]
         # In blocks: the differences of 4,200 taxels at once would take 280 MB.
         nearest = np.empty(len(places))
-        for start in range(0, len(places), TAXELS_PER_BLOCK):
-            block = places[start : start + TAXELS_PER_BLOCK]
+        for start in range(0, len(places), TAXELS_PER_NEIGHBOUR_SEARCH):
+            block = places[start : start + TAXELS_PER_NEIGHBOUR_SEARCH]
             distances = np.linalg.norm(block[:, None] - places[None], axis=-1)
             distances[np.arange(len(block)), start + np.arange(len(block))] = np.inf
-            nearest[start : start + TAXELS_PER_BLOCK] = distances.min(axis=1)
+            nearest[start : start + TAXELS_PER_NEIGHBOUR_SEARCH] = distances.min(axis=1)
         return float(np.median(nearest))
 
 

@@ -16,17 +16,17 @@ from skincal.model.given import MAX_TEXT_BYTES, read_regular
 
 Value = TypeVar("Value")
 
-LENGTH_MAX = 10.0
+MAX_LENGTH_M = 10.0
 """m. No length of a robot is larger; millimetres taken for metres are."""
 MAX_ANGLE_DEG = 3600.0
 """Ten turns: more than any joint of an arm makes."""
 MAX_INTEGER = 10**18
 """Just below the limit of 64 bits; no count, channel or setting is as large."""
-DIRECTION_MAX = 1e100
+MAX_DIRECTION_VECTOR_LENGTH = 1e100
 """The square of a longer vector, or of one shorter than its inverse, is no finite number: its direction is lost."""
-MAX_DOTS_IN_NAME = 32
+MAX_DOTS_IN_TABLE_NAME = 32
 """A scene has tables three deep; the time to read a dotted name grows with the square of its dots."""
-_TOO_MANY_DOTS = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{MAX_DOTS_IN_NAME}}}")
+_TOO_MANY_DOTS = re.compile(rf"(?<![\w\"'-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{MAX_DOTS_IN_TABLE_NAME}}}")
 _short_repr = reprlib.Repr()
 _short_repr.maxlist, _short_repr.maxstring, _short_repr.maxother, _short_repr.maxlevel = 16, 60, 60, 4
 
@@ -47,7 +47,7 @@ def read_text(path: Path) -> str:
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """Parse the text of a TOML file."""
     if _TOO_MANY_DOTS.search(text):
-        raise InputError(f"{path}: a name has {MAX_DOTS_IN_NAME} dots or more; expected a few levels.")
+        raise InputError(f"{path}: a name has {MAX_DOTS_IN_TABLE_NAME} dots or more; expected a few levels.")
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -122,7 +122,7 @@ class Table:
             length = float(np.linalg.norm(vector))
         if not length > 0:
             raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, which is not zero.")
-        if not 1 / DIRECTION_MAX < length < DIRECTION_MAX:
+        if not 1 / MAX_DIRECTION_VECTOR_LENGTH < length < MAX_DIRECTION_VECTOR_LENGTH:
             raise InputError(f"{self.where}: {key} is {vector.tolist()}; expected a direction, of a length near 1.")
         return vector / length
 
@@ -149,9 +149,9 @@ class Table:
         """Take an array of millimetres, as `array`, and convert it to metres."""
         lengths: FloatArray = self.array(key, shape, default, gaps=gaps)
         longest = float(np.nanmax(np.abs(lengths), initial=0.0))
-        if longest > LENGTH_MAX * 1e3:
+        if longest > MAX_LENGTH_M * 1e3:
             raise InputError(
-                f"{self.where}: {key} has a length of {longest:g}; millimetres up to {LENGTH_MAX * 1e3:g} were expected."
+                f"{self.where}: {key} has a length of {longest:g}; millimetres up to {MAX_LENGTH_M * 1e3:g} were expected."
             )
         return lengths * 1e-3
 
@@ -206,9 +206,9 @@ def check_degrees(angles: FloatArray, what: str) -> None:
 
 
 def check_metres(lengths: FloatArray, what: str) -> None:
-    """Refuse lengths beyond `LENGTH_MAX`; the sentence names the likely unit."""
+    """Refuse lengths beyond `MAX_LENGTH_M`; the sentence names the likely unit."""
     longest = float(np.abs(lengths).max(initial=0.0))
-    if longest > LENGTH_MAX:
+    if longest > MAX_LENGTH_M:
         raise InputError(
-            f"{what} has a length of {longest:g}; metres up to {LENGTH_MAX:g} were expected: divide millimetres by 1000."
+            f"{what} has a length of {longest:g}; metres up to {MAX_LENGTH_M:g} were expected: divide millimetres by 1000."
         )

@@ -21,7 +21,7 @@ import numpy as np
 from skincal.devices.link import LinkError
 from skincal.files.atomic import write_atomically
 from skincal.files.calibration import Calibration, placed_taxels
-from skincal.files.icub import POSITION_DECIMALS, SKIN_PARTS, has_comment, part_name, positions_text, read_icub, skin_part
+from skincal.files.icub import POSITION_DECIMAL_PLACES, SKIN_PARTS, has_comment, part_name, positions_text, read_icub, skin_part
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, list_channels, plain_text, plural, shortened
 from skincal.robot.yarp_rpc import YarpRpcClient, parse_rpc_address
@@ -31,7 +31,7 @@ Command: TypeAlias = "list[str | int | float]"
 
 ANSWER_MAX_S = 2.0
 """s. skinManager answers between two of its cycles, of 20 to 50 ms; while it calibrates it may take a cycle more."""
-SAME_POSITION_M = 2.0 * 10.0**-POSITION_DECIMALS
+SAME_POSITION_M = 2.0 * 10.0**-POSITION_DECIMAL_PLACES
 """m. Positions nearer than this are the same: a file has so many decimals."""
 BACKUP_MARKER = "positions that skinManager had before others were applied"
 """Comment of a backup file. Its zeros are the robot's own values; in other files zeros mean an unknown position."""
@@ -57,7 +57,7 @@ class Positions:
     def set_pose_command(self, channel: int) -> Command:
         """Build the command that sets position and normal of a taxel."""
         # Adding zero makes 0 of -0. Whole numbers would be taken for a taxel's number, so all of them are floats.
-        numbers = [round(value, POSITION_DECIMALS) + 0.0 for value in self.rows[channel].tolist()]
+        numbers = [round(value, POSITION_DECIMAL_PLACES) + 0.0 for value in self.rows[channel].tolist()]
         return ["set", "pose", self.number, channel, *numbers]
 
     def set_confidence_command(self, channel: int) -> Command:
@@ -94,7 +94,7 @@ def _positions(part: str, width: int, channels: Sequence[int], rows: FloatArray)
 
 def command_text(command: Sequence[str | int | float]) -> str:
     """Write a command as one would type it."""
-    return " ".join(f"{word:.{POSITION_DECIMALS}f}" if isinstance(word, float) else str(word) for word in command)
+    return " ".join(f"{word:.{POSITION_DECIMAL_PLACES}f}" if isinstance(word, float) else str(word) for word in command)
 
 
 def answer_text(answer: Sequence[float | str]) -> str:

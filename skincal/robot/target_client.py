@@ -12,7 +12,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from skincal.model.errors import InputError, shortened
-from skincal.model.scene import MAX_SETTING_S, SETTING_MAX
+from skincal.model.scene import MAX_TIME_SETTING_S, SETTING_MAX
 from skincal.robot.target_lines import (
     COORDINATE_MAX_M,
     KNOWN_POINT,
@@ -36,7 +36,7 @@ from skincal.robot.target_server import POLL_S, READ_MAX_BYTES, RECONNECT_AFTER_
 
 FORCE_MAX_N = SETTING_MAX
 """N. Maximum of a scene's thresholds; a robot has limits of its own."""
-HOLD_MAX_S = 2.0 * MAX_SETTING_S
+HOLD_MAX_S = 2.0 * MAX_TIME_SETTING_S
 """s. Twice the longest still window."""
 
 

@@ -17,11 +17,11 @@ from skincal.session.decisions import ClosingRound
 from skincal.session.landmark_pokes import landmark_pokes
 from skincal.session.snapshot import PokeRecord, Snapshot
 
-MAX_POKES_PER_PLACE = 3
+CLOSING_CHECK_MAX_POKES_PER_PLACE = 3
 """Largest number of pokes for each place in a closing check."""
-MIN_CONTACTS_BETWEEN_CHECKS = 10
+MIN_CONTACTS_BETWEEN_CLOSING_CHECKS = 10
 """Contacts since the last closing check until the next one: fewer are not worth its three pokes."""
-MAX_REPEATS = 2
+MAX_REPEATS_OF_DECIDING_PLACE = 2
 """Repeats of a place after a single deciding poke: 68 to 81 of 100 movements of 8 mm are reported, without them 47 to 67."""
 
 
@@ -78,22 +78,22 @@ def _progress(
     known = {place for poke, place in places if poke <= begun.after}
     since = [(poke, place) for poke, place in places if poke > begun.after]
     again, size, is_complete = set[ClosingPlace | None](), 0, False
-    while not is_complete and size < min(len(since), MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES):
+    while not is_complete and size < min(len(since), CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES):
         again |= (known & {since[size][1]}) - {None}
         size += 1
         is_complete = (
             max(sum(each is not None and each.at is at for each in again) for at in ClosingPlaces) == CLOSING_CHECK_PLACES
         )
-    tried = size == MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES
+    tried = size == CLOSING_CHECK_MAX_POKES_PER_PLACE * CLOSING_CHECK_PLACES
     while True:
         pokes = frozenset(poke for poke, _ in since[:size])
         found = _result(begun, pokes, earlier, every, noise)
         asked = _place_to_repeat(begun, found, pokes, every)
         if asked is None or not is_complete:
             break
-        tries = [place for _, place in since[size : size + MAX_POKES_PER_PLACE]]
+        tries = [place for _, place in since[size : size + CLOSING_CHECK_MAX_POKES_PER_PLACE]]
         if asked not in tries:
-            asked = asked if len(tries) < MAX_POKES_PER_PLACE else None
+            asked = asked if len(tries) < CLOSING_CHECK_MAX_POKES_PER_PLACE else None
             break
         size += tries.index(asked) + 1
     return ClosingProgress(pokes, found, is_complete, asked, asked is None if is_complete else tried)
@@ -127,7 +127,7 @@ def _place_to_repeat(
     place = ClosingPlace(found.at, found.place)
     again = sum(poke.poke in pokes and poke.name in found.names for poke in every[found.at])
     asked = again - min(len(found.names), CLOSING_CHECK_PLACES)
-    return place if asked < MAX_REPEATS and place not in begun.skipped else None
+    return place if asked < MAX_REPEATS_OF_DECIDING_PLACE and place not in begun.skipped else None
 
 
 def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
@@ -135,7 +135,7 @@ def is_due(snapshot: Snapshot, rounds: Sequence[ClosingProgress]) -> bool:
     if not rounds:
         return True
     last = max(rounds[-1].pokes, default=snapshot.decisions.closings[-1].after)
-    return sum(contact.poke > last for contact in snapshot.contacts) >= MIN_CONTACTS_BETWEEN_CHECKS
+    return sum(contact.poke > last for contact in snapshot.contacts) >= MIN_CONTACTS_BETWEEN_CLOSING_CHECKS
 
 
 def counting_landmark_pokes(snapshot: Snapshot) -> list[LandmarkPoke]:

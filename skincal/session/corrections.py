@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from skincal.rig.correction_fit import RigAnswer
     from skincal.rig.frame_check import FrameDiagnosis
 
-ROTATION_TOLERANCE = 1e-9
+ROTATION_MATRIX_TOLERANCE = 1e-9
 """Largest error of a rotation's product with its transpose."""
 CORRECTED_THINGS = {FRAME: "the sensor's frame", RIG: "the rig"}
 """Names for the operator of what each kind of correction is of."""
@@ -129,7 +129,7 @@ def correction_of(action: Correct) -> Correction:
 def _is_motion(matrix: FloatArray) -> bool:
     """Whether (4, 4) is a rotation and a shift, within rounding."""
     turn = matrix[:3, :3]
-    square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROTATION_TOLERANCE) and np.linalg.det(turn) > 0
+    square = np.allclose(turn @ turn.T, np.eye(3), rtol=0.0, atol=ROTATION_MATRIX_TOLERANCE) and np.linalg.det(turn) > 0
     return bool(square and np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]))
 
 

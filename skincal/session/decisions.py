@@ -32,13 +32,13 @@ from skincal.model.actions import (
 )
 from skincal.model.errors import InputError
 from skincal.model.scene import ContactSettings, Landmark, Scene, with_thresholds
-from skincal.model.tables import LENGTH_MAX
+from skincal.model.tables import MAX_LENGTH_M
 from skincal.rig.closing import ClosingPlace, ClosingPlaces
 from skincal.rig.correction import UsedCorrection
 from skincal.session.corrections import CORRECTED_THINGS, with_correction, without_correction
 from skincal.session.landmark_pokes import poke_at
 
-MAX_ACTION_NUMBER = 1e6
+MAX_ACTION_COORDINATE = 1e6
 """Largest coordinate of an action (m, or a direction): far beyond any part, and products of such numbers stay finite."""
 NON_UNDOABLE_ACTIONS = (AskLandmark, AskPoke, MissedLandmark, SkipClosing, SkipLandmark, SkipPoke)
 """Requests of the guide and findings of the pipeline: undo passes over them."""
@@ -218,8 +218,8 @@ def _with_landmark(action: AddLandmark, now: Decisions, _context: ActionContext)
     place = np.array([action.x, action.y, action.z])
     if not action.name.strip() or any(action.name == landmark.name for landmark in now.landmarks):
         raise InputError(f"A landmark cannot be named {action.name!r}; expected a name that no other one has.")
-    if not np.isfinite(place).all() or np.abs(place).max() > LENGTH_MAX:
-        raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {LENGTH_MAX:g}.")
+    if not np.isfinite(place).all() or np.abs(place).max() > MAX_LENGTH_M:
+        raise InputError(f"The landmark {action.name!r} lies at {place.tolist()}; expected metres up to {MAX_LENGTH_M:g}.")
     return replace(now, landmarks=(*now.landmarks, Landmark(action.name, place, None)))
 
 
@@ -268,8 +268,8 @@ def _with_closing_skip(action: SkipClosing, now: Decisions, context: ActionConte
 def _check_numbers(action: Action, sizes: set[int], *values: Sequence[float]) -> None:
     """Refuse a place or a direction of an action with a wrong number of coordinates, or too large ones."""
     # NaN fails every comparison.
-    if any(len(each) not in sizes or not all(abs(value) <= MAX_ACTION_NUMBER for value in each) for each in values):
-        expected = f"{' or '.join(map(str, sorted(sizes)))} numbers up to {MAX_ACTION_NUMBER:g}"
+    if any(len(each) not in sizes or not all(abs(value) <= MAX_ACTION_COORDINATE for value in each) for each in values):
+        expected = f"{' or '.join(map(str, sorted(sizes)))} numbers up to {MAX_ACTION_COORDINATE:g}"
         raise InputError(f"{type(action).__name__} has {[list(each) for each in values]}; expected {expected}.")
 
 

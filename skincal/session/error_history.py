@@ -33,9 +33,9 @@ from skincal.taxels.result import Estimate, Method
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-POINTS_MAX = 256
+ERROR_HISTORY_MAX_POINTS = 256
 """Maximum number of points: about half the pixels of a plot in a side panel."""
-PAUSE_MAX_S = 60.0
+SHOWN_PAUSE_MAX_S = 60.0
 """s. Longer pauses are cut to this on the time axis: a night between two halves of a session would hide both."""
 MAX_WORK_PER_STEP_S = 0.03
 """s of one background step: about one picture, so that the window keeps half of the machine."""
@@ -57,7 +57,7 @@ class ErrorSeries:
     pokes: IntArray
     """(n,) poke number of the last of them."""
     times: FloatArray
-    """(n,) s since the first counting poke, with pauses up to `PAUSE_MAX_S`."""
+    """(n,) s since the first counting poke, with pauses up to `SHOWN_PAUSE_MAX_S`."""
     spreads: Mapping[Method, FloatArray]
     """(n, 1 + modules, 4) float; see `Spreads`."""
     stride: int
@@ -299,16 +299,16 @@ class ErrorFollower:
 
 def stride_of(count: int) -> int:
     """Choose the stride for `count` pokes: a power of two, so that a growing session keeps its points."""
-    return 1 << max(0, (count - 1) // POINTS_MAX).bit_length()
+    return 1 << max(0, (count - 1) // ERROR_HISTORY_MAX_POINTS).bit_length()
 
 
 def poking_times(ends_s: Sequence[float]) -> FloatArray:
     """Compute the time since the first poke, (n,) float, seconds.
 
     The host's clock restarts with the machine, and a session may continue days later: a step back counts as 0, one of more than
-    `PAUSE_MAX_S` as that.
+    `SHOWN_PAUSE_MAX_S` as that.
     """
-    return np.cumsum(np.clip(np.diff(np.array(ends_s, dtype=float), prepend=ends_s[:1]), 0.0, PAUSE_MAX_S))
+    return np.cumsum(np.clip(np.diff(np.array(ends_s, dtype=float), prepend=ends_s[:1]), 0.0, SHOWN_PAUSE_MAX_S))
 
 
 def _common(first: Sequence[Contact], second: Sequence[Contact]) -> int:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from skincal.session.pipeline import Pipeline
     from skincal.session.snapshot import Snapshot
 
-STEP_NS = 20_000_000
+GUIDE_UPDATE_PERIOD_NS = 20_000_000
 """ns between two looks at the guide, without a window."""
 
 
@@ -216,7 +216,7 @@ class RobotGuide:
         """Handle answers and send targets at `now_ns` of the host's monotonic clock; give sentences for the operator."""
         if now_ns < self._next_ns:
             return []
-        self._next_ns = now_ns + STEP_NS
+        self._next_ns = now_ns + GUIDE_UPDATE_PERIOD_NS
         sentences = self._guided.handle_answers(self._pipeline, self._server, now_ns)
         self.enough |= self._guided.follow_session(self._pipeline, self._pipeline.snapshot(), now_ns, self._server)
         return sentences

@@ -43,7 +43,7 @@ from skincal.session.solving import methods_of
 from skincal.taxels.contact_table import Evidence
 from skincal.taxels.result import Estimate, Method, State
 
-MIN_STANDING_S = 1.0
+ARM_STILL_MIN_S = 1.0
 """s. A landmark is requested once the arm has stood still for this long, not in poses that it only passes."""
 
 
@@ -241,7 +241,7 @@ class LandmarkGuide:
             # The first pose, and one that the scene names, are not on the way to another: they hold at once.
             is_named = self._scene.arm is None or pose[0] in self._scene.arm.poses
             self._since_s = now_s if before and not is_named else -np.inf
-        is_still = now_s - self._since_s >= MIN_STANDING_S
+        is_still = now_s - self._since_s >= ARM_STILL_MIN_S
         known = snapshot, pose[0], is_still, guidance
         if known != self._known:
             self._known = known

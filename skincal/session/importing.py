@@ -22,7 +22,7 @@ from skincal.streams.links import LinkSpec
 from skincal.words.link_words import silent_links
 from skincal.words.poke_words import no_poke_sentence
 
-PROGRESS_CHUNKS = 20
+CHUNKS_PER_PROGRESS_REPORT = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
 IMPORT_STOPPED = "The import was stopped; nothing was left behind."
 
@@ -105,7 +105,7 @@ def play_recording(
             pipeline.act(SetPose(pose), START_NS)
         span_ns = max(recording.span_ns, 1)
         for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
-            if count % PROGRESS_CHUNKS == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
+            if count % CHUNKS_PER_PROGRESS_REPORT == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
                 raise StoppedError(IMPORT_STOPPED)
             pipeline.feed(chunk)
             if pipeline.journal_failure:

@@ -20,17 +20,17 @@ from skincal.rig.expected_gain import expected_miss
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-REACTION_S = 0.25
+VISUAL_REACTION_TIME_S = 0.25
 """s, visual reaction time. A poke that starts sooner after a new request was on its way to the landmark before."""
-NORMAL_FROM_MESH_M = 0.010
+LANDMARK_NORMAL_MAX_MESH_DISTANCE_M = 0.010
 """m. A landmark farther from the surface takes no normal from it; a point of a jig, say, may be poked from any side."""
-MISS_LIMIT_FACTOR = 3.0
+MAX_MISS_OVER_EXPECTED_MISS = 3.0
 """A landmark poke may miss by this many times the miss that an ordinary rig predicts (`expected_miss`): 34 mm on the forearm.
 Nine in ten pass at 19 mm; a poke at another landmark passes at 33 to 81."""
 
-FIND_RADIUS_M = 0.020
+LANDMARK_MATCH_MAX_DISTANCE_M = 0.020
 """m. A poke is matched to the landmark that its axis passes within this distance..."""
-NEXT_LANDMARK_FACTOR = 2.0
+OTHER_LANDMARK_MIN_DISTANCE_RATIO = 2.0
 """...if it passes every other landmark at this many times that distance. On 40 rigs with the paper's errors this names 90 % of
 840 landmark pokes, none wrongly: axes pass their landmarks at 10 mm in the median, at 19 mm in nine of ten. The axes of 29 % of
 the pokes on the skin pass a landmark in the same way, so a poke that a taxel answered is never matched."""
@@ -83,10 +83,10 @@ class LandmarkFinder:
     ) -> list[FoundAtLandmark | MissedLandmark]:
         """Find which new pokes were at the requested landmark, and which missed it.
 
-        A poke counts if it began `REACTION_S` after the request, has a force axis, and no taxel far from the landmark answered.
-        A poke that misses by more than `MISS_LIMIT_FACTOR` times the expected miss is rejected, unless at least half of the
-        earlier pokes missed as much. Then the sensor's frame may be wrong, and these pokes show it. Once most pokes hit, those
-        that missed are removed, except those that the operator named.
+        A poke counts if it began `VISUAL_REACTION_TIME_S` after the request, has a force axis, and no taxel far from the
+        landmark answered. A poke that misses by more than `MAX_MISS_OVER_EXPECTED_MISS` times the expected miss is rejected,
+        unless at least half of the earlier pokes missed as much. Then the sensor's frame may be wrong, and these pokes show it.
+        Once most pokes hit, those that missed are removed, except those that the operator named.
 
         Parameters
         ----------
@@ -121,11 +121,11 @@ class LandmarkFinder:
         outward = self._outward[key]
         force, _ = move_wrench(poke.link_from_sensor, poke.force, poke.moment)
         behind = outward is not None and float(outward @ force) > MAX_PUSH_COSINE * float(np.linalg.norm(force))
-        limit = MISS_LIMIT_FACTOR * expected_miss(poke, noise)
+        limit = MAX_MISS_OVER_EXPECTED_MISS * expected_miss(poke, noise)
         return MissedLandmark(poke.poke, poke.name, poke.miss, limit, behind) if behind or not poke.miss <= limit else None
 
     def _may_be(self, outcome: Outcome, landmark: Landmark) -> bool:
-        late = outcome.start_s >= self._asked_s + REACTION_S
+        late = outcome.start_s >= self._asked_s + VISUAL_REACTION_TIME_S
         return late and (isinstance(outcome, Rejection) or may_be_at_landmark(outcome, landmark, self._places()))
 
 
@@ -156,7 +156,7 @@ def poke_at(outcome: Outcome, landmark: Landmark) -> LandmarkPoke | None:
 def nearest_landmarks(
     outcomes: Iterable[Outcome], landmarks: Sequence[Landmark], surface: Surface | None
 ) -> dict[int, NearestLandmark]:
-    """Find the landmark nearest to the axis of each poke that can be at one, by poke number; see `FIND_RADIUS_M`.
+    """Find the landmark nearest to the force axis of each poke within `LANDMARK_MATCH_MAX_DISTANCE_M`, by poke number.
 
     Parameters
     ----------
@@ -180,7 +180,11 @@ def nearest_landmarks(
         nearest = int(misses.argmin())
         miss, other = float(misses[nearest]), float(np.delete(misses, nearest).min(initial=np.inf))
         if np.isfinite(miss):
-            sure = isinstance(outcome, Rejection) and miss <= FIND_RADIUS_M and other >= NEXT_LANDMARK_FACTOR * miss
+            sure = (
+                isinstance(outcome, Rejection)
+                and miss <= LANDMARK_MATCH_MAX_DISTANCE_M
+                and other >= OTHER_LANDMARK_MIN_DISTANCE_RATIO * miss
+            )
             found[outcome.poke] = NearestLandmark(outcome.poke, landmarks[nearest].name, miss, other, sure)
     return found
 
@@ -199,6 +203,6 @@ def landmark_normals(landmarks: Sequence[Landmark], surface: Surface | None) -> 
 
     nearest, triangles = nearest_points(surface, places)
     for i, off, triangle in zip(missing, np.linalg.norm(nearest - places, axis=1), triangles, strict=True):
-        if off <= NORMAL_FROM_MESH_M:
+        if off <= LANDMARK_NORMAL_MAX_MESH_DISTANCE_M:
             normals[i] = surface.normals[triangle]
     return normals

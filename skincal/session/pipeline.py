@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 READ_AHEAD_ITEMS = 256
 """Items of a recording that are read ahead: some four seconds."""
-DECODED_PERIOD_NS = 500_000_000
+WRENCH_RECORD_PERIOD_NS = 500_000_000
 """ns between decoded wrenches in the journal."""
-TOTALS_PERIOD_NS = 5_000_000_000
+READING_COUNTS_RECORD_PERIOD_NS = 5_000_000_000
 """ns between counts of readings in the journal; the last come at the end."""
 _LOST_STATES = (LinkState.LOST, LinkState.FAILED)
 
@@ -262,7 +262,7 @@ class Pipeline:
     def close(self) -> None:
         """Finish the journal; the session stays."""
         # The rest becomes due.
-        self._decoded_wrenches(self._decoded_ns + DECODED_PERIOD_NS)
+        self._decoded_wrenches(self._decoded_ns + WRENCH_RECORD_PERIOD_NS)
         self.end_session(self._now_ns)
         self._record(lambda journal: journal.close())
         self.journal = None
@@ -330,7 +330,7 @@ class Pipeline:
     def _totals_due(self, item: Item) -> bool:
         if self._totals_ns is None:
             self._totals_ns = item.host_ns
-        if not isinstance(item, SessionClosed) and item.host_ns - self._totals_ns < TOTALS_PERIOD_NS:
+        if not isinstance(item, SessionClosed) and item.host_ns - self._totals_ns < READING_COUNTS_RECORD_PERIOD_NS:
             return False
         self._totals_ns = item.host_ns
         return True
@@ -356,7 +356,7 @@ class Pipeline:
 
     def _decoded_wrenches(self, host_ns: int) -> None:
         """Write the wrenches of the last half second and the temperature to the journal, for other programs."""
-        if not self._wants_decoded or host_ns - self._decoded_ns < DECODED_PERIOD_NS:
+        if not self._wants_decoded or host_ns - self._decoded_ns < WRENCH_RECORD_PERIOD_NS:
             return
         self._decoded_ns = host_ns
         times, wrenches = self._intake.wrench_after(self._decoded_s)

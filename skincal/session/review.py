@@ -31,7 +31,7 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
 
-PATIENCE_S = 5.0
+FINISH_REVIEW_IF_RUNNING_FOR_S = 5.0
 """s. A review that has taken this long is finished, although a newer one waits. Else no review of a large part would end."""
 
 
@@ -206,7 +206,7 @@ def review_sent(sent: SentReview, is_wanted: Callable[[], bool]) -> Review | Non
     begun = time.monotonic()
 
     def between() -> None:
-        if not is_wanted() and time.monotonic() - begun < PATIENCE_S:
+        if not is_wanted() and time.monotonic() - begun < FINISH_REVIEW_IF_RUNNING_FOR_S:
             raise _GivenUpError
 
     try:

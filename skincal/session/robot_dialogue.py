@@ -27,16 +27,16 @@ from skincal.robot.target_lines import (
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.words.poke_words import missed_words, rejection_words
 
-DETECTION_TIMEOUT_S = 3.0
+POKE_DETECTION_TIMEOUT_S = 3.0
 """s. If no poke is detected within this time after the robot reports "reached", the target has failed. A poke is judged within
 half a second after the tool has left."""
-VERDICT_TIMEOUT_S = 2.0
+POKE_VERDICT_TIMEOUT_S = 2.0
 """s. The next target waits this long at most for a verdict: links that stop leave a poke open."""
-STILL_WINDOWS_HELD = 2.0
+HOLD_TIME_IN_STILL_WINDOWS = 2.0
 """A robot is asked to hold for this many still windows, since the force has to settle, too."""
-MAX_OPEN_TARGETS = 8
+MAX_TARGETS_AWAITING_A_POKE = 8
 """Targets that a late poke may belong to."""
-NOT_DETECTED = f"no poke was felt within {DETECTION_TIMEOUT_S:g} s after it was said to be reached"
+NOT_DETECTED = f"no poke was felt within {POKE_DETECTION_TIMEOUT_S:g} s after it was said to be reached"
 
 
 @dataclass(slots=True)
@@ -73,7 +73,7 @@ class RobotDialogue:
 
     def __init__(self, scene: Scene) -> None:
         self._frame = scene.link
-        self._requests: deque[_Request] = deque(maxlen=MAX_OPEN_TARGETS)
+        self._requests: deque[_Request] = deque(maxlen=MAX_TARGETS_AWAITING_A_POKE)
         self._last_line: NoTarget | None = None
         """The last line if it was no target."""
         self._is_stopped = False
@@ -186,7 +186,7 @@ class RobotDialogue:
         if target is None:
             return NoTarget.ENOUGH if guidance.enough else NoTarget.WAIT
         limits = snapshot.decisions.thresholds
-        force, hold = (limits.force_min + limits.force_max) / 2.0, STILL_WINDOWS_HELD * limits.still_s
+        force, hold = (limits.force_min + limits.force_max) / 2.0, HOLD_TIME_IN_STILL_WINDOWS * limits.still_s
         known = bool(target.landmark)
         return PokeTarget(0, target.channel, target.place, target.push, known, self._frame, pose, force, hold)
 
@@ -208,14 +208,14 @@ class RobotDialogue:
         for record in _pokes_after(snapshot.pokes, self._judged_poke):
             outcome = record.outcome
             request = next((each for each in reversed(self._requests) if each.at_s <= outcome.start_s), None)
-            if not outcome.final and now_s - outcome.end_s < VERDICT_TIMEOUT_S:
+            if not outcome.final and now_s - outcome.end_s < POKE_VERDICT_TIMEOUT_S:
                 return request is not None and request.is_open
             self._judged_poke = outcome.poke
             if request is not None and not request.is_judged:
                 request.end()
                 lines.append(Judged(request.target.number, _why_rejected(record, snapshot)))
         newest = self._requests[-1] if self._requests else None
-        if newest and newest.is_open and newest.reached_s is not None and now_s - newest.reached_s > DETECTION_TIMEOUT_S:
+        if newest and newest.is_open and newest.reached_s is not None and now_s - newest.reached_s > POKE_DETECTION_TIMEOUT_S:
             newest.end()
             lines.append(Judged(newest.target.number, NOT_DETECTED))
         return False

@@ -14,12 +14,12 @@ import numpy as np
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.readings import Stream
 
-CRC_START = 0xFFFF
-COBS_MAX_RUN = 254
+CRC_CCITT_INITIAL_VALUE = 0xFFFF
+COBS_MAX_NONZERO_RUN_BYTES = 254
 """Maximum number of nonzero bytes in one COBS block."""
 SKB_MAX_BODY_BYTES = 1024
 SKB_HEAD = struct.Struct("<BBHI")
-SKB_HEADER_TYPE = 16
+SKB_HEADER_MESSAGE_TYPE = 16
 SKB_TYPES = {Stream.WRENCH: (2, "<f4"), Stream.JOINTS: (5, "<f4")}
 SKB_SKIN_TYPES = {"u16": (1, "<u2"), "u8": (3, "u1"), "f32": (4, "<f4")}
 SKT_LETTERS = {Stream.WRENCH: "F", Stream.SKIN: "T", Stream.JOINTS: "J"}
@@ -60,10 +60,10 @@ def cobs(data: bytes) -> bytes:
     pieces = data.split(b"\x00")
     for index, piece in enumerate(pieces):
         rest = piece
-        while len(rest) >= COBS_MAX_RUN:
+        while len(rest) >= COBS_MAX_NONZERO_RUN_BYTES:
             out.append(0xFF)
-            out += rest[:COBS_MAX_RUN]
-            rest = rest[COBS_MAX_RUN:]
+            out += rest[:COBS_MAX_NONZERO_RUN_BYTES]
+            rest = rest[COBS_MAX_NONZERO_RUN_BYTES:]
             # A full run at the end of the data has no block for a zero after it.
             if not rest and index == len(pieces) - 1:
                 return bytes(out)
@@ -81,7 +81,7 @@ class SkbEncoder(Encoder):
 
     def header(self, t_us: int, fields: str, width: int) -> bytes:
         del width
-        return self._frame(None, SKB_HEADER_TYPE, t_us, fields.encode())
+        return self._frame(None, SKB_HEADER_MESSAGE_TYPE, t_us, fields.encode())
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
         kind, dtype = self._types[stream]
@@ -91,7 +91,7 @@ class SkbEncoder(Encoder):
 
     def _frame(self, stream: Stream | None, kind: int, t_us: int, payload: bytes) -> bytes:
         body = SKB_HEAD.pack(kind, 0, self._number(stream) & 0xFFFF, t_us & 0xFFFFFFFF) + payload
-        return cobs(body + binascii.crc_hqx(body, CRC_START).to_bytes(2, "little")) + b"\x00"
+        return cobs(body + binascii.crc_hqx(body, CRC_CCITT_INITIAL_VALUE).to_bytes(2, "little")) + b"\x00"
 
 
 class TextEncoder(Encoder):
@@ -132,7 +132,7 @@ class SktEncoder(TextEncoder):
 
 def _add_checksum(text: str) -> bytes:
     raw = text.encode("ascii")
-    return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_START)
+    return raw + b"*%04X\n" % binascii.crc_hqx(raw, CRC_CCITT_INITIAL_VALUE)
 
 
 BOARD_ENCODERS: dict[str, type[SkbEncoder | TextEncoder]] = {"skb": SkbEncoder, "skt": SktEncoder, "text": TextEncoder}

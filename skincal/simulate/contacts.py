@@ -16,13 +16,13 @@ from skincal.simulate.operator import Habits, LandmarkHabits, second_touches, un
 from skincal.simulate.rig_errors import drift_step, slow_mean_sd
 from skincal.simulate.simulated_rig import PressedPlaces, Rig, SimulatedArmPose, cone_tilts, push_directions, tangents
 
-CYCLE_S = 2.5
+POKE_CYCLE_S = 2.5
 """s, one poke and the movement to the next (`Habits`)."""
-WRENCH_HZ = 1000.0
+WRENCH_RATE_HZ = 1000.0
 """Hz, rate of the wrenches in a mean."""
-SKIN_HZ = 50.0
+SKIN_FRAME_RATE_HZ = 50.0
 """Hz, rate of the skin frames in a mean."""
-TARE_TO_STILL_S = 0.8
+TARE_TO_STILL_WINDOW_S = 0.8
 """s, from the middle of a quiet window to the middle of the still one."""
 RECIPE_TILT = float(np.radians(28.0))
 """rad, tilt of a printed recipe's pushes from the inward normal: slightly below the friction limit."""
@@ -55,7 +55,7 @@ def simulate_contacts(
     for second, i in enumerate(touched):
         answers[i] = _both(rig, answers[i], (rows[second], more[second]))
     settings = rig.scene.contacts
-    starts = first_poke * CYCLE_S + CYCLE_S * np.arange(len(pokes))
+    starts = first_poke * POKE_CYCLE_S + POKE_CYCLE_S * np.arange(len(pokes))
     contacts: list[Contact] = []
     for i, (rows, responses) in enumerate(answers):
         answering = responses > settings.response_min
@@ -90,7 +90,7 @@ def _answers(rig: Rig, pokes: PressedPlaces, rng: np.random.Generator) -> list[t
     """Return for each poke the rows of nearby taxels and their responses with noise."""
     rows, answers = rig.answers(pokes, pokes.forces)
     settings = rig.scene.contacts
-    frames = settings.still_s * SKIN_HZ, settings.quiet_s * SKIN_HZ
+    frames = settings.still_s * SKIN_FRAME_RATE_HZ, settings.quiet_s * SKIN_FRAME_RATE_HZ
     sd = rig.errors.skin_noise * rig.counts * np.sqrt(1 / frames[0] + 1 / frames[1])
     answers = answers + sd * rng.standard_normal(answers.shape)
     return [(rows[i], answers[i]) for i in range(len(rows))]
@@ -116,7 +116,7 @@ def _mean_wrenches(rig: Rig, pokes: PressedPlaces, arm_pose: SimulatedArmPose, r
 def _window_noise(rig: Rig, count: int, seconds: float, rng: np.random.Generator) -> FloatArray:
     """Draw the noise (n, 6) of the mean over a window of `seconds`."""
     errors = rig.errors
-    white = np.repeat([errors.force_noise, errors.moment_noise], 3) / np.sqrt(seconds * WRENCH_HZ)
+    white = np.repeat([errors.force_noise, errors.moment_noise], 3) / np.sqrt(seconds * WRENCH_RATE_HZ)
     return np.hypot(white, slow_mean_sd(errors, seconds)) * rng.standard_normal((count, 6))
 
 
@@ -125,7 +125,7 @@ def _tared_noise(rig: Rig, count: int, rng: np.random.Generator) -> tuple[FloatA
     settings = rig.scene.contacts
     still = _window_noise(rig, count, settings.still_s, rng)
     # Drift relative to the press; the tares before and after have independent random walks.
-    walk = drift_step(rig.errors) * np.sqrt(TARE_TO_STILL_S)
+    walk = drift_step(rig.errors) * np.sqrt(TARE_TO_STILL_WINDOW_S)
     before = _window_noise(rig, count, settings.quiet_s, rng) - walk * rng.standard_normal((count, 6))
     after = _window_noise(rig, count, settings.quiet_s, rng) + walk * rng.standard_normal((count, 6))
     return still - (before + after) / 2, np.linalg.norm((after - before)[:, :3], axis=1)

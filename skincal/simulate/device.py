@@ -24,7 +24,7 @@ US_PER_S = 1_000_000
 NS_PER_S = 1_000_000_000
 CLOCK_WRAP_S = 2**32 / US_PER_S
 """s, range of a device's clock."""
-TAIL_S = 0.5
+QUIET_TIME_AFTER_LAST_ACTION_S = 0.5
 """s from the last action to the end: the quiet for the tare (0.2 s) and the slowest link's latency."""
 
 
@@ -150,7 +150,7 @@ class DeviceTimeline:
     @property
     def finished(self) -> bool:
         """The operator has ended, and the quiet after the last poke has arrived."""
-        return self.operator.done and self.now >= self._free + TAIL_S
+        return self.operator.done and self.now >= self._free + QUIET_TIME_AFTER_LAST_ACTION_S
 
     def greeting(self, link: str) -> bytes:
         """Return the header that a board sends when a host connects or asks."""

@@ -22,7 +22,7 @@ from skincal.simulate.board_formats import Encoder
 
 NETFT_COUNTS_PER_UNIT = 1_000_000
 """Counts of the simulated Net F/T per N and per N m."""
-ROBOT_CLOCK_START_S = 1_700_000_000
+ROBOT_CLOCK_START_UNIX_S = 1_700_000_000
 """s since 1970: a robot's clock has the time of day."""
 
 
@@ -95,7 +95,7 @@ class YarpEncoder(Encoder):
     """Messages of a YARP port: a vector with an envelope."""
 
     def record(self, stream: Stream, t_us: int, values: list[float]) -> bytes:
-        words = b"D %d %.15g\x00" % (self._number(stream) + 1, ROBOT_CLOCK_START_S + t_us / 1e6)
+        words = b"D %d %.15g\x00" % (self._number(stream) + 1, ROBOT_CLOCK_START_UNIX_S + t_us / 1e6)
         command = struct.pack("<i", len(words)) + b"\x7e\x00\x00\x01" + words
         head, body = struct.pack("<2i", 266, len(values)), struct.pack(f"<{len(values)}d", *values)
         lengths = struct.pack("<4i", len(command), len(head), len(body), 0)

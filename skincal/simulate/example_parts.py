@@ -29,9 +29,9 @@ from skincal.model.skin import Layout
 from skincal.modules.pose import ModuleModel
 from skincal.simulate.contacts import simulate_contacts, unguided
 from skincal.simulate.rig_errors import RigErrors
-from skincal.simulate.simulated_rig import NEARBY_TAXELS, Rig
+from skincal.simulate.simulated_rig import TAXELS_CHECKED_AROUND_TIP, Rig
 
-LAYING_TRIANGLES = 4_000
+MESH_TRIANGLES_FOR_LAYING_LAYOUT = 4_000
 """Size of the mesh for laying the layout: on 100,000 triangles it takes 3 s."""
 
 
@@ -96,9 +96,9 @@ SHAPES = {
 class _Rig(Rig):
     """A rig that finds nearby taxels with a search tree, sorted by distance."""
 
-    def _near(self, points: FloatArray) -> IntArray:
+    def _taxels_near(self, points: FloatArray) -> IntArray:
         # A list of ranks makes scipy return two dimensions also for one taxel.
-        near: IntArray = self._tree.query(points, np.arange(1, min(NEARBY_TAXELS, len(self.places)) + 1))[1]
+        near: IntArray = self._tree.query(points, np.arange(1, min(TAXELS_CHECKED_AROUND_TIP, len(self.places)) + 1))[1]
         return near
 
     def move_taxels_to(self, surface: Surface) -> None:
@@ -136,7 +136,7 @@ class ExamplePart:
     @cached_property
     def rig(self) -> Rig:
         """A rig with sensor noise only, always the same."""
-        rig = _Rig(self.scene, self.mesh(LAYING_TRIANGLES), RigErrors.noise(), np.random.default_rng(1))
+        rig = _Rig(self.scene, self.mesh(MESH_TRIANGLES_FOR_LAYING_LAYOUT), RigErrors.noise(), np.random.default_rng(1))
         rig.move_taxels_to(self.surface)
         return rig
 

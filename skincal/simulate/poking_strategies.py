@@ -18,7 +18,7 @@ from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.guide.guide import Guide
 from skincal.guide.progress import GuideSettings
 from skincal.session.session import Session
-from skincal.simulate.contacts import CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
+from skincal.simulate.contacts import POKE_CYCLE_S, RECIPE_TILT, RECIPE_TURN, simulate_contacts
 from skincal.simulate.example_parts import ExamplePart
 from skincal.simulate.operator import OPERATORS, Habits, aimed_presses, unguided_presses
 from skincal.simulate.rig_errors import RigErrors
@@ -27,10 +27,10 @@ from skincal.taxels.result import Estimate, Method
 
 SHORT_LEVER_POSE = "2"
 """Arm pose of the scene with a lever of 0.18 m."""
-SKIN_OFFSET_M = 0.004
+SKIN_OFFSET_RMS_M = 0.004
 """m, rms offset of the skin from its plan, both directions together."""
 CAREFUL = OPERATORS["careful"]
-ERROR_IF_UNKNOWN_M = 0.060
+ERROR_OF_UNKNOWN_TAXEL_M = 0.060
 """m, error of a taxel without an estimate: the size of the patch."""
 
 
@@ -45,7 +45,7 @@ class Conditions:
     @property
     def errors(self) -> RigErrors:
         """Errors of the rig."""
-        displaced = replace(RigErrors.noise(), mount_shift=SKIN_OFFSET_M / float(np.sqrt(2.0)), mount_turn=0.0)
+        displaced = replace(RigErrors.noise(), mount_shift=SKIN_OFFSET_RMS_M / float(np.sqrt(2.0)), mount_turn=0.0)
         # N m to N as the ranges of the FT45, 35 N m to 1500 N.
         return replace(displaced, drift_force=self.drift, drift_moment=self.drift * 0.024)
 
@@ -120,9 +120,9 @@ def tilt_recipe(part: ExamplePart, conditions: Conditions, count: int, rng: np.r
 STRATEGIES: dict[str, PokingWay] = {way.__name__: way for way in (clumped, random, round_robin, tilt_recipe)}
 """Key: name in JSON."""
 
-EVALUATION_GROWTH = 1.03
-"""Ratio of the poke numbers of successive evaluations; up to `EVALUATE_DENSELY_UNTIL` every second poke is evaluated."""
-EVALUATE_DENSELY_UNTIL = 260
+NEXT_EVALUATION_POKE_COUNT_RATIO = 1.03
+"""Of successive evaluations; up to `EVALUATE_EVERY_SECOND_POKE_UNTIL` pokes every second one is evaluated."""
+EVALUATE_EVERY_SECOND_POKE_UNTIL = 260
 BASE_METHODS = (Method.FREE, Method.SURFACE)
 """Methods that are always solved: the guide uses positions of the surface method."""
 FALSE_DONE_RATIO = 5.0 / 3.0
@@ -136,7 +136,7 @@ class ErrorCourse:
     pokes: IntArray
     """(n,) ascending."""
     mean: FloatArray
-    """(n,) float, metres, over all taxels; one without an estimate counts `ERROR_IF_UNKNOWN_M`."""
+    """(n,) float, metres, over all taxels; one without an estimate counts `ERROR_OF_UNKNOWN_TAXEL_M`."""
     p95: FloatArray
     """(n,) float, metres."""
     seconds: FloatArray
@@ -164,9 +164,9 @@ class ErrorCourse:
 
 def evaluation_counts(limit: int) -> IntArray:
     """Return the poke numbers at which a session of `limit` pokes is evaluated."""
-    first = list(range(10, min(limit, EVALUATE_DENSELY_UNTIL) + 1, 2))
+    first = list(range(10, min(limit, EVALUATE_EVERY_SECOND_POKE_UNTIL) + 1, 2))
     while first[-1] < limit:
-        first.append(min(limit, round(first[-1] * EVALUATION_GROWTH)))
+        first.append(min(limit, round(first[-1] * NEXT_EVALUATION_POKE_COUNT_RATIO)))
     return np.array(first)
 
 
@@ -216,7 +216,7 @@ def poke_table(rig: Rig, share: float, rng: np.random.Generator) -> dict[str, li
     found: dict[str, list[Contact]] = {}
     first = 1
     for pose, minutes in TABLE_I.items():
-        count = round(share * minutes * 60.0 / CYCLE_S)
+        count = round(share * minutes * 60.0 / POKE_CYCLE_S)
         found[pose] = poke_rounds(rig, pose, count, rng, first)
         first += count
     return found
@@ -226,7 +226,9 @@ def errors_of(estimates: tuple[Estimate, ...], rig: Rig) -> FloatArray:
     """Return the errors (n,) of the taxels, metres."""
     truth = [rig.places[rig.row_of(estimate.channel)] for estimate in estimates]
     found = zip((estimate.position for estimate in estimates), truth, strict=True)
-    return np.array([ERROR_IF_UNKNOWN_M if position is None else np.linalg.norm(position - place) for position, place in found])
+    return np.array(
+        [ERROR_OF_UNKNOWN_TAXEL_M if position is None else np.linalg.norm(position - place) for position, place in found]
+    )
 
 
 Step = tuple[int, float, Session, Guidance | None]

@@ -14,7 +14,7 @@ from skincal.simulate.emulated_transports import MakerOutlets
 from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.streams.links import LinkSpec
 
-LATE_MAX_S = 1.0
+MAX_CATCH_UP_TIME_S = 1.0
 """s. After a longer sleep of the machine the boards continue from now and skip the missed time."""
 
 
@@ -50,7 +50,7 @@ class Server:
         start = time.monotonic() - self._line.now
         while not stop.is_set():
             late = time.monotonic() - start - self._line.now
-            if late > LATE_MAX_S:
+            if late > MAX_CATCH_UP_TIME_S:
                 start += late
             elif late < self._line.settings.block_s:
                 stop.wait(self._line.settings.block_s - late)

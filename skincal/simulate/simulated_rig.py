@@ -98,9 +98,9 @@ def limit_tilt(pushes: FloatArray, normals: FloatArray, usable: float) -> FloatA
     return np.where(inward < np.cos(usable), leaning, pushes)
 
 
-NEARBY_TAXELS = 40
+TAXELS_CHECKED_AROUND_TIP = 40
 """Taxels checked around a tip. Fewer are within `Foam.reach` in every shipped layout."""
-NEAR_BLOCK = 256
+POINTS_PER_NEIGHBOUR_SEARCH = 256
 """Points per block of the neighbour search: 9 MB of distances to 4,200 taxels."""
 DEFAULT_RANGE = (0.0, 255.0)
 """Default raw range of a skin: eight bits."""
@@ -223,24 +223,24 @@ class Rig:
         rows : (n, k) int, indices into `channels` of nearby taxels
         answers : (n, k) float >= 0, raw units above the baseline
         """
-        rows = self._near(pokes.points)
+        rows = self._taxels_near(pokes.points)
         share = felt_share(self.foam, self.places[rows] - pokes.points[:, None], *tip_axes(pokes))
         normal_load = -loads * np.sum(pokes.directions * pokes.normals, axis=1)
         low, high = self.range
         room = high - self.baselines if self.polarity > 0 else self.baselines - low
         return rows, self.gains[rows] * room[rows] * answer(self.foam, normal_load[:, None], share)
 
-    def _near(self, points: FloatArray) -> IntArray:
+    def _taxels_near(self, points: FloatArray) -> IntArray:
         """Return the rows (n, k) of the taxels near each point."""
-        near = min(NEARBY_TAXELS, len(self.places))
+        near = min(TAXELS_CHECKED_AROUND_TIP, len(self.places))
         if near == len(self.places):
             return np.tile(np.arange(near), (len(points), 1))
         rows = np.empty((len(points), near), dtype=np.int64)
-        for start in range(0, len(points), NEAR_BLOCK):
+        for start in range(0, len(points), POINTS_PER_NEIGHBOUR_SEARCH):
             # |p - q|^2 without |p|^2, which is equal for all taxels.
-            block = points[start : start + NEAR_BLOCK]
+            block = points[start : start + POINTS_PER_NEIGHBOUR_SEARCH]
             distances = self._squares - 2.0 * (block @ self.places.T)
-            rows[start : start + NEAR_BLOCK] = np.argpartition(distances, near, axis=1)[:, :near]
+            rows[start : start + POINTS_PER_NEIGHBOUR_SEARCH] = np.argpartition(distances, near, axis=1)[:, :near]
         return rows
 
     def skin_frame(self, answers: FloatArray, rng: np.random.Generator) -> FloatArray:

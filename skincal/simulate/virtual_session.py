@@ -22,9 +22,9 @@ from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.streams.links import LinkSpec
 
-START_NS = 1_000_000_000
+SESSION_START_TIME_NS = 1_000_000_000
 """ns, host's clock at the start of a virtual session; any value works."""
-MIN_SESSION_S = 1.0
+MIN_SESSION_DURATION_S = 1.0
 """s, minimum length of a session that is ended early, so that each link has data."""
 
 
@@ -72,18 +72,18 @@ def simulate_session(
         pipeline.close()
         raise
     for link in links:
-        pipeline.feed(LinkEvent(link.name, START_NS, LinkState.OPEN))
+        pipeline.feed(LinkEvent(link.name, SESSION_START_TIME_NS, LinkState.OPEN))
     begun = 0
     while not line.finished:
         for at_ns, link, data in line.advance():
-            pipeline.feed(Chunk(link, START_NS + at_ns, data))
-        pipeline.tick(START_NS + round(line.now * 1e9))
+            pipeline.feed(Chunk(link, SESSION_START_TIME_NS + at_ns, data))
+        pipeline.tick(SESSION_START_TIME_NS + round(line.now * 1e9))
         if progress is not None and operator.begun != begun:
             begun = operator.begun
             progress(begun)
-        if line.now >= MIN_SESSION_S and not go_on():
+        if line.now >= MIN_SESSION_DURATION_S and not go_on():
             break
     for link in links:
-        pipeline.feed(LinkEvent(link.name, START_NS + round(line.now * 1e9), LinkState.ENDED))
+        pipeline.feed(LinkEvent(link.name, SESSION_START_TIME_NS + round(line.now * 1e9), LinkState.ENDED))
     pipeline.close()
     return pipeline

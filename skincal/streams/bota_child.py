@@ -23,8 +23,8 @@ INTERFACE_OF_KIND = {"socket": "Bota_Socket", "binary": "Bota_Binary", "dummy": 
 """Name of the driver's interface: Ethernet, serial port, the maker's simulated sensor."""
 DEFAULT_MODE, DEFAULT_SUBMODE = 2, 7
 """As in the maker's example: force, torque, acceleration and angular rate."""
-EXIT_FAILED = 3
-SHUTDOWN_MAX_S = 1.0
+FAILURE_EXIT_CODE = 3
+DRIVER_SHUTDOWN_MAX_S = 1.0
 """s for the driver to leave its sensor."""
 
 
@@ -90,9 +90,9 @@ def _leave_with_parent() -> None:
     """End the process at the end of stdin, which the parent holds open."""
     sys.stdin.buffer.read()
     signal.raise_signal(signal.SIGTERM)
-    time.sleep(SHUTDOWN_MAX_S)
+    time.sleep(DRIVER_SHUTDOWN_MAX_S)
     # A driver that hangs handles no signal.
-    os._exit(EXIT_FAILED)
+    os._exit(FAILURE_EXIT_CODE)
 
 
 def main(text: str) -> None:
@@ -108,7 +108,7 @@ def main(text: str) -> None:
         sys.stderr.write(f"\n{' '.join(str(error).split())}\n")
         sys.stderr.flush()
         # At once: an orderly exit would let the driver print more lines.
-        os._exit(EXIT_FAILED)
+        os._exit(FAILURE_EXIT_CODE)
 
 
 if __name__ == "__main__":

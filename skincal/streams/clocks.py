@@ -29,21 +29,21 @@ from skincal.devices.decoding import NO_SEQ
 from skincal.geometry import FloatArray
 from skincal.model.readings import Batch, Stream
 
-WINDOW_S = 60.0
+CLOCK_FIT_WINDOW_S = 60.0
 """s. Older points no longer count: crystals wander with temperature over minutes."""
-BUCKET_S = 0.25
+CLOCK_FIT_BUCKET_S = 0.25
 """s. Length of a bucket, which keeps one point."""
-SLOPE_CHANGE_MAX = 0.02
+MAX_CLOCK_RATE_DIFFERENCE = 0.02
 """Largest difference of the two clocks' speeds: a factory-trimmed RC oscillator is within 2 %, a resonator within 0.5 %."""
-JUMP_S = 0.5
+CLOCK_JUMP_MIN_S = 0.5
 """s. A clock that is off by more has restarted: no stall of a running program or adapter lasts as long."""
-BEHIND_S = 3.0
-"""s. A device that stays `JUMP_S` behind for this long lost its time for good; a stall ends sooner."""
-STEP_S = 1e-6
+CLOCK_BEHIND_MAX_S = 3.0
+"""s. A device that stays `CLOCK_JUMP_MIN_S` behind for this long lost its time for good; a stall ends sooner."""
+MIN_TIME_STAMP_STEP_S = 1e-6
 """s. Least step between two stamps of a stream: stamps never go back when the line is pushed down."""
 PACE_LEARNING_S, PACE_LEARNING_READINGS = 2.0, 20
 """The pace of a device without a clock is learnt over this time and number of readings: within 1 % under a jitter of 16 ms."""
-PACE_ERROR_MAX = 0.2
+MAX_INITIAL_CLOCK_RATE_ERROR = 0.2
 """Largest relative error of the pace as first learnt: a stall of 0.4 s among the first two seconds."""
 LATE_MIN_PERIODS, LATE_MIN_S = 0.7, 0.005
 """A device without a clock that is late by more than both for a whole bucket lost a reading."""
@@ -57,7 +57,7 @@ Point: TypeAlias = tuple[float, float]
 class ConvexHullClock:
     """Maps a device's time to the host's, reading by reading, by the line of the module's docstring."""
 
-    def __init__(self, slope_change_max: float = SLOPE_CHANGE_MAX) -> None:
+    def __init__(self, slope_change_max: float = MAX_CLOCK_RATE_DIFFERENCE) -> None:
         self._slope_change_max = slope_change_max
         self.reset()
 
@@ -78,7 +78,7 @@ class ConvexHullClock:
     def map(self, device_s: float, arrival_s: float) -> float:
         """Return when the reading was made, up to the constant least delay, on the host's clock.
 
-        The device's stamp, seconds, may step back a little, not by `JUMP_S`; `arrival_s` is the host's clock, seconds.
+        The device's stamp, seconds, may step back a bit, not by `CLOCK_JUMP_MIN_S`; `arrival_s` is the host's clock, seconds.
         """
         if self._origin is None:
             self._start_line_at(device_s, arrival_s)
@@ -95,7 +95,7 @@ class ConvexHullClock:
         if late <= self._lowest[1] - self._offset - self._slope * self._lowest[0]:
             self._lowest = x, y
         self._last_x = max(self._last_x, device_s)
-        if x - self._bucket_start >= BUCKET_S:
+        if x - self._bucket_start >= CLOCK_FIT_BUCKET_S:
             self._end_bucket(x, y)
         return arrival_s - (y - self._offset - self._slope * x)
 
@@ -111,17 +111,17 @@ class ConvexHullClock:
         return x, y, y - self._offset - self._slope * x
 
     def _has_jumped(self, device_s: float, y: float, late: float) -> bool:
-        if device_s < self._last_x - JUMP_S or late < -JUMP_S:
+        if device_s < self._last_x - CLOCK_JUMP_MIN_S or late < -CLOCK_JUMP_MIN_S:
             return True
-        if late <= JUMP_S:
+        if late <= CLOCK_JUMP_MIN_S:
             self._behind_since = None
         elif self._behind_since is None:
             self._behind_since = y
-        return self._behind_since is not None and y - self._behind_since > BEHIND_S
+        return self._behind_since is not None and y - self._behind_since > CLOCK_BEHIND_MAX_S
 
     def _end_bucket(self, x: float, y: float) -> None:
         self._points.append(self._lowest)
-        while self._points[0][0] < x - WINDOW_S:
+        while self._points[0][0] < x - CLOCK_FIT_WINDOW_S:
             self._points.popleft()
             if not self._points:
                 # The device was silent for the whole window: only the reading that ends the pause counts.
@@ -193,7 +193,7 @@ class IndexClock:
     """
 
     def __init__(self) -> None:
-        self._hull = ConvexHullClock(PACE_ERROR_MAX)
+        self._hull = ConvexHullClock(MAX_INITIAL_CLOCK_RATE_ERROR)
         self._restarts: deque[float] = deque()
         self._number, self._has_numbers = 0, False
         self._forget_pace()
@@ -228,7 +228,7 @@ class IndexClock:
     def _check_delay(self, arrival_s: float, late_s: float, period_s: float) -> None:
         # By the least delay of a bucket: queueing makes single readings late, a lost reading makes all of them late. Only the
         # last of readings that arrived together, as after a stall, is on time: so a bucket ends between two arrivals.
-        if arrival_s > self._arrival_s and self._arrival_s - self._bucket_s >= BUCKET_S:
+        if arrival_s > self._arrival_s and self._arrival_s - self._bucket_s >= CLOCK_FIT_BUCKET_S:
             if self._least_late > max(LATE_MIN_PERIODS * period_s, LATE_MIN_S):
                 self._restart_line(arrival_s)
             self._bucket_s, self._least_late = self._arrival_s, math.inf
@@ -293,11 +293,11 @@ class Timestamper:
 
 
 def _ascending(stamps: FloatArray, last: float) -> FloatArray:
-    """Move each of the stamps (n,), seconds, n > 0, to `STEP_S` after the one before it if it is earlier."""
-    if stamps[0] >= last + STEP_S and (stamps[1:] >= stamps[:-1] + STEP_S).all():
+    """Move each of the stamps (n,), seconds, n > 0, to `MIN_TIME_STAMP_STEP_S` after the one before it if it is earlier."""
+    if stamps[0] >= last + MIN_TIME_STAMP_STEP_S and (stamps[1:] >= stamps[:-1] + MIN_TIME_STAMP_STEP_S).all():
         return stamps
     moved: list[float] = []
     for stamp in stamps.tolist():
-        last = max(stamp, last + STEP_S)
+        last = max(stamp, last + MIN_TIME_STAMP_STEP_S)
         moved.append(last)
     return np.array(moved)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skincal.devices.decoding import WRENCH_WIDTH
+from skincal.devices.decoding import WRENCH_VALUES
 from skincal.devices.family import AUTO
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
@@ -39,10 +39,10 @@ from skincal.streams.links import LinkSpec, format_of
 from skincal.streams.pairing import Pairing
 
 TIP_WIDTH = 3
-RECENT_S = 10.0
+LIVE_CURVE_SPAN_S = 10.0
 """s of wrenches that the live curves show."""
-RATE_WINDOW_NS = 2_000_000_000
-RATE_STEP_NS = 100_000_000
+RATE_AVERAGING_WINDOW_NS = 2_000_000_000
+RATE_COUNTING_STEP_NS = 100_000_000
 """ns of readings counted together for the rate."""
 LOSSES_THAT_BREAK_COUNTING = (Loss.BAD_WIDTH, Loss.UNREADABLE, Loss.BAD_CHECKSUM, Loss.MISSING)
 """Losses after which a count of readings no longer gives the time."""
@@ -117,11 +117,11 @@ class Intake:
     def wrench_after(self, host_s: float) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds that are later than `host_s`."""
         ring = self._pairing.ring
-        return ring.since(max(ring.newest_s - RECENT_S, math.nextafter(host_s, math.inf)))
+        return ring.since(max(ring.newest_s - LIVE_CURVE_SPAN_S, math.nextafter(host_s, math.inf)))
 
     def recent_wrench(self) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,), seconds, and wrenches (n, 6) of the last ten seconds, as the device sent them."""
-        return self._pairing.ring.since(self._pairing.ring.newest_s - RECENT_S)
+        return self._pairing.ring.since(self._pairing.ring.newest_s - LIVE_CURVE_SPAN_S)
 
     def side_readings(self) -> dict[str, Mapping[str, SideReading]]:
         """Return the other quantities that each link's device measured."""
@@ -158,7 +158,7 @@ class LinkIntake:
         kind = None if self._format == AUTO else decoder_class(self._format)
         streams = spec.carries if kind is not None and kind.single_stream else SENSOR_STREAMS
         look = None if kind is not None and kind.needs_recipe else lambda: LinkDecoder(self._format, None, streams)
-        widths = {Stream.WRENCH: WRENCH_WIDTH, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH}
+        widths = {Stream.WRENCH: WRENCH_VALUES, Stream.SKIN: channels, Stream.JOINTS: joints, Stream.TIP: TIP_WIDTH}
         self.monitor = LinkMonitor(spec.carries, widths, look)
         self._channels = channels
         self._decoder = self._new_decoder()
@@ -170,7 +170,7 @@ class LinkIntake:
         self.state, self._text = LinkState.LOST, "not opened yet"
         self._readings = 0
         self._last_ns = 0
-        self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_WINDOW_NS // RATE_STEP_NS + 1)
+        self._rate: deque[tuple[int, int]] = deque(maxlen=RATE_AVERAGING_WINDOW_NS // RATE_COUNTING_STEP_NS + 1)
         """Begin of a step, ns, and its number of readings."""
 
     def _new_decoder(self) -> LinkDecoder:
@@ -240,7 +240,7 @@ class LinkIntake:
     def _count_readings(self, batches: list[tuple[int, Batch]]) -> None:
         for arrival_ns, batch in batches:
             self._readings += len(batch.seq)
-            step_ns, count = arrival_ns - arrival_ns % RATE_STEP_NS, len(batch.seq)
+            step_ns, count = arrival_ns - arrival_ns % RATE_COUNTING_STEP_NS, len(batch.seq)
             if self._rate and self._rate[-1][0] == step_ns:
                 count += self._rate.pop()[1]
             self._rate.append((step_ns, count))
@@ -270,9 +270,11 @@ class LinkIntake:
 
     def _rate_until(self, now_ns: int) -> float:
         """Return readings per second over the last two seconds, or since the first reading if that is less."""
-        now_step_ns = now_ns - now_ns % RATE_STEP_NS
+        now_step_ns = now_ns - now_ns % RATE_COUNTING_STEP_NS
         # The step in progress is not full yet: with it the rate would flicker.
-        counted = [(step_ns, count) for step_ns, count in self._rate if now_step_ns - RATE_WINDOW_NS <= step_ns < now_step_ns]
+        counted = [
+            (step_ns, count) for step_ns, count in self._rate if now_step_ns - RATE_AVERAGING_WINDOW_NS <= step_ns < now_step_ns
+        ]
         if not counted:
             return 0.0
         return sum(count for _, count in counted) / ((now_step_ns - counted[0][0]) * 1e-9)

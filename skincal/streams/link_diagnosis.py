@@ -3,10 +3,10 @@
 The diagnosis uses the link's state, the instants of its bytes and readings, their number of values and their bits. While a
 wanted stream is missing, a second decoder, which takes every stream of every width, tells what comes instead.
 
-*Frozen.* A force/torque sensor always has noise. If its readings do not differ in one bit for `FROZEN_NS`, it has stopped to
-measure or its driver repeats old readings, provided that most readings before differed from the one before them, or that none
-ever did. In between lies a sensor whose resolution hides its noise: it is not called frozen. Joints that stand still repeat
-every bit, and so does a skin of eight bits behind a threshold: they are never called frozen.
+*Frozen.* A force/torque sensor always has noise. If its readings do not differ in one bit for `FROZEN_IF_UNCHANGED_FOR_NS`, it
+has stopped to measure or its driver repeats old readings, provided that most readings before differed from the one before them,
+or that none ever did. In between lies a sensor whose resolution hides its noise: it is not called frozen. Joints that stand
+still repeat every bit, and so does a skin of eight bits behind a threshold: they are never called frozen.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skincal.geometry import FloatArray
-from skincal.model.readings import SILENT_S, Batch, LinkAnswer, LinkEvent, LinkState, LinkVerdict, Stream
+from skincal.model.readings import LINK_SILENT_AFTER_S, Batch, LinkAnswer, LinkEvent, LinkState, LinkVerdict, Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 
-NO_READING_AFTER_NS = 1_000_000_000
+REPORT_NO_READING_AFTER_NS = 1_000_000_000
 """ns of bytes without a reading: text is believed after 0.3 s, and a slow board sends ten readings in this time."""
-SILENT_NS = round(SILENT_S * 1e9)
-FROZEN_NS = 1_000_000_000
-NOISE_MIN_CHANGES = 20
+SILENT_NS = round(LINK_SILENT_AFTER_S * 1e9)
+FROZEN_IF_UNCHANGED_FOR_NS = 1_000_000_000
+NOISE_MIN_CHANGED_READINGS = 20
 """Readings that differ from the one before, until a stream is known to have noise."""
-MIN_READINGS = 5
+MIN_READINGS_FOR_DIAGNOSIS = 5
 """Equal readings that show a wrong stream, or that nothing changes; garbage now and then holds a line with a number."""
-MAX_WRENCH_VALUES = 12
+MAX_VALUES_PER_WRENCH_READING = 12
 """No force/torque sensor sends more values with a reading: six, or six and as many of something else."""
 
 
@@ -74,12 +74,12 @@ class _StreamHistory:
 
     @property
     def _is_constant(self) -> bool:
-        return self._equal >= MIN_READINGS and self.last_ns - self._changed_ns >= FROZEN_NS
+        return self._equal >= MIN_READINGS_FOR_DIAGNOSIS and self.last_ns - self._changed_ns >= FROZEN_IF_UNCHANGED_FOR_NS
 
     @property
     def is_frozen(self) -> bool:
         """Whether no bit has changed for long, and before that at least every second reading differed from the one before."""
-        return self._is_constant and self._changes >= NOISE_MIN_CHANGES and 2 * self._changes > self._earlier
+        return self._is_constant and self._changes >= NOISE_MIN_CHANGED_READINGS and 2 * self._changes > self._earlier
 
     @property
     def never_changed(self) -> bool:
@@ -231,9 +231,9 @@ class LinkMonitor:
     def _diagnose_bytes(self, wanted: Stream | None, now_ns: int) -> LinkVerdict:
         if self._fallback is not None and self._unexpected and wanted is not None:
             (stream, width), count = self._unexpected.most_common(1)[0]
-            if count >= MIN_READINGS and count > self._fallback.current.counts.total():
+            if count >= MIN_READINGS_FOR_DIAGNOSIS and count > self._fallback.current.counts.total():
                 return self._wrong_width(wanted, stream, width)
-        is_early = self._missing_since_ns is None or now_ns - self._missing_since_ns < NO_READING_AFTER_NS
+        is_early = self._missing_since_ns is None or now_ns - self._missing_since_ns < REPORT_NO_READING_AFTER_NS
         return LinkVerdict(LinkAnswer.LISTENING if is_early else LinkAnswer.NO_READING, wanted, tried=self._bauds_tried)
 
     def _wrong_width(self, wanted: Stream, decoded_as: Stream, width: int) -> LinkVerdict:
@@ -245,4 +245,4 @@ class LinkMonitor:
 
     def _is_skin(self, width: int, wanted: Stream) -> bool:
         # An arm may have any number of joints: an iCub's arm port sends 16.
-        return width == self._widths.get(Stream.SKIN) or (wanted is not Stream.JOINTS and width > MAX_WRENCH_VALUES)
+        return width == self._widths.get(Stream.SKIN) or (wanted is not Stream.JOINTS and width > MAX_VALUES_PER_WRENCH_READING)

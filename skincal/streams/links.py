@@ -36,22 +36,22 @@ FILE_ROUTE = Route(usage="file:PATH", form=Form.PATH, transport="file")
 
 QUEUED_MAX_BYTES = 1 << 20
 """Bytes of a link that may wait in the queue: a second of the fastest devices, a tenth of a second of work."""
-CHUNK_OVERHEAD_BYTES = 200
+CHUNK_MEMORY_OVERHEAD_BYTES = 200
 """Memory of a chunk beyond its bytes, so that many small chunks count, too."""
-DROP_NS = 500_000_000
+TOO_FAST_LINK_DROP_TIME_NS = 500_000_000
 """ns. A link that is too fast is dropped for this long, so that it causes at most two messages a second."""
-READ_MAX_S = 0.1
+READ_TIMEOUT_S = 0.1
 """s. Longest wait in one read, and so until a stop is noticed."""
 RETRY_S, RETRY_MAX_S = 0.1, 5.0
 """s. Pause before a link is opened again; it doubles with each short connection, up to the maximum."""
-RETRY_DOUBLINGS_MAX = 6
-STABLE_AFTER_S = 1.0
+MAX_RETRY_DELAY_DOUBLINGS = 6
+CONNECTION_STABLE_AFTER_S = 1.0
 """s. A connection that ends sooner is short: a server that has no room closes it at once."""
-JOIN_MAX_S = 2.0
+THREAD_JOIN_TIMEOUT_S = 2.0
 """s. Longest wait for the thread at a stop: longer than a connection may take."""
 BACKPRESSURE_MAX_S, BACKPRESSURE_POLL_S = 5.0, 0.02
 """s. A device that must not lose bytes is not read for so long while the queue is full; the system keeps some of TCP."""
-NEW_REASON_S = 1.0
+REPORT_NEW_OPEN_ERROR_AFTER_S = 1.0
 """s. A new reason why a lost link does not open is reported when it has lasted so long: a port that comes back may deny
 access until the system has set its owner."""
 EXPECTED_WHILE_LOST = (FailureKind.ABSENT, FailureKind.REFUSED)
@@ -185,8 +185,8 @@ def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
 class ChunkQueue:
     """Queue of what readers bring. Of each link at most `QUEUED_MAX_BYTES` wait. Any thread may call any method.
 
-    Bytes beyond that are dropped for `DROP_NS`, and a `LinkEvent` with their number takes their place. So garbage at the speed
-    of a network does not slow other links, and nothing old is shown.
+    Bytes beyond that are dropped for `TOO_FAST_LINK_DROP_TIME_NS`, and a `LinkEvent` with their number takes their place. So
+    garbage at the speed of a network does not slow other links, and nothing old is shown.
     """
 
     def __init__(self) -> None:
@@ -203,10 +203,10 @@ class ChunkQueue:
             if isinstance(item, Chunk):
                 until_ns, dropped = self._dropping.get(item.link, (item.host_ns, 0))
                 if not self._fits(item) or item.host_ns < until_ns:
-                    until_ns = until_ns if item.link in self._dropping else item.host_ns + DROP_NS
+                    until_ns = until_ns if item.link in self._dropping else item.host_ns + TOO_FAST_LINK_DROP_TIME_NS
                     self._dropping[item.link] = until_ns, dropped + len(item.data)
                     return False
-                self._waiting[item.link] += len(item.data) + CHUNK_OVERHEAD_BYTES
+                self._waiting[item.link] += len(item.data) + CHUNK_MEMORY_OVERHEAD_BYTES
             if isinstance(item, Chunk | LinkEvent):
                 self._report_dropped(item.link, item.host_ns)  # before the item: bytes were dropped while the link was open
             self._queue.put(item)
@@ -231,7 +231,7 @@ class ChunkQueue:
         item = self._queue.get(timeout=timeout)
         if isinstance(item, Chunk):
             with self._lock:
-                self._waiting[item.link] -= len(item.data) + CHUNK_OVERHEAD_BYTES
+                self._waiting[item.link] -= len(item.data) + CHUNK_MEMORY_OVERHEAD_BYTES
         return item
 
     def empty(self) -> bool:
@@ -256,7 +256,7 @@ class Reader:
     Events: OPEN when the link opens; FAILED if it cannot be opened at first, LOST when it vanished, each with a sentence, and
     again for a new reason; ENDED at the end of a file. It tries to open the link until `stop`, except after an end and for a
     wrong address. Silence causes no event. After a short connection OPEN is reported only when bytes arrive or after
-    `STABLE_AFTER_S`, so that a server that keeps closing the connection causes one message.
+    `CONNECTION_STABLE_AFTER_S`, so that a server that keeps closing the connection causes one message.
     """
 
     def __init__(self, spec: LinkSpec, items: ChunkQueue | queue.SimpleQueue[Chunk | LinkEvent]) -> None:
@@ -288,7 +288,7 @@ class Reader:
         self.halt()
         # A thread that was never started cannot be joined: Python raises.
         if self._thread.ident is not None:
-            self._thread.join(JOIN_MAX_S)
+            self._thread.join(THREAD_JOIN_TIMEOUT_S)
 
     @property
     def running(self) -> bool:
@@ -298,7 +298,7 @@ class Reader:
     def _run(self) -> None:
         try:
             while not self._stop.is_set() and self._connect():
-                self._stop.wait(min(RETRY_S * 2 ** min(self._short_connections, RETRY_DOUBLINGS_MAX), RETRY_MAX_S))
+                self._stop.wait(min(RETRY_S * 2 ** min(self._short_connections, MAX_RETRY_DELAY_DOUBLINGS), RETRY_MAX_S))
         except Exception as error:  # noqa: BLE001 - nothing above catches it: the operator must be told
             self._report(LinkState.FAILED, f"Reading stopped by a fault of the program: {error!r}.")
 
@@ -316,7 +316,9 @@ class Reader:
         try:
             self._read(link)
         except LinkError as failure:
-            self._short_connections = self._short_connections + 1 if time.monotonic() - self._opened_s < STABLE_AFTER_S else 0
+            self._short_connections = (
+                self._short_connections + 1 if time.monotonic() - self._opened_s < CONNECTION_STABLE_AFTER_S else 0
+            )
             if self._open_was_reported or failure.kind in STATE_AFTER_FAILURE:
                 self._report(STATE_AFTER_FAILURE.get(failure.kind, LinkState.LOST), str(failure))
             else:
@@ -329,8 +331,8 @@ class Reader:
     def _read(self, link: Link) -> None:
         bauds_tried: tuple[int, ...] = ()
         while not self._stop.is_set():
-            data = link.read(READ_MAX_S)
-            if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= STABLE_AFTER_S):
+            data = link.read(READ_TIMEOUT_S)
+            if not self._open_was_reported and (data or time.monotonic() - self._opened_s >= CONNECTION_STABLE_AFTER_S):
                 self._report_open()
             # TimedAction at once, by a clock that cannot be set back while a session runs.
             if data:
@@ -347,7 +349,7 @@ class Reader:
             if self._stop.wait(BACKPRESSURE_POLL_S) or time.monotonic() > until_s:
                 break
         if self._items.put(chunk) is False and self._needs_every_byte:
-            self._stop.wait(DROP_NS * 1e-9)
+            self._stop.wait(TOO_FAST_LINK_DROP_TIME_NS * 1e-9)
             raise LinkError(FailureKind.VANISHED, f"{self._spec.address}: bytes were dropped, so it is connected again.")
 
     def _report_closed(self, failure: LinkError) -> None:
@@ -359,7 +361,7 @@ class Reader:
             self._reason = ""
         elif sentence != self._reason:
             self._reason, self._reason_since_s = sentence, now_s
-        elif now_s - self._reason_since_s >= NEW_REASON_S:
+        elif now_s - self._reason_since_s >= REPORT_NEW_OPEN_ERROR_AFTER_S:
             self._report(LinkState.LOST if self._was_open else LinkState.FAILED, sentence)
 
     def _report_open(self) -> None:

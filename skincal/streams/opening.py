@@ -12,9 +12,9 @@ from skincal.model.readings import Stream
 from skincal.streams.transports import Opening, open_transport
 from skincal.streams.transports.tcp import TcpLink
 
-HANDSHAKE_MAX_S = 0.8
+HANDSHAKE_TIMEOUT_S = 0.8
 """s. A device that has not agreed to send by then speaks another protocol, or is silent."""
-ANSWER_MAX_S = 1.0
+SERVER_ANSWER_TIMEOUT_S = 1.0
 """s for a page or the answer of a name server: machines of one room."""
 ANSWER_MAX_BYTES = 1 << 20
 """A name server's answer has some 10,000 ports at most."""
@@ -41,12 +41,12 @@ def open_address(
 
 
 class NetworkQuestions:
-    """Questions over TCP, each answered within `ANSWER_MAX_S`."""
+    """Questions over TCP, each answered within `SERVER_ANSWER_TIMEOUT_S`."""
 
     def ask_tcp(self, where: str, host: str, port: int, request: bytes, end: bytes) -> bytes:
         """Send a request; return the answer up to its `end`, which is missing in an answer that is too long or too slow."""
         link, answer = TcpLink(where, host, port), b""
-        end_s = time.monotonic() + ANSWER_MAX_S
+        end_s = time.monotonic() + SERVER_ANSWER_TIMEOUT_S
         try:
             link.write(request)
             while end not in answer and len(answer) < ANSWER_MAX_BYTES and (left_s := end_s - time.monotonic()) > 0:
@@ -67,7 +67,7 @@ class NetworkQuestions:
 class HandshakeLink:
     """A transport and the handshake over it.
 
-    The constructor waits until the device agrees to send, at most `HANDSHAKE_MAX_S`. It raises LinkError if it does not.
+    The constructor waits until the device agrees to send, at most `HANDSHAKE_TIMEOUT_S`. It raises LinkError if it does not.
     """
 
     def __init__(self, address: str, transport: Link, handshake: Handshake, first_bytes: bytes = b"") -> None:
@@ -78,7 +78,7 @@ class HandshakeLink:
             opening = handshake.opening()
             if opening:
                 transport.write(opening)
-            end_s = time.monotonic() + HANDSHAKE_MAX_S
+            end_s = time.monotonic() + HANDSHAKE_TIMEOUT_S
             while not handshake.is_ready:
                 # A device that keeps talking without agreeing must not fill the memory.
                 if time.monotonic() > end_s or len(self._early) > ANSWER_MAX_BYTES:

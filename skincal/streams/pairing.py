@@ -16,26 +16,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from skincal.devices.decoding import WRENCH_WIDTH
+from skincal.devices.decoding import WRENCH_VALUES
 from skincal.geometry import FloatArray, mean_rows
 from skincal.model.readings import Batch, Loss, Sample
 
-WRENCH_WAIT_MAX_S = 0.25
+FRAME_MAX_WAIT_FOR_WRENCH_S = 0.25
 """s. How long a frame waits for the wrench: longer than any adapter holds bytes back, short enough for a live picture."""
-PERIOD_FRAMES = 15
+INTERVALS_PER_MEDIAN_FRAME_PERIOD = 15
 """The frame period is the median of this many intervals: lost frames and a jumpy clock do not move it."""
-PERIOD_GUESS_S = 0.02
+INITIAL_FRAME_PERIOD_S = 0.02
 """s. Period of the first frame, when no interval is known: skins send 50 frames a second."""
-INTERPOLATION_MAX_S = 0.05
+MAX_INTERPOLATED_GAP_S = 0.05
 """s. Readings further apart are not interpolated: twice the period of a sensor at 50 Hz with one reading lost, and a bit."""
-STAMP_TOLERANCE_S = 1e-6
+TIME_STAMP_TOLERANCE_S = 1e-6
 """s. A reading this little after an edge counts as on it: stamps are rounded to the microsecond by the devices."""
-FRAMES_WAITING_MAX = 4096
+MAX_FRAMES_WAITING_FOR_WRENCH = 4096
 """Largest number of waiting frames, independent of their stamps: a bound for memory."""
-JOINTS_KEPT = 512
+MAX_STORED_JOINT_READINGS = 512
 TIP_MAX_AGE_S = 0.2
 """s. An older position of the tip does not belong to a skin frame: it moves by millimetres in that time."""
-WRENCHES_KEPT = 16384
+MAX_STORED_WRENCHES = 16384
 """10 s at 1.6 kHz."""
 
 
@@ -50,14 +50,14 @@ class Pairing:
     """Brings wrench and joint angles to the instants of the skin frames. Stamps of each stream must ascend."""
 
     def __init__(self) -> None:
-        self.ring = WrenchRing(WRENCHES_KEPT)
+        self.ring = WrenchRing(MAX_STORED_WRENCHES)
         self.counts: Counter[Loss] = Counter()
         """Frames left out: LATE and UNPAIRED."""
         self._waiting: deque[_Frame] = deque()
-        self._intervals: deque[float] = deque(maxlen=PERIOD_FRAMES)
+        self._intervals: deque[float] = deque(maxlen=INTERVALS_PER_MEDIAN_FRAME_PERIOD)
         self._last_frame_s: float | None = None
-        self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
-        self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=JOINTS_KEPT)
+        self._joints: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
+        self._tips: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_STORED_JOINT_READINGS)
 
     def add_wrench(self, host_s: FloatArray, batch: Batch) -> None:
         """Add wrench readings. Readings that are not finite or not valid enter no mean."""
@@ -77,9 +77,9 @@ class Pairing:
         if self._last_frame_s is not None:
             self._intervals.append(host_s - self._last_frame_s)
         self._last_frame_s = host_s
-        period_s = median(self._intervals) if self._intervals else PERIOD_GUESS_S
+        period_s = median(self._intervals) if self._intervals else INITIAL_FRAME_PERIOD_S
         self._waiting.append(_Frame(host_s, arrival_s, period_s, values))
-        if len(self._waiting) > FRAMES_WAITING_MAX:
+        if len(self._waiting) > MAX_FRAMES_WAITING_FOR_WRENCH:
             self._waiting.popleft()
             self.counts[Loss.UNPAIRED] += 1
 
@@ -93,7 +93,7 @@ class Pairing:
                 samples.append(sample)
             elif self.ring.is_older_than_kept(frame.host_s - frame.period_s):
                 self.counts[Loss.LATE] += 1
-            elif now_s - max(frame.host_s, frame.arrival_s) > WRENCH_WAIT_MAX_S:
+            elif now_s - max(frame.host_s, frame.arrival_s) > FRAME_MAX_WAIT_FOR_WRENCH_S:
                 self.counts[Loss.UNPAIRED] += 1
             else:
                 break
@@ -104,10 +104,10 @@ class Pairing:
         begin_s = frame.host_s - frame.period_s
         if self.ring.is_older_than_kept(begin_s):
             return None
-        among = self.ring.between(begin_s + STAMP_TOLERANCE_S, frame.host_s + STAMP_TOLERANCE_S)
+        among = self.ring.between(begin_s + TIME_STAMP_TOLERANCE_S, frame.host_s + TIME_STAMP_TOLERANCE_S)
         wrench, readings = self.ring.mean(among)
         if not readings:
-            between = self.ring.interpolate(frame.host_s - frame.period_s / 2, INTERPOLATION_MAX_S)
+            between = self.ring.interpolate(frame.host_s - frame.period_s / 2, MAX_INTERPOLATED_GAP_S)
             if between is None:
                 return None
             (wrench, among), readings = between, 2
@@ -133,7 +133,7 @@ class WrenchRing:
     def __init__(self, capacity: int) -> None:
         self._capacity = capacity
         self._host_s = np.zeros(2 * capacity)
-        self._wrench = np.zeros((2 * capacity, WRENCH_WIDTH))
+        self._wrench = np.zeros((2 * capacity, WRENCH_VALUES))
         self._usable = np.zeros(2 * capacity, np.bool_)
         self._flagged = np.zeros(2 * capacity, np.bool_)
         self._end = 0
@@ -188,7 +188,7 @@ class WrenchRing:
         if np.count_nonzero(usable) < len(usable):
             wrench = wrench[usable]
         if not len(wrench):
-            return np.full(WRENCH_WIDTH, np.nan), 0
+            return np.full(WRENCH_VALUES, np.nan), 0
         return mean_rows(wrench), len(wrench)
 
     def has_flagged(self, among: slice) -> bool:

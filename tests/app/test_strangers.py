@@ -19,7 +19,7 @@ from app.session.controller import Controller
 from app.session.opening import Addresses, OpenRequest
 from app.state.running import Running
 from app.theme import Choice
-from app.window import MAX_ADDRESSES, Theme, Window
+from app.window import MAX_REMEMBERED_ADDRESSES, Theme, Window
 from app.workers.device_process import DeviceProcess
 from skincal.journal.writer import create_session
 from skincal.session.pipeline import Pipeline
@@ -163,11 +163,11 @@ def test_the_oldest_addresses_are_forgotten_first(qtbot, tmp_path):
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     window = Window(Controller(tmp_path), Theme(Choice.DARK), settings, tmp_path, Listener())
     qtbot.addWidget(window)
-    for number in range(MAX_ADDRESSES):
+    for number in range(MAX_REMEMBERED_ADDRESSES):
         window._remember([f"tcp:10.0.0.{number}"])
     window._remember(["/dev/ttyUSB0"])
     known = window._known_addresses()
-    assert len(known) == MAX_ADDRESSES
+    assert len(known) == MAX_REMEMBERED_ADDRESSES
     assert known[0] == "tcp:10.0.0.1"
     assert known[-1] == "/dev/ttyUSB0"
     window.close()

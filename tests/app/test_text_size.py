@@ -11,7 +11,7 @@ from app.panels.widgets import ElidedLabel
 from app.session.opening import OpenRequest
 from app.text.now_text import Now, Tone
 from app.text_size import STEPS, TEXT_SETTING
-from app.theme import HEADLINE_PT, RESULT_PT
+from app.theme import HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT
 from tests.app.test_commands import dialog_of, gone, tap
 from tests.app.whole_window import Bench
 from tests.app.window_support import is_elided
@@ -42,7 +42,7 @@ def sizes(window) -> dict[str, float]:
 def test_keys_change_all_text_and_the_size_is_kept(bench, qtbot, tmp_path, recorded):
     bench.open(OpenRequest(session=recorded))
     before = sizes(bench.window)
-    assert (before["headline"], before["result"]) == (HEADLINE_PT, RESULT_PT)
+    assert (before["headline"], before["result"]) == (HEADLINE_FONT_SIZE_PT, RESULT_FONT_SIZE_PT)
     actions = bench.window.commands.actions
     reached = []
     for _ in STEPS:
@@ -106,7 +106,7 @@ def test_at_1280_by_720_nothing_is_cut_off_at_125_per_cent_and_every_tab_fits_at
     workspace.now.say(Now(Tone.CALM, approved("landmark.ask", name="elbow, inner")))
     bench.qtbot.wait(50)
     assert not is_elided(workspace.now.headline), "the name is at its end"
-    assert workspace.now.headline.fitted().pointSizeF() > RESULT_PT
+    assert workspace.now.headline.fitted().pointSizeF() > RESULT_FONT_SIZE_PT
 
 
 def test_the_list_of_keys_fits_into_1280_by_720_or_scrolls_in_one_direction(bench):

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QApplication, QMessageBox
 
 from app.dialogs.history_dialog import HistoryDialog
 from app.panels.first_minute import FirstMinute
-from app.session.controller import DEMO_PACE
+from app.session.controller import DEMO_SPEED_FACTOR
 from app.session.opening import OpenRequest, server_command
 from app.state.running import Running
 from app.text.demo_text import FIRST_MINUTE, pace_words, simulated_words
@@ -52,7 +52,7 @@ def test_a_newcomer_is_told_four_things_once(bench, qtbot, tmp_path):
 def test_it_says_how_quick_it_is_shift_p_changes_that_and_a_line_of_the_history_takes_back(bench):
     bench.open(demo())
     line, action = bench.window.session_view.workspace.now.simulated, bench.window.commands.actions["pace"]
-    assert line.text() == simulated_words(DEMO_PACE, Running.STREAMING)
+    assert line.text() == simulated_words(DEMO_SPEED_FACTOR, Running.STREAMING)
     for pace in (4, 1, 2):
         bench.key(Key.Key_P, Qt.KeyboardModifier.ShiftModifier)
         assert bench.controller.pace == pace

@@ -66,7 +66,7 @@ def test_a_fault_while_a_file_is_written_reaches_its_dialog(bench, tmp_path, mon
 
 
 def test_without_a_display_the_file_and_the_output_say_it_too(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(headless, "POKE_COUNT", 12)
+    monkeypatch.setattr(headless, "SIMULATED_POKE_COUNT", 12)
     monkeypatch.setattr(headless, "_draw", lambda *asked: asked[-1])
     scene = resource("scenes/flat-patch/scene.toml")
     assert headless.run_headless(scene, tmp_path / "s", "no display") == 0

@@ -322,7 +322,11 @@ def test_a_correction_is_offered_used_by_a_key_taken_back_and_dropped(poked):
 
 def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poked, monkeypatch, tmp_path):
     bench = poked.bench
-    for module, name in ((controller, "SOLVE_S"), (controller, "SOLVING_SHOWN_S"), (controller, "MIN_BUSY_PICTURE_S")):
+    for module, name in (
+        (controller, "SOLVING_TIME_PER_TICK_S"),
+        (controller, "SHOW_SOLVING_AFTER_S"),
+        (controller, "MIN_BUSY_PICTURE_INTERVAL_S"),
+    ):
         monkeypatch.setattr(module, name, 0.0)
     monkeypatch.setattr(solving, "MODULES_AT_ONCE", 1)
     shown: list[tuple[object, int, str]] = []
@@ -344,7 +348,7 @@ def test_all_taxels_are_solved_anew_in_several_ticks_while_other_work_waits(poke
     bench.controller.act(Undo())
     bench.until(lambda: not bench.snapshot.decisions.corrections, 5000)
     refusals = []
-    monkeypatch.setattr(controller, "MAX_UNSOLVED", 10)
+    monkeypatch.setattr(controller, "MAX_UNSOLVED_TAXELS", 10)
     ticks = next(
         timer
         for timer in bench.controller.findChildren(QTimer, options=Qt.FindChildOption.FindDirectChildrenOnly)

@@ -25,7 +25,7 @@ from skincal.files.reference import read_reference
 from skincal.journal.line_file import lines_path
 from skincal.journal.writer import create_session
 from skincal.mesh.load import read_mesh
-from skincal.model.errors import MAX_SENTENCE_CHARS, InputError, plain_text
+from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError, plain_text
 from skincal.model.readings import Stream
 from skincal.model.scene import load_scene
 from skincal.model.skin import read_layout
@@ -156,7 +156,7 @@ def try_all(name, seed, work, inputs):
             begun_s = time.process_time()
             try:
                 said = outcome_of(work, random.Random(f"{name} {seed} {count}"))
-                assert len(said) <= MAX_SENTENCE_CHARS
+                assert len(said) <= ERROR_SENTENCE_MAX_CHARS
                 assert time.process_time() - begun_s < MOST_S
             except BaseException as error:  # also the one by which a test that takes too long is ended
                 error.add_note(f"{name}: input {count} of seed {seed}")
@@ -475,7 +475,7 @@ def test_bad_command_lines(recorded, tmp_path, monkeypatch, capsys):
         said = capsys.readouterr().err
         assert time.process_time() - begun_s < MOST_S, words
         assert "Traceback" not in said, words
-        assert len(said) <= MAX_SENTENCE_CHARS + len("skincal: \n"), words
+        assert len(said) <= ERROR_SENTENCE_MAX_CHARS + len("skincal: \n"), words
         assert plain_text(said.rstrip("\n")) == said.rstrip("\n"), words
         assert {path.name for path in tmp_path.iterdir()} == {"f", "s"}, words
     assert {path: path.read_bytes() for path in session.rglob("*") if path.is_file()} == before

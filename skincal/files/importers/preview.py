@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skincal.devices.decoding import WRENCH_WIDTH
+from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import Importer, RecordedPlace, StreamGuess, find_recordings, importer_of
 from skincal.files.importers.timeline import START_NS, OpenRecording
 from skincal.geometry import FloatArray
@@ -112,7 +112,7 @@ def _likely_stream(guess: StreamGuess) -> Stream:
     name = (guess.place.topic or (path.parent.name if path.name == importer_of(path).marker else path.name)).lower()
     named = next((stream for stream, words in _NAME_PATTERNS if words.search(name)), None)
     by_width = (
-        Stream.WRENCH if guess.width == WRENCH_WIDTH else Stream.JOINTS if guess.width <= JOINTS_MAX_WIDTH else Stream.SKIN
+        Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS if guess.width <= JOINTS_MAX_WIDTH else Stream.SKIN
     )
     return guess.stream if guess.stream in (Stream.WRENCH, Stream.JOINTS) else named or guess.stream or by_width
 
@@ -162,7 +162,7 @@ class RecordingPreview:
                 f"A row of the skin has {plural(skin, 'value')}, and the scene {scene.name} has "
                 f"{plural(scene.skin.channels, 'channel')}; choose the scene that it was recorded on."
             )
-        if widths[Stream.WRENCH] != WRENCH_WIDTH:
+        if widths[Stream.WRENCH] != WRENCH_VALUES:
             found.append("No row of the force/torque recording has fx fy fz mx my mz; choose another file.")
         if scene.arm is not None and joints is None and pose not in scene.arm.poses:
             found.append("The scene has an arm; name the recording of its joints, or choose the arm pose.")

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from skincal.devices.bottles import MEASURES_LISTS, MEASURES_WRENCH
-from skincal.devices.decoding import WRENCH_WIDTH
+from skincal.devices.decoding import WRENCH_VALUES
 from skincal.files.importers.registry import RecordedPlace, StreamGuess
 from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
@@ -144,7 +144,7 @@ def guess_streams(path: Path) -> list[StreamGuess]:
     for line in _first_lines(log, stamps):
         if line.payload.strip():
             if _count_sensors(line.payload):
-                return [StreamGuess(RecordedPlace(path), Stream.WRENCH, WRENCH_WIDTH)]
+                return [StreamGuess(RecordedPlace(path), Stream.WRENCH, WRENCH_VALUES)]
             width = len(line.payload.replace(b"(", b" ").replace(b")", b" ").split())
             return [StreamGuess(RecordedPlace(path), None, width)]
     raise InputError(f"{log}: its first lines hold no record; expected a log that yarpdatadumper wrote.")

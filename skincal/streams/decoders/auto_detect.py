@@ -34,9 +34,9 @@ _DECODER_OF_FORMAT: dict[str, type[FrameDecoder]] = {
 NAMES = (AUTO, *_DECODER_OF_FORMAT, *FORMATS)
 _TEXT_BYTES = bytes([*range(9, 14), *range(32, 127)])
 """Bytes that a text may have."""
-TEXT_AFTER_NS = 300_000_000
+ASSUME_TEXT_AFTER_NS = 300_000_000
 """ns of bytes without a good checksum before text is believed: six frames at 20 Hz, ten at 35 Hz."""
-TEXT_AFTER_BYTES = 65536
+ASSUME_TEXT_AFTER_BYTES = 65536
 """Bytes after which text is believed at once: a file is read faster than it was recorded."""
 
 
@@ -101,7 +101,7 @@ class LinkDecoder:
         self._bytes += len(data)
         if self._first_ns is None:
             self._first_ns = host_ns
-        if host_ns - self._first_ns >= TEXT_AFTER_NS or self._bytes >= TEXT_AFTER_BYTES:
+        if host_ns - self._first_ns >= ASSUME_TEXT_AFTER_NS or self._bytes >= ASSUME_TEXT_AFTER_BYTES:
             return self.finish()
         return []
 

@@ -22,7 +22,7 @@ LINE_MAX_BYTES = 65536
 """Bytes. Some 4,200 values of 12 characters fit."""
 COLUMN_UNITS_S = {"t": 1.0, "time": 1.0, "t_s": 1.0, "t_ms": 1e-3, "t_us": 1e-6}
 SEQ_COLUMN = "seq"
-NUMBER_MAX = 1e18
+MAX_PARSED_NUMBER = 1e18
 """Largest number or clock that is taken for one: what a batch's integers hold."""
 
 
@@ -129,7 +129,7 @@ class LeadingColumns:
         """Return number, device's clock in seconds, and how many numbers are missing before this one."""
         seq, device_s, missing = NO_SEQ, math.nan, 0
         for name, number in zip(self._names, numbers, strict=True):
-            if not math.isfinite(number) or abs(number) > NUMBER_MAX:
+            if not math.isfinite(number) or abs(number) > MAX_PARSED_NUMBER:
                 continue
             if name == SEQ_COLUMN:
                 seq = int(number)

@@ -19,18 +19,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from skincal.devices.decoding import CRC_CCITT_START, DeviceTime, FrameDecoder, SequenceCounter
+from skincal.devices.decoding import CRC_CCITT_INITIAL_VALUE, DeviceTime, FrameDecoder, SequenceCounter
 from skincal.model.readings import Loss, Stream
 
 HEAD_STRUCT = struct.Struct("<BBHI")
 CRC_BYTES = 2
-MAX_BODY = 1024
+MAX_BODY_BYTES = 1024
 """Bytes. The longest body of the protocol."""
-WRENCH_TYPE = 2
-HEADER_TYPE = 16
+WRENCH_MESSAGE_TYPE = 2
+HEADER_MESSAGE_TYPE = 16
 STREAM_OF_TYPE = {
     1: (Stream.SKIN, np.dtype("<u2")),
-    WRENCH_TYPE: (Stream.WRENCH, np.dtype("<f4")),
+    WRENCH_MESSAGE_TYPE: (Stream.WRENCH, np.dtype("<f4")),
     3: (Stream.SKIN, np.dtype("u1")),
     4: (Stream.SKIN, np.dtype("<f4")),
     5: (Stream.JOINTS, np.dtype("<f4")),
@@ -38,7 +38,7 @@ STREAM_OF_TYPE = {
 """Stream of each type, and the type of its values."""
 WRENCH_PAYLOAD_BYTES, STATUS_BYTES = 28, 4
 
-FULL_BLOCK = 255
+COBS_FULL_BLOCK_CODE = 255
 """Code of a block of 254 bytes without a 0 after it."""
 
 
@@ -47,7 +47,7 @@ class SkbDecoder(FrameDecoder):
 
     name: ClassVar[str] = "SKB/1"
     mark: ClassVar[bytes] = b"\x00"
-    limit: ClassVar[int] = MAX_BODY + CRC_BYTES + -(-(MAX_BODY + CRC_BYTES) // 254)
+    limit: ClassVar[int] = MAX_BODY_BYTES + CRC_BYTES + -(-(MAX_BODY_BYTES + CRC_BYTES) // 254)
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -62,13 +62,13 @@ class SkbDecoder(FrameDecoder):
         if record is None or len(record) < HEAD_STRUCT.size + CRC_BYTES:
             return Loss.UNREADABLE
         body = record[:-CRC_BYTES]
-        if binascii.crc_hqx(body, CRC_CCITT_START) != record[-2] | record[-1] << 8:
+        if binascii.crc_hqx(body, CRC_CCITT_INITIAL_VALUE) != record[-2] | record[-1] << 8:
             return Loss.BAD_CHECKSUM
         return self._record(body)
 
     def _record(self, body: bytes) -> Loss | None:
         kind, source, raw_seq, raw_us = HEAD_STRUCT.unpack_from(body)
-        if kind == HEADER_TYPE:
+        if kind == HEADER_MESSAGE_TYPE:
             return self._header(body)
         if kind not in STREAM_OF_TYPE:
             return None
@@ -80,9 +80,9 @@ class SkbDecoder(FrameDecoder):
         seq, missing = sequence.step(raw_seq, device_s)
         self._count_missing(missing)
         (stream, dtype), payload, status = STREAM_OF_TYPE[kind], body[HEAD_STRUCT.size :], 0
-        if len(payload) % dtype.itemsize or (kind == WRENCH_TYPE and len(payload) != WRENCH_PAYLOAD_BYTES):
+        if len(payload) % dtype.itemsize or (kind == WRENCH_MESSAGE_TYPE and len(payload) != WRENCH_PAYLOAD_BYTES):
             return Loss.BAD_WIDTH
-        if kind == WRENCH_TYPE:
+        if kind == WRENCH_MESSAGE_TYPE:
             payload, status = payload[:-STATUS_BYTES], int.from_bytes(payload[-STATUS_BYTES:], "little")
         self.valid_records += 1
         return self._add(stream, seq, device_s, np.frombuffer(payload, dtype), status)
@@ -106,7 +106,7 @@ def unstuffed(frame: bytes) -> bytes | None:
         if code == 0 or stop > end:
             return None
         out += frame[at + 1 : stop]
-        if code != FULL_BLOCK and stop < end:
+        if code != COBS_FULL_BLOCK_CODE and stop < end:
             out.append(0)
         at = stop
     return bytes(out) if end and 0 not in frame else None

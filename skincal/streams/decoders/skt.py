@@ -20,9 +20,9 @@ from typing import ClassVar
 
 from skincal.devices.decoding import (
     CLOCK_MODULUS_US,
-    CRC_CCITT_START,
+    CRC_CCITT_INITIAL_VALUE,
     SEQ_MODULUS,
-    WRENCH_WIDTH,
+    WRENCH_VALUES,
     DeviceTime,
     FrameDecoder,
     SequenceCounter,
@@ -31,10 +31,10 @@ from skincal.model.readings import Loss, Stream
 
 LINE_MAX_BYTES = 4096
 """Bytes. The longest line of the protocol."""
-TAIL_BYTES = 5
+CHECKSUM_TAIL_BYTES = 5
 """`*` and the checksum."""
 STREAM_OF_LETTER = {b"T": Stream.SKIN, b"F": Stream.WRENCH, b"J": Stream.JOINTS, b"P": Stream.TIP}
-LEADING_FIELDS = 3
+FIELDS_BEFORE_VALUES = 3
 """Fields before the values: letter, seq, t_us."""
 
 
@@ -54,8 +54,8 @@ class SktDecoder(FrameDecoder):
         line = frame.removesuffix(b"\r")
         if not line or line.startswith(b"#"):
             return None
-        text, tail = line[:-TAIL_BYTES], line[-TAIL_BYTES:]
-        if tail != b"*%04X" % binascii.crc_hqx(text, CRC_CCITT_START):
+        text, tail = line[:-CHECKSUM_TAIL_BYTES], line[-CHECKSUM_TAIL_BYTES:]
+        if tail != b"*%04X" % binascii.crc_hqx(text, CRC_CCITT_INITIAL_VALUE):
             return Loss.BAD_CHECKSUM
         # Before the record is read: its checksum proves the format, independent of the record.
         self.valid_records += 1
@@ -75,9 +75,9 @@ class SktDecoder(FrameDecoder):
     def _reading(self, stream: Stream, fields: list[bytes]) -> Loss | None:
         try:
             raw_seq, raw_us = int(fields[1]), int(fields[2])
-            values = [float(field) for field in fields[LEADING_FIELDS:]]
+            values = [float(field) for field in fields[FIELDS_BEFORE_VALUES:]]
             status = 0
-            if stream is Stream.WRENCH and len(values) == WRENCH_WIDTH + 1:
+            if stream is Stream.WRENCH and len(values) == WRENCH_VALUES + 1:
                 values.pop()
                 status = int(fields[-1])
         except (ValueError, IndexError):

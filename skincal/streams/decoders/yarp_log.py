@@ -37,9 +37,9 @@ _TOKEN_RE = re.compile(
 """A token of a bottle: separator, end of a list, string, name in brackets, or another word."""
 _NOT_A_TABLE = (b"\r", b"\x1c", b"\x1d", b"\x1e", b"\x1f", b"_")
 """Marks that no table has: the ASCII separators split words for numpy alone, and Python reads 1_0 as ten."""
-_LINE_HEAD_MAX_CHARS = 64
+_LINE_PREFIX_MAX_CHARS = 64
 """Letters: a line's number and stamps are shorter."""
-_NUMBER_MAX_DIGITS = 18
+_LINE_NUMBER_MAX_DIGITS = 18
 """Digits of a line's number: fewer than those of `SEQ_MAX`."""
 _EXACT_INTEGER_MAX = 2.0**53
 """Every smaller whole number is a double."""
@@ -133,9 +133,9 @@ def split_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
 
 def _even_stamps(lines: Sequence[bytes], stamps: int) -> FloatArray | None:
     """Read the stamps at once if the digits of all lines are at the same places, as in nearly every log; else `None`."""
-    words = lines[0][:_LINE_HEAD_MAX_CHARS].split(b" ")[: 1 + stamps]
+    words = lines[0][:_LINE_PREFIX_MAX_CHARS].split(b" ")[: 1 + stamps]
     ends = np.cumsum([len(word) + 1 for word in words])
-    if len(words) <= stamps or not 1 < ends[0] <= _NUMBER_MAX_DIGITS + 1 or ends[-1] > _LINE_HEAD_MAX_CHARS:
+    if len(words) <= stamps or not 1 < ends[0] <= _LINE_NUMBER_MAX_DIGITS + 1 or ends[-1] > _LINE_PREFIX_MAX_CHARS:
         return None
     heads = np.array(lines, f"S{ends[-1]}").view(np.uint8).reshape(len(lines), -1)
     # What is below "0" becomes large.

@@ -12,9 +12,9 @@ from skincal.streams.decoders.auto_detect import LinkDecoder
 
 BAUD_RATES = (115200, 460800, 19200, 1_000_000, 921600, 9600, 57600, 2_000_000)
 """In the order of the trials: boards, Bota, Robotiq, OptoForce, and other usual settings of boards."""
-TRIAL_MAX_S = 1.0
+BAUD_RATE_TRIAL_MAX_S = 1.0
 """s of bytes at one rate. Text is believed after 0.3 s; a slow board sends ten readings."""
-MIN_READINGS = 5
+MIN_READINGS_AT_RIGHT_BAUD_RATE = 5
 """Readings that show the right rate, if they outnumber the losses: noise now and then holds a line with a number."""
 
 
@@ -52,9 +52,9 @@ class BaudSearchLink:
     def _look_at(self, data: bytes, now_s: float) -> None:
         self._since_s = now_s if self._since_s is None else self._since_s
         self._readings += sum(len(batch.seq) for _, batch in self._decoder.feed(data, round(now_s * 1e9)))
-        if self._readings >= MIN_READINGS and self._readings > self._decoder.current.counts.total():
+        if self._readings >= MIN_READINGS_AT_RIGHT_BAUD_RATE and self._readings > self._decoder.current.counts.total():
             self.found = True
-        elif now_s - self._since_s > TRIAL_MAX_S:
+        elif now_s - self._since_s > BAUD_RATE_TRIAL_MAX_S:
             self.baud = BAUD_RATES[(BAUD_RATES.index(self.baud) + 1) % len(BAUD_RATES)]
             self.tried = tuple(dict.fromkeys((*self.tried, self.baud)))
             self._port.set_baud(self.baud)

@@ -18,13 +18,13 @@ from skincal.devices.family import Command
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
-ERROR_MAX_CHARS = 300
+SHOWN_STDERR_MAX_CHARS = 300
 """Characters shown of what a command printed to stderr last."""
-QUEUED_READS = 64
+MAX_QUEUED_READS = 64
 """Reads that wait; a command that prints faster waits itself."""
-CANCEL_POLL_S = 0.1
+CANCEL_CHECK_PERIOD_S = 0.1
 """s between two checks whether anybody still waits for the command."""
-END_MAX_S = 1.0
+COMMAND_END_TIMEOUT_S = 1.0
 """s that a command has to end after the signal."""
 
 
@@ -37,7 +37,7 @@ def open_transport(opening: Opening) -> Link:
         link = CommandLink(opening.address.label, command, opening.is_cancelled)
     except LinkError:
         # A driver costs a process for each attempt: not ten a second.
-        time.sleep(max(0.0, begun_s + END_MAX_S - time.monotonic()) if command.is_driver else 0.0)
+        time.sleep(max(0.0, begun_s + COMMAND_END_TIMEOUT_S - time.monotonic()) if command.is_driver else 0.0)
         raise
     if not command.is_driver or link.has_received:
         return link
@@ -60,7 +60,9 @@ def end_tree(pid: int) -> None:
     # By its full path, so that no program of the working folder is run.
     tool = Path(os.environ.get("SYSTEMROOT", r"C:\Windows")) / "System32" / "taskkill.exe"
     with contextlib.suppress(subprocess.TimeoutExpired):
-        subprocess.run([str(tool), "/F", "/T", "/PID", str(pid)], capture_output=True, check=False, timeout=END_MAX_S)
+        subprocess.run(
+            [str(tool), "/F", "/T", "/PID", str(pid)], capture_output=True, check=False, timeout=COMMAND_END_TIMEOUT_S
+        )
 
 
 class CommandLink:
@@ -81,7 +83,7 @@ class CommandLink:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise LinkError(FailureKind.ADDRESS, f"{address}: cannot be started: {reason}; check the command.") from error
-        self._reads: queue.Queue[bytes] = queue.Queue(QUEUED_READS)
+        self._reads: queue.Queue[bytes] = queue.Queue(MAX_QUEUED_READS)
         self._error_text = b""
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._read_output, self._read_errors)]
         for thread in self._threads:
@@ -90,7 +92,7 @@ class CommandLink:
         try:
             until_s = time.monotonic() + command.first_bytes_max_s
             while not (self._early or is_cancelled()) and (left_s := until_s - time.monotonic()) > 0:
-                self._early = self.read(min(left_s, CANCEL_POLL_S))
+                self._early = self.read(min(left_s, CANCEL_CHECK_PERIOD_S))
         except LinkError as failure:
             self.close()
             raise LinkError(self._kind_of_end if command.is_driver else FailureKind.ADDRESS, str(failure)) from failure
@@ -106,7 +108,7 @@ class CommandLink:
         assert self._process.stderr is not None
         with self._process.stderr as stream:
             while data := stream.read(1 << 12):
-                self._error_text = (self._error_text + data)[-ERROR_MAX_CHARS * 10 :]
+                self._error_text = (self._error_text + data)[-SHOWN_STDERR_MAX_CHARS * 10 :]
 
     @property
     def has_received(self) -> bool:
@@ -128,14 +130,14 @@ class CommandLink:
 
     def _end_sentence(self) -> str:
         try:
-            code = self._process.wait(END_MAX_S)
+            code = self._process.wait(COMMAND_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             return f"{self._who} has closed its output."
-        self._threads[1].join(END_MAX_S)
+        self._threads[1].join(COMMAND_END_TIMEOUT_S)
         if code == 0:
             return f"{self._who} has ended."
         lines = self._error_text.decode("utf-8", "replace").strip().splitlines()
-        why = f": {lines[-1][-ERROR_MAX_CHARS:].rstrip('.')}" if lines else ""
+        why = f": {lines[-1][-SHOWN_STDERR_MAX_CHARS:].rstrip('.')}" if lines else ""
         return f"{self._who} has ended with code {code}{why}."
 
     def write(self, data: bytes) -> None:
@@ -144,7 +146,7 @@ class CommandLink:
     def close(self) -> None:
         """End the command and everything that it started."""
         self._end(signal.SIGTERM)
-        until_s = time.monotonic() + END_MAX_S
+        until_s = time.monotonic() + COMMAND_END_TIMEOUT_S
         while (self._is_running() or self._threads[0].is_alive()) and time.monotonic() < until_s:
             # The thread may wait for room.
             with contextlib.suppress(queue.Empty):
@@ -152,7 +154,7 @@ class CommandLink:
         if self._is_running():
             self._end(getattr(signal, "SIGKILL", signal.SIGTERM))
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_MAX_S)
+            self._process.wait(COMMAND_END_TIMEOUT_S)
         if self._process.stdin is not None:
             self._process.stdin.close()
 

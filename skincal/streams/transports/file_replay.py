@@ -13,17 +13,17 @@ from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.transports import Opening
 
-DEFAULT_BAUD = 115200
-BLOCK_BYTES = 512
+DEFAULT_BAUD_RATE = 115200
+READ_BLOCK_BYTES = 512
 """Bytes of a file returned together: three skin frames of 84 taxels."""
-BITS_PER_BYTE = 10
+SERIAL_BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 
 
 def open_transport(opening: Opening) -> Link:
     """Open the file of the address."""
     address = opening.address
-    return FileReplayLink(Path(address.path), opening.format, opening.carries, address.baud or DEFAULT_BAUD)
+    return FileReplayLink(Path(address.path), opening.format, opening.carries, address.baud or DEFAULT_BAUD_RATE)
 
 
 class FileReplayLink:
@@ -44,7 +44,7 @@ class FileReplayLink:
         except InputError as error:
             self._file.close()
             raise LinkError(FailureKind.ADDRESS, str(error)) from error
-        self._byte_s = BITS_PER_BYTE / baud
+        self._byte_s = SERIAL_BITS_PER_BYTE / baud
         self._block: bytes | None = None
         self._started_s = time.monotonic()
         self._due_s = 0.0
@@ -65,7 +65,7 @@ class FileReplayLink:
     def _next_block(self) -> bytes:
         """Read the next block and compute its due time from the device's clock."""
         try:
-            block = self._file.read(BLOCK_BYTES)
+            block = self._file.read(READ_BLOCK_BYTES)
         except OSError as error:
             raise LinkError(FailureKind.OTHER, f"{self._path} cannot be read further: {error.strerror or error}.") from error
         if not block:

@@ -15,10 +15,10 @@ from skincal.devices.family import AUTO
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
-DEFAULT_BAUD = 115200
+DEFAULT_BAUD_RATE = 115200
 READ_MAX_BYTES = 65536
 """Most bytes of one read: more than a second of any serial port."""
-WRITE_MAX_S = 0.5
+WRITE_TIMEOUT_S = 0.5
 """s. A command is a few bytes; a port that accepts none for so long is stuck."""
 
 
@@ -28,11 +28,11 @@ def open_transport(opening: Opening) -> Link:
     if address.baud:
         return SerialLink(address.path, address.baud)
     if opening.format != AUTO:
-        return SerialLink(address.path, DEFAULT_BAUD)
+        return SerialLink(address.path, DEFAULT_BAUD_RATE)
     # Imported now: it needs decoders.
     from skincal.streams.transports.baud_search import BaudSearchLink
 
-    return BaudSearchLink(SerialLink(address.path, DEFAULT_BAUD), opening.carries)
+    return BaudSearchLink(SerialLink(address.path, DEFAULT_BAUD_RATE), opening.carries)
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
@@ -53,7 +53,7 @@ class SerialLink:
         try:
             # Exclusive: on POSIX two programs could open one port otherwise, and each would get some of its bytes.
             # Not `serial_for_url`: it takes more for a URL than a port's name.
-            self._port: Any = serial.Serial(port, baudrate=baud, timeout=0, write_timeout=WRITE_MAX_S, exclusive=True)
+            self._port: Any = serial.Serial(port, baudrate=baud, timeout=0, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
         # What pyserial raises for a rate that it cannot set.
         except ValueError as error:
             raise LinkError(

@@ -9,11 +9,11 @@ from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 
 READ_MAX_BYTES = 65536
-CONNECT_MAX_S = 1.0
+CONNECT_TIMEOUT_S = 1.0
 """s. A host in the same room answers in milliseconds; a reader must be able to stop."""
 KEEPALIVE_IDLE_S, KEEPALIVE_PROBE_S, KEEPALIVE_PROBES = 3, 2, 3
 """s, s: a dead server is noticed after 3 + 3 * 2 = 9 s of silence. By default systems wait for two hours."""
-WRITE_MAX_S = 0.5
+WRITE_TIMEOUT_S = 0.5
 """s. A command is a few bytes; a peer that accepts none for so long is stuck."""
 
 
@@ -26,7 +26,7 @@ def open_transport(opening: Opening) -> Link:
 def connect_tcp(address: str, host: str, port: int) -> socket.socket:
     """Open a connection; `address` is its name in sentences. Raises LinkError."""
     try:
-        connection = socket.create_connection((host, port), CONNECT_MAX_S)
+        connection = socket.create_connection((host, port), CONNECT_TIMEOUT_S)
     except UnicodeError as error:
         raise LinkError(FailureKind.ABSENT, f"{address}: no host can have this name; check it.") from error
     except OverflowError as error:
@@ -61,7 +61,7 @@ class TcpLink:
         return data
 
     def write(self, data: bytes) -> None:
-        self._socket.settimeout(WRITE_MAX_S)
+        self._socket.settimeout(WRITE_TIMEOUT_S)
         try:
             self._socket.sendall(data)
         except OSError as error:
@@ -103,6 +103,6 @@ def _connect_failure(address: str, error: OSError) -> LinkError:
         return LinkError(FailureKind.ABSENT, f"{address}: no host of this name is known; check the name, or give its number.")
     if isinstance(error, TimeoutError):
         return LinkError(
-            FailureKind.ABSENT, f"{address}: no answer within {CONNECT_MAX_S:g} s; check the cable and the number."
+            FailureKind.ABSENT, f"{address}: no answer within {CONNECT_TIMEOUT_S:g} s; check the cable and the number."
         )
     return LinkError(FailureKind.OTHER, f"{address}: cannot connect: {error.strerror or error}.")

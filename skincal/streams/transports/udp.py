@@ -12,7 +12,7 @@ from skincal.streams.transports import Opening
 
 DATAGRAM_MAX_BYTES = 1472
 """Longest datagram that passes Ethernet in one piece; no device here sends longer ones."""
-DATAGRAMS_PER_READ = 64
+MAX_DATAGRAMS_PER_READ = 64
 """More than come while a busy program waits 60 ms, at 1 kHz."""
 RECEIVE_BUFFER_BYTES = 1 << 20
 """Buffer of the system for a program that is held up: some seconds at 1 kHz, each datagram with the system's own 700 bytes."""
@@ -46,7 +46,7 @@ class DatagramLink:
         try:
             if not select.select([self._socket], [], [], timeout_s)[0]:
                 return b""
-            while len(datagrams) < DATAGRAMS_PER_READ:
+            while len(datagrams) < MAX_DATAGRAMS_PER_READ:
                 datagrams.append(self._socket.recv(DATAGRAM_MAX_BYTES))
         except BlockingIOError:
             pass

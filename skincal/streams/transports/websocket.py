@@ -14,7 +14,7 @@ from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
 from skincal.streams.transports.tcp import TcpLink
 
-HANDSHAKE_MAX_S = 0.8
+HANDSHAKE_TIMEOUT_S = 0.8
 
 
 def open_transport(opening: Opening) -> Link:
@@ -43,7 +43,7 @@ class WebSocketLink:
             raise
 
     def _open(self) -> None:
-        end_s = time.monotonic() + HANDSHAKE_MAX_S
+        end_s = time.monotonic() + HANDSHAKE_TIMEOUT_S
         self._early = b""
         while self._protocol.state is State.CONNECTING:
             left_s = end_s - time.monotonic()

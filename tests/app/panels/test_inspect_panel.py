@@ -9,14 +9,14 @@ import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
 
-from app.panels.inspect_panel import PICTURE_LEGENDS, PLOT_PX, AxisDiversityPanel, InspectPanel, poke_cells
+from app.panels.inspect_panel import PICTURE_LEGENDS, PLOT_SIZE_PX, AxisDiversityPanel, InspectPanel, poke_cells
 from app.panels.pokes_panel import PokesPanel
 from app.panels.taxel_map import TaxelMap
-from app.panels.top_view import RIM_SINE, SHADE_POINTS, TAXEL_RADIUS, diversity_view
+from app.panels.top_view import CONTACT_PLOT_RADIUS_M, RIM_SINE, SHADE_POINTS_PER_SIDE, diversity_view
 from app.scene3d.camera import PLAIN_POSE
 from app.session.opening import OpenRequest
 from app.text.errors_text import (
-    MAX_LISTED_POKES,
+    MAX_LISTED_POKES_PER_TAXEL,
     doubt_mark,
     doubt_words,
     doubting,
@@ -89,11 +89,11 @@ def test_a_contact_is_drawn_at_the_tools_upper_end():
 def test_the_tint_is_deepest_in_the_best_direction_and_ends_at_the_usable_tilt(best):
     view = diversity_view(diversity(best=best), Method.FREE, PLAIN_POSE)
     row, column = np.unravel_index(view.shade.argmax(), view.shade.shape)
-    deepest = np.array([(column + 0.5) / SHADE_POINTS * 2 - 1, 1 - (row + 0.5) / SHADE_POINTS * 2])
+    deepest = np.array([(column + 0.5) / SHADE_POINTS_PER_SIDE * 2 - 1, 1 - (row + 0.5) / SHADE_POINTS_PER_SIDE * 2])
     side = np.array([np.cos(np.radians(best)), np.sin(np.radians(best))])
     assert deepest @ side > 0.9 * view.limit
     assert view.wanted @ side > 0.9 * view.limit
-    step = (np.arange(SHADE_POINTS) + 0.5) / SHADE_POINTS * 2 - 1
+    step = (np.arange(SHADE_POINTS_PER_SIDE) + 0.5) / SHADE_POINTS_PER_SIDE * 2 - 1
     np.testing.assert_array_equal(view.shade > 0, np.hypot(*np.meshgrid(step, step)) <= view.limit)
     nothing = diversity_view(diversity([push(10, 0)], best=None), Method.FREE, PLAIN_POSE)
     assert not nothing.shade.any()
@@ -105,7 +105,7 @@ def test_for_the_surface_method_contact_points_count_and_not_directions():
     view = diversity_view(says, Method.SURFACE, PLAIN_POSE)
     np.testing.assert_allclose(view.dots, [[0.4, 0], [0, 1]])
     np.testing.assert_allclose(view.middle, [0.2, 0.2])
-    assert view.limit == pytest.approx(0.001 / TAXEL_RADIUS)
+    assert view.limit == pytest.approx(0.001 / CONTACT_PLOT_RADIUS_M)
     assert (view.shade.any(), view.wanted) == (False, None)
 
 
@@ -136,7 +136,7 @@ def test_own_pokes_are_filled_others_hollow_and_doubted_ones_small(panel, colour
     for generation, (own, trust) in enumerate([(True, 1.0), (False, 1.0), (True, 0.1)], start=1):
         panel.show_state(framed(diversity([push(20, 135)], None, own=[own], trust=[trust]), generation=generation))
         at = panel.plot._at(diversity_view(diversity([push(20, 135)]), Method.FREE, PLAIN_POSE).dots[0])
-        x, y = round(PLOT_PX / 2 + at.x()), round(PLOT_PX / 2 + at.y())
+        x, y = round(PLOT_SIZE_PX / 2 + at.x()), round(PLOT_SIZE_PX / 2 + at.y())
         filled.append(ink(pixels(panel.plot)[y - 8 : y + 9, x - 8 : x + 9], colours.text))
     whole, hollow, small = filled
     assert whole > 20
@@ -150,7 +150,7 @@ def test_the_best_direction_is_a_diamond_and_the_tint_is_visible(panel):
     panel.show_state(framed(diversity(best=0.0), generation=2))
     east = pixels(panel.plot)
     assert changed(plain, east) > 2000
-    half = PLOT_PX // 2
+    half = PLOT_SIZE_PX // 2
     assert ink(east[:, half:], "#FFFFFF") > 10
     assert ink(east[:, :half], "#FFFFFF") == 0
 
@@ -240,10 +240,10 @@ def test_the_pokes_of_a_taxel_come_newest_first_without_excluded_ones():
     assert poke_cells(pokes[0])[:3] == ("2", "1.00", "\N{CIRCLE WITH LEFT HALF BLACK} 0.20")
     assert poke_cells(pokes[1])[2] == "1"
     assert taxel_pokes(at, Estimate(3, Method.FREE, State.DEAD, 0)) == ()
-    many = session(1, {3: doubted(3)}, [touch(poke) for poke in range(2, MAX_LISTED_POKES + 2)])
+    many = session(1, {3: doubted(3)}, [touch(poke) for poke in range(2, MAX_LISTED_POKES_PER_TAXEL + 2)])
     unread = replace(many, pokes=(None, *many.pokes))
     listed = taxel_pokes(unread, many.estimates[Method.FREE][3])
-    assert [poke.poke for poke in listed] == list(range(MAX_LISTED_POKES + 1, 1, -1)), "older ones are not even read"
+    assert [poke.poke for poke in listed] == list(range(MAX_LISTED_POKES_PER_TAXEL + 1, 1, -1)), "older ones are not even read"
 
 
 def test_a_doubted_poke_is_marked_with_the_taxel_and_the_reason(qtbot):

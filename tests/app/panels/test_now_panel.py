@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from PySide6.QtWidgets import QApplication, QSizePolicy
 
-from app.panels.now_panel import DIAL_PX, NowPanel
-from app.panels.top_view import DIAL_RADIUS, axes_on, top_view
+from app.panels.now_panel import TILT_DIAL_SIZE_PX, NowPanel
+from app.panels.top_view import DIAL_RADIUS_M, axes_on, top_view
 from app.scene3d.camera import PLAIN_POSE
-from app.scene3d.lines import TOOL_LENGTH
+from app.scene3d.lines import DRAWN_TOOL_LENGTH_M
 from app.state.press_coach import HintKind, LeanDirection, PressHint
 from app.state.running import Running
 from app.text.guidance_text import enough_words, hint_words, lean_words
 from app.text.now_text import Now, NowMemory, Said, Tone, now_line
 from app.text.outcomes import verdict_words
-from app.theme import DARK, HEADLINE_PT, LIGHT
+from app.theme import DARK, HEADLINE_FONT_SIZE_PT, LIGHT
 from skincal.contacts.outcome import PressPhase, Reason
 from skincal.taxels.result import Method
 from tests.app.guide_support import ASKED, TILT, TO_2, coaching_of, eye_of, guidance, held, target
@@ -138,11 +138,15 @@ def test_every_headline_fits_at_1280_pixels_beside_the_dial(panel):
     assert set(WORST) == set(Reason)
     pressed(panel)
     assert panel.dial.isVisible()
-    assert panel.headline.font().pointSizeF() == HEADLINE_PT
+    assert panel.headline.font().pointSizeF() == HEADLINE_FONT_SIZE_PT
     cut = []
     for words in every_headline():
         panel.say(Now(Tone.BAD, words, result=Said(Tone.BAD, words)))
-        if is_elided(panel.headline) or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_PT or is_elided(panel.result):
+        if (
+            is_elided(panel.headline)
+            or panel.headline.fitted().pointSizeF() < 0.85 * HEADLINE_FONT_SIZE_PT
+            or is_elided(panel.result)
+        ):
             cut.append(words)
     assert not cut
 
@@ -153,7 +157,7 @@ def test_the_panel_keeps_its_height_with_and_without_a_target(panel):
     panel.show_state(frame())
     QApplication.processEvents()
     assert not panel.dial.isVisible()
-    assert panel.sizeHint().height() == panel.minimumSizeHint().height() == high > DIAL_PX
+    assert panel.sizeHint().height() == panel.minimumSizeHint().height() == high > TILT_DIAL_SIZE_PX
     assert panel.sizePolicy().verticalPolicy() is QSizePolicy.Policy.Fixed
     assert panel.headline.width() > wide
 
@@ -168,8 +172,8 @@ def test_the_picture_from_above_is_what_one_sees_from_above():
     for channel, place in zip(seen.channels.tolist(), seen.taxels, strict=True):
         np.testing.assert_allclose(place, PLAN.places[channel] - PLAN.places[3], atol=1e-12)
     assert 3 not in seen.channels
-    assert np.linalg.norm(seen.taxels, axis=1).max() < DIAL_RADIUS
-    np.testing.assert_allclose(seen.wanted, TOOL_LENGTH * np.sin(TILT) * np.array(TO_2[:2]), atol=1e-12)
+    assert np.linalg.norm(seen.taxels, axis=1).max() < DIAL_RADIUS_M
+    np.testing.assert_allclose(seen.wanted, DRAWN_TOOL_LENGTH_M * np.sin(TILT) * np.array(TO_2[:2]), atol=1e-12)
     assert seen.tip is None
     assert seen.upper is None
 
@@ -178,7 +182,9 @@ def test_the_tool_is_drawn_where_it_is_and_how_it_leans():
     across = (-TO_2[1], TO_2[0], 0.0)
     seen = of(held(20.0, across, aside=(0.003, -0.001, 0.0)))
     np.testing.assert_allclose(seen.tip, [0.003, -0.001], atol=1e-9)
-    np.testing.assert_allclose(seen.upper - seen.tip, TOOL_LENGTH * np.sin(np.radians(20.0)) * np.array(across[:2]), atol=1e-9)
+    np.testing.assert_allclose(
+        seen.upper - seen.tip, DRAWN_TOOL_LENGTH_M * np.sin(np.radians(20.0)) * np.array(across[:2]), atol=1e-9
+    )
     np.testing.assert_allclose(seen.wanted - seen.tip, of().wanted, atol=1e-9)
 
 
@@ -232,7 +238,7 @@ def test_the_dial_shows_the_tool_and_nothing_of_it_without_a_tool(panel, colours
 
 def test_a_tip_outside_the_picture_is_a_wedge_at_the_rim_on_its_side(panel):
     pressed(panel, held(28.0, aside=(0.04, 0.0, 0.0), landed=15))
-    seen, edge = pixels(panel.dial), round(0.8 * DIAL_PX)
+    seen, edge = pixels(panel.dial), round(0.8 * TILT_DIAL_SIZE_PX)
     assert ink(seen[:, edge:], DARK.bad, 4) > 30
     assert ink(seen[:, :edge], DARK.bad, 4) == 0
 

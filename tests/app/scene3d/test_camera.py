@@ -10,11 +10,11 @@ from vtkmodules.vtkRenderingCore import vtkCamera
 
 from app.scene3d import camera
 from app.scene3d.camera import (
-    AFTER_MANUAL_MOVE_S,
+    CAMERA_TURN_DURATION_S,
     MIN_BALL_PX,
+    PAUSE_AFTER_MANUAL_MOVE_S,
     RESIDUAL_TILT,
     TARGET_BALL_PX,
-    TURN_S,
     AutoCamera,
     CameraPose,
     interpolate,
@@ -23,7 +23,7 @@ from app.scene3d.camera import (
     pose_of,
     turn_to,
 )  # fmt: skip
-from app.scene3d.scene_state import BALL_DIAMETER, View3DState
+from app.scene3d.scene_state import ESTIMATE_BALL_DIAMETER_M, View3DState
 from skincal.contacts.outcome import PressPhase
 from skincal.mesh.surface import make_surface
 from skincal.taxels.result import Method
@@ -214,12 +214,12 @@ def test_a_turn_is_over_within_04_s_of_ticks(turning):
     assert turning.run(0.4) > 8
     assert turning.sees()
     assert turning.run(2.0) == 0
-    assert TURN_S + TICK <= 0.4
+    assert CAMERA_TURN_DURATION_S + TICK <= 0.4
     turning.ask(130)
     assert turning.run(1.0) == 0, "it is visible already"
     turning.auto_camera.note_manual_move(turning.now_s)
     camera.rotate(turning.camera, 180.0, 0.0)
-    turning.run(AFTER_MANUAL_MOVE_S + 1.0)
+    turning.run(PAUSE_AFTER_MANUAL_MOVE_S + 1.0)
     assert not turning.sees()
     turning.ask(130)
     assert turning.run(5.0) == 0, "the same target turns the camera once"
@@ -252,7 +252,7 @@ def test_a_hand_on_the_camera_is_left_alone(turning):
     assert turning.run(10.0) == 0
     turning.auto_camera.held = False
     turning.auto_camera.note_manual_move(turning.now_s)
-    assert turning.run(AFTER_MANUAL_MOVE_S - 0.1) == 0
+    assert turning.run(PAUSE_AFTER_MANUAL_MOVE_S - 0.1) == 0
     assert turning.run(0.6) > 8
     assert turning.sees()
 
@@ -283,7 +283,7 @@ def test_where_a_taxel_would_be_a_dot_the_camera_goes_near_and_around_the_part(t
     body = tube(radius=0.2, half=0.4)
     place(turning.camera, camera.fit(body.vertices, UP, ASPECT, 0.015))
     turning.auto_camera = AutoCamera(body, X)
-    slope = 2 * np.tan(np.radians(camera.VIEW_ANGLE_DEG / 2))
+    slope = 2 * np.tan(np.radians(camera.CAMERA_VIEW_ANGLE_DEG / 2))
     for degrees, along in ((0.0, 0.1), (10.0, 0.1), (170.0, -0.2), (-90.0, 0.3)):
         turning.ask(degrees)
         normal = turning.at.normal
@@ -294,7 +294,7 @@ def test_where_a_taxel_would_be_a_dot_the_camera_goes_near_and_around_the_part(t
             assert np.hypot(*position[1:]) > 0.2, "never through the part"
         stand = pose_of(turning.camera)
         assert is_visible(stand, turning.at.place, normal, ASPECT)
-        pixels = BALL_DIAMETER * SIZE[1] / (slope * ((stand.position - turning.at.place) @ stand.axes[2]))
+        pixels = ESTIMATE_BALL_DIAMETER_M * SIZE[1] / (slope * ((stand.position - turning.at.place) @ stand.axes[2]))
         assert MIN_BALL_PX < pixels < 1.3 * TARGET_BALL_PX
     turning.ask(-90.0)
     turning.at = replace(turning.at, place=0.2 * turning.at.normal + 0.302 * X)

@@ -51,7 +51,7 @@ def test_a_crash_of_every_trial_names_the_packages(trials):
 
 
 def test_a_trial_that_hangs_is_ended(trials, monkeypatch):
-    monkeypatch.setattr(drawing_probe, "PROBE_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(drawing_probe, "DRAWING_PROBE_TIMEOUT_S", 0.3)
     trials.update(dict.fromkeys((EGL, OSMESA), "import time; time.sleep(60)"))
     with pytest.raises(InputError, match="gave no picture"):
         choose_offscreen()
@@ -66,7 +66,7 @@ def test_a_choice_of_the_user_is_kept(monkeypatch):
 
 @pytest.mark.usefixtures("trials")
 def test_headless_without_graphics_leaves_the_calibration_and_says_what_is_missing(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(headless, "POKE_COUNT", 6)
+    monkeypatch.setattr(headless, "SIMULATED_POKE_COUNT", 6)
     scene = resource("scenes/flat-patch/scene.toml")
     assert main(["--headless", "--scene", str(scene), "--new", str(tmp_path / "new")]) == 2
     said = capsys.readouterr()

@@ -13,7 +13,7 @@ from PySide6.QtWidgets import QApplication
 
 from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
-from app.scene3d.landmarks import MAX_NAMES, normals_of, poked_here
+from app.scene3d.landmarks import MAX_LANDMARKS_WITH_NAMES, normals_of, poked_here
 from app.scene3d.scene_state import View3DState
 from skincal.guide.guidance import Target
 from skincal.model.scene import Landmark
@@ -105,13 +105,15 @@ def test_few_landmarks_have_names_and_many_have_none(view):
     settle()
     assert {"head", "corner"} < set(renderer_of(view).labels.shown)
     with_names = pixels(view)
-    many = tuple(Landmark(f"p{n}", HEAD.place + np.array([0.0, 0.003 * n, 0.0]), UP) for n in range(MAX_NAMES + 1))
+    many = tuple(
+        Landmark(f"p{n}", HEAD.place + np.array([0.0, 0.003 * n, 0.0]), UP) for n in range(MAX_LANDMARKS_WITH_NAMES + 1)
+    )
     show(view, session(2, many))
     settle()
     assert not {"head", "p0"} & set(renderer_of(view).labels.shown)
-    show(view, session(3, many[:MAX_NAMES]))
+    show(view, session(3, many[:MAX_LANDMARKS_WITH_NAMES]))
     settle()
-    assert {f"p{n}" for n in range(MAX_NAMES)} < set(renderer_of(view).labels.shown)
+    assert {f"p{n}" for n in range(MAX_LANDMARKS_WITH_NAMES)} < set(renderer_of(view).labels.shown)
     show(view, session(4, (HEAD, CORNER)))
     np.testing.assert_array_equal(pixels(view), with_names)
 

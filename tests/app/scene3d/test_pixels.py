@@ -119,7 +119,7 @@ def test_all_that_is_drawn_is_seen_with_target_landmark_and_comparison(pictures,
 
 def ring_steps() -> np.ndarray:
     """(3, 3) float, metres: from the middle of the ring to where neither arrow nor cone lies; the last is below the skin."""
-    from app.scene3d.target import RING_RADIUS as RING
+    from app.scene3d.target import TARGET_RING_RADIUS_M as RING
 
     return RING * np.array([(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (np.cos(0.2), 0.0, -np.sin(0.2))])
 

@@ -16,10 +16,10 @@ from PySide6.QtWidgets import QApplication, QLabel, QMainWindow
 
 from app.commands import LAYERS
 from app.scene3d import offscreen
-from app.scene3d.axes import MAX_AXES
+from app.scene3d.axes import MAX_DRAWN_FORCE_AXES
 from app.scene3d.camera import project
 from app.scene3d.canvas import Canvas
-from app.scene3d.estimates import BLIND_HALF_LENGTH
+from app.scene3d.estimates import UNKNOWN_DEPTH_HALF_LENGTH_M
 from app.scene3d.scene_state import DARK, HUES, LIGHT, View3DState
 from app.scene3d.view import View3D
 from skincal.guide.guidance import Target
@@ -251,7 +251,7 @@ def test_a_line_joins_the_selected_taxel_to_its_second_position_or_shows_where_a
     sure = estimate(3, (0.0, 0.0, 0.0))
     rival = replace(sure, rival=Rival(np.array([0.034, 0.0, 0.0]), 1, 3.2))
     blind = Estimate(3, Method.FREE, State.BLIND, 2, worst_direction=direction, line_point=point)
-    half = BLIND_HALF_LENGTH * direction
+    half = UNKNOWN_DEPTH_HALF_LENGTH_M * direction
     shown = point + (np.array([*PLAN.places[3], 0.0]) - point) @ direction * direction
     for generation, (known, ends) in enumerate(
         ((sure, None), (rival, [(0, 0, 0), (0.034, 0, 0)]), (blind, [shown - half, shown + half]))
@@ -271,7 +271,7 @@ def test_a_selected_taxel_shows_its_newest_thirty_axes(view):
     view.show_moment(session, None, Method.FREE, None)
     assert len(points_of(axes.past)) // 2 == 0, "nothing is selected"
     view.show_moment(session, None, Method.FREE, 3)
-    assert len(points_of(axes.past)) // 2 == MAX_AXES
+    assert len(points_of(axes.past)) // 2 == MAX_DRAWN_FORCE_AXES
     ends = points_of(axes.past).reshape(-1, 2, 3).astype(float)
     through = ends[:, 1] - ends[:, 0]
     to_taxel = np.array([*PLAN.places[3], 0.0]) - ends[:, 0]

@@ -14,7 +14,7 @@ import pytest
 from PySide6.QtCore import Qt
 
 from app.__main__ import main
-from app.session.controller import MAX_UNSOLVED
+from app.session.controller import MAX_UNSOLVED_TAXELS
 from app.session.opening import Addresses, OpenRequest, server_command
 from app.text.outcomes import peak_channel
 from app.workers.device_process import DeviceProcess
@@ -184,7 +184,7 @@ def test_a_robot_beside_the_window_hears_skips_stops_and_comes_back(bench, resti
         first = targets(on_the_side(bench, peer.line))
         assert (first.frame, first.channel) == ("patch", bench.window.session_view.state.target.channel)
         with monkeypatch.context() as solving:
-            solving.setattr(Session, "unsolved", MAX_UNSOLVED + 1)
+            solving.setattr(Session, "unsolved", MAX_UNSOLVED_TAXELS + 1)
             peer.say(f"skip {first.number}")
             bench.qtbot.wait(300)
         # What it says while all taxels are being solved is done once they are.

@@ -11,11 +11,11 @@ from guide_support import guidance, target
 from window_support import NAMES, frame, link, reading, session, slip, touch
 
 from app.sound.cues import (
-    ALARM_PERIOD_S,
-    FADE_S,
-    MAX_LENGTH_S,
-    PEAK_LEVEL,
-    SAMPLE_RATE,
+    CUE_PEAK_OVER_FULL_SCALE,
+    DEVICE_LOST_ALARM_PERIOD_S,
+    MAX_CUE_LENGTH_S,
+    NOTE_FADE_TIME_S,
+    SAMPLE_RATE_HZ,
     Cue,
     CueMemory,
     DueCue,
@@ -105,12 +105,12 @@ def test_earlier_and_undone_pokes_are_not_heard():
 
 
 def test_a_lost_device_is_heard_slowly_and_nothing_else_meanwhile():
-    times = np.arange(100.0, 100.0 + 2.5 * ALARM_PERIOD_S, 0.5)
+    times = np.arange(100.0, 100.0 + 2.5 * DEVICE_LOST_ALARM_PERIOD_S, 0.5)
     sounds = cues_of(*(at(now_s=t, lost=("skin",)) for t in times))
     assert [t - 100.0 for t, sound in zip(times, sounds, strict=True) if sound is Cue.LOST] == [
         0.0,
-        ALARM_PERIOD_S,
-        2 * ALARM_PERIOD_S,
+        DEVICE_LOST_ALARM_PERIOD_S,
+        2 * DEVICE_LOST_ALARM_PERIOD_S,
     ]
     assert cues_of(at(now_s=1, lost=("skin",)), at(now_s=2, lost=("skin", "wrench"))) == [Cue.LOST, Cue.LOST]
     assert cues_of(at(lost=("skin",)), at(PRESSING, (touch(1),), lost=("skin",)), at(READY, (touch(1),))) == [
@@ -174,15 +174,15 @@ def rhythm(sound: Cue) -> list[tuple[float, float]]:
     """Begin and length of each beat of a sound, s, by how loud it is."""
     loud = np.convolve(np.abs(wave(sound)), np.ones(96) / 96.0, "same") > 0.02
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
-    return [(a / SAMPLE_RATE, (b - a) / SAMPLE_RATE) for a, b in edges.reshape(-1, 2)]
+    return [(a / SAMPLE_RATE_HZ, (b - a) / SAMPLE_RATE_HZ) for a, b in edges.reshape(-1, 2)]
 
 
 @pytest.mark.parametrize("sound", Cue)
 def test_a_sound_is_short_never_too_loud_and_begins_and_ends_softly(sound):
     heard_ = wave(sound)
-    assert 0.01 < len(heard_) / SAMPLE_RATE <= MAX_LENGTH_S
-    assert np.abs(heard_).max() == pytest.approx(PEAK_LEVEL, abs=1e-3)
-    edge = round(0.1 * FADE_S * SAMPLE_RATE)
+    assert 0.01 < len(heard_) / SAMPLE_RATE_HZ <= MAX_CUE_LENGTH_S
+    assert np.abs(heard_).max() == pytest.approx(CUE_PEAK_OVER_FULL_SCALE, abs=1e-3)
+    edge = round(0.1 * NOTE_FADE_TIME_S * SAMPLE_RATE_HZ)
     assert np.abs(heard_[:edge]).max() < 0.03
     assert np.abs(heard_[-edge:]).max() < 0.03
     assert abs(heard_.mean()) < 0.01
@@ -202,8 +202,8 @@ def test_any_two_sounds_differ_in_rhythm(one, other):
 
 def test_a_rejection_sounds_low_and_an_acceptance_rises():
     def pitch(part: np.ndarray) -> float:
-        return float(np.argmax(np.abs(np.fft.rfft(part, SAMPLE_RATE))))
+        return float(np.argmax(np.abs(np.fft.rfft(part, SAMPLE_RATE_HZ))))
 
     low, rising = wave(Cue.REJECTED), wave(Cue.ACCEPTED)
     assert pitch(low) < 250
-    assert pitch(rising[: round(0.03 * SAMPLE_RATE)]) + 200 < pitch(rising[round(0.045 * SAMPLE_RATE) :])
+    assert pitch(rising[: round(0.03 * SAMPLE_RATE_HZ)]) + 200 < pitch(rising[round(0.045 * SAMPLE_RATE_HZ) :])

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from app.sound import player as sound_player
-from app.sound.cues import SAMPLE_RATE, Cue, samples_of
+from app.sound.cues import SAMPLE_RATE_HZ, Cue, samples_of
 from app.sound.player import Line, NoSoundError, Player, Speaker, open_output, speech_command
 from tests.approved import approved
 
@@ -101,8 +101,8 @@ def test_a_sound_reaches_the_device_whole_and_a_new_one_interrupts_it(make):
 
 
 def test_no_method_waits_for_the_device_and_a_late_sound_is_dropped(make, monkeypatch):
-    monkeypatch.setattr(sound_player, "MAX_DELAY_S", 0.05)
-    monkeypatch.setattr(sound_player, "STOP_S", 0.1)
+    monkeypatch.setattr(sound_player, "MAX_SOUND_DELAY_S", 0.05)
+    monkeypatch.setattr(sound_player, "DEVICE_CLOSE_TIMEOUT_S", 0.1)
     tape, free = Tape(), threading.Event()
     player = make(lambda: free.wait() and tape)
     for _ in range(3):
@@ -145,7 +145,7 @@ def test_a_library_that_cannot_be_imported_is_no_error(make, monkeypatch, caplog
 
 @pytest.mark.parametrize("second", [Tape(), Tape(RuntimeError("the plug is out"))], ids=["another", "none"])
 def test_a_device_that_reads_nothing_is_opened_again(make, monkeypatch, second):
-    monkeypatch.setattr(sound_player, "STUCK_S", 0.05)
+    monkeypatch.setattr(sound_player, "REOPEN_STUCK_DEVICE_AFTER_S", 0.05)
     first = Tape()
     player = make(Shop(first, second))
     player.play(Cue.CONTACT)
@@ -174,7 +174,7 @@ def test_sounds_that_are_off_open_nothing(make):
 def test_the_library_reads_the_samples_as_they_are(make, monkeypatch):
     miniaudio = pytest.importorskip("miniaudio")
     output = open_output(real=False)
-    assert (output.sample_rate, output.nchannels, output.sample_width) == (SAMPLE_RATE, 1, 2)
+    assert (output.sample_rate, output.nchannels, output.sample_width) == (SAMPLE_RATE_HZ, 1, 2)
     assert output.backend == miniaudio.Backend.NULL.name.title()
     output.close()
     taken: list[bytes] = []

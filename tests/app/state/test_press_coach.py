@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.state.press_coach import AIM_SHOWN, HINT_DELAY_S, HintKind, LeanDirection, tilt_hint
+from app.state.press_coach import AIM_SHOWN, HINT_DEBOUNCE_S, HintKind, LeanDirection, tilt_hint
 from app.text.now_text import NowMemory, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.press_coaching import max_angle_error
@@ -47,18 +47,18 @@ class Line:
 
 def test_force_goes_before_all_else_and_the_rest_is_a_detail():
     line = Line()
-    now = line.show(held(10.0, newtons=3.0), 2 * HINT_DELAY_S)
+    now = line.show(held(10.0, newtons=3.0), 2 * HINT_DEBOUNCE_S)
     assert (now.tone, now.headline) == (Tone.HOLD, "Press harder")
     assert now.detail == approved("press.too_soft_and_tilt", seen=3.0, least=4.0, degrees=18, neighbour="10-02")
-    now = line.show(held(10.0, newtons=16.0), 2 * HINT_DELAY_S)
+    now = line.show(held(10.0, newtons=16.0), 2 * HINT_DEBOUNCE_S)
     assert (now.tone, now.headline) == (Tone.BAD, "Press softer")
 
 
 def test_a_tilt_that_is_off_is_said_with_the_way_once_it_held():
     line = Line()
     assert line.show(held(10.0)).headline == "Hold still"
-    assert line.show(held(10.0), HINT_DELAY_S / 2).headline == "Hold still"
-    now = line.show(held(10.0), HINT_DELAY_S)
+    assert line.show(held(10.0), HINT_DEBOUNCE_S / 2).headline == "Hold still"
+    now = line.show(held(10.0), HINT_DEBOUNCE_S)
     assert (now.tone, now.headline) == (Tone.HOLD, approved("press.more_tilt", degrees=18, neighbour="10-02"))
     assert now.detail == approved("press.force_aim_tilt", newtons=8.0, aim_mm=0.0, degrees=10, wanted=28)
 

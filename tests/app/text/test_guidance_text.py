@@ -12,7 +12,7 @@ from window_support import NAMES, PLAN, SCENE, frame, part, reading, session, sl
 
 from app.state.press_coach import LeanDirection, lean_of
 from app.text.guidance_text import end_words, enough_words, target_words, why_words
-from app.text.now_text import PHASE_DEBOUNCE_S, NowMemory, Said, Tone, now_line
+from app.text.now_text import IDLE_PHASE_DEBOUNCE_S, NowMemory, Said, Tone, now_line
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import ClosingStep, Guidance, GuidePhase
 from skincal.guide.progress import Need
@@ -96,7 +96,7 @@ def settled(says: Guidance | None, phase: PressPhase = PressPhase.READY):
     """What is said once the phase has lasted."""
     first = guided(says, phase=phase)
     _, memory = now_line(NowMemory.of(first.snapshot), first)
-    return now_line(memory, replace(first, now_ns=first.now_ns + round(PHASE_DEBOUNCE_S * 1.1e9)))
+    return now_line(memory, replace(first, now_ns=first.now_ns + round(IDLE_PHASE_DEBOUNCE_S * 1.1e9)))
 
 
 def test_the_line_says_what_to_poke_when_ready_and_what_is_next_while_hands_are_off():

@@ -20,7 +20,7 @@ from skincal.model.actions import FoundAtLandmark
 from skincal.model.scene import Landmark
 from skincal.rig.expected_gain import Gain
 from skincal.session.guiding import LandmarkGuide, SessionGuide, plan_of
-from skincal.session.landmark_pokes import REACTION_S, LandmarkFinder
+from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S, LandmarkFinder
 from skincal.session.part import Part
 from skincal.session.snapshot import PokeRecord, Snapshot
 from skincal.taxels.result import Method
@@ -123,7 +123,7 @@ def nothing(_channels):
     raise AssertionError("nobody poked the skin")
 
 
-LATER = 100.0 + REACTION_S + 0.01
+LATER = 100.0 + VISUAL_REACTION_TIME_S + 0.01
 
 
 # Which poke was there

@@ -16,7 +16,15 @@ from app.session.opening import Addresses, dated_folder, link_specs
 from app.state.policies import Mark, allowed, answer_levels, curve_range, marks, worst
 from app.state.running import Running
 from app.state.view_state import LinkStatus
-from app.text.now_text import LAST_ACTION_SHOWN_S, PHASE_DEBOUNCE_S, RESULT_SHOWN_S, NowMemory, Said, Tone, now_line
+from app.text.now_text import (
+    IDLE_PHASE_DEBOUNCE_S,
+    LAST_ACTION_SHOWN_S,
+    MIN_POKE_RESULT_SHOWN_S,
+    NowMemory,
+    Said,
+    Tone,
+    now_line,
+)
 from app.text.outcomes import (
     error_words,
     link_words,
@@ -158,16 +166,16 @@ def test_a_verdict_stays_long_enough_to_be_read_and_gives_way_to_the_next_poke()
     quiet = frame(session(1), reading(PressPhase.READY), 100.0)
     memory = NowMemory.of(quiet.snapshot)
     _, memory = say(memory, quiet)
-    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + PHASE_DEBOUNCE_S))
+    text, memory = say(memory, frame(session(1), reading(PressPhase.READY), 100.0 + IDLE_PHASE_DEBOUNCE_S))
     assert text == "Ready"
     done = session(2, pokes=[slip(1)])
     text, memory = say(memory, frame(done, reading(PressPhase.TARING), 101.0))
     assert text == approved("now.rejected_slid", poke=1, seen_mm=2.1, most_mm=1.5)
-    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S - 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + MIN_POKE_RESULT_SHOWN_S - 0.01))
     assert text.startswith("Poke 1 rejected")
     text, _ = say(memory, frame(done, reading(PressPhase.PRESSING, 8.0), 101.5))
     assert text == "Hold still"
-    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + RESULT_SHOWN_S + 0.01))
+    text, memory = say(memory, frame(done, reading(PressPhase.READY), 101.0 + MIN_POKE_RESULT_SHOWN_S + 0.01))
     assert text == "Ready"
 
 
@@ -181,7 +189,7 @@ def test_the_final_form_of_the_same_verdict_is_not_announced_again_but_another_i
     first = session(1, pokes=[touch(1)])
     _, memory = say(NowMemory(), frame(first, reading(PressPhase.READY), 10.0))
     again = session(2, pokes=[touch(1)])
-    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + RESULT_SHOWN_S + 1))
+    text, memory = say(memory, frame(again, reading(PressPhase.READY), 10.0 + MIN_POKE_RESULT_SHOWN_S + 1))
     assert text == "Ready"
     turned = session(3, pokes=[slip(1, Reason.TARE_CHANGED, 1.4, 1.0, "N")])
     text, memory = say(memory, frame(turned, reading(PressPhase.READY), 20.0))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from app.workers.processes import SKIN_POKES_PER_REVIEW, ReviewClient, WorkerProcess
+from app.workers.processes import SKIN_POKES_PER_RIG_REVIEW, ReviewClient, WorkerProcess
 from app.workers.threads import ThreadService
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.mesh.load import load_surface
@@ -240,20 +240,20 @@ def on_skin(session, number: int) -> Contact:
 
 def test_pokes_on_the_skin_are_sent_by_tens_and_one_that_is_taken_out_at_once(session, client, asked):
     tell(session, client, 1)
-    for number in range(11, 11 + SKIN_POKES_PER_REVIEW):
+    for number in range(11, 11 + SKIN_POKES_PER_RIG_REVIEW):
         assert len(asked) == 1, number
         session.add(on_skin(session, number))
         client.follow_session(session.snapshot())
-    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN_POKES_PER_REVIEW))
+    assert [poke.poke for poke in asked[-1].rig.contacts] == list(range(11, 11 + SKIN_POKES_PER_RIG_REVIEW))
     session.add(replace(on_skin(session, 11), final=True))
     client.follow_session(session.snapshot())
     assert len(asked) == 2, "with the tare after it, it tells nearly the same"
     session.act(Exclude(12))
     client.follow_session(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN_POKES_PER_REVIEW - 1)
+    assert (len(asked), len(asked[-1].rig.contacts)) == (3, SKIN_POKES_PER_RIG_REVIEW - 1)
     session.act(Undo())
     client.follow_session(session.snapshot())
-    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN_POKES_PER_REVIEW)
+    assert (len(asked), len(asked[-1].rig.contacts)) == (4, SKIN_POKES_PER_RIG_REVIEW)
 
 
 def test_one_review_at_a_time_and_the_newest_next(session, client, processes, heard, monkeypatch):

@@ -86,7 +86,7 @@ def test_watch_says_that_a_skin_is_no_wrench(capsys):
 
 @needs_pty
 def test_devices_says_which_rates_were_tried(capsys, monkeypatch):
-    monkeypatch.setattr(baud_search, "TRIAL_MAX_S", 0.6)
+    monkeypatch.setattr(baud_search, "BAUD_RATE_TRIAL_MAX_S", 0.6)
     outlet = PtyOutlet()
 
     def send(over):
@@ -146,7 +146,7 @@ def test_no_word_of_a_device_is_an_order_to_the_terminal(words, capsys, tmp_path
 
 @needs_pty
 def test_devices_says_what_answers_on_a_port_and_what_to_type(capsys, monkeypatch):
-    monkeypatch.setattr(devices, "LISTEN_S", 1.0)
+    monkeypatch.setattr(devices, "LISTEN_TIME_PER_PORT_S", 1.0)
     with sending("bota", Stream.WRENCH) as address:
         monkeypatch.setattr(devices, "_ports", lambda: [(address, "USB serial"), ("/dev/nothing-there", "gone")])
         begun = time.monotonic()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
-from skincal.cli.record import POKES_MOST, OrderLine, _handle_item, find_scene
+from skincal.cli.record import MAX_REQUESTED_POKES, OrderLine, _handle_item, find_scene
 from skincal.files.importers.registry import RECORDING_IMPORTERS
 from skincal.journal import writer
 from skincal.model.errors import InputError
@@ -149,7 +149,7 @@ def test_a_simulation_that_is_interrupted_keeps_what_it_has_and_says_how_much(ru
     folder = tmp_path / "s"
     code, out, err = run("simulate", *SCENE, "--out", folder, "--json")
     pokes = 0 if at_once else 3
-    assert (code, err) == (simulate.INTERRUPTED_EXIT_CODE, approved("operator.stopped", pokes=pokes, count=252) + "\n")
+    assert (code, err) == (simulate.CTRL_C_EXIT_CODE, approved("operator.stopped", pokes=pokes, count=252) + "\n")
     assert json.loads(out)["pokes"] == pokes
     assert signal.getsignal(signal.SIGINT) is before
     assert SessionLog(folder).findings == ()
@@ -167,13 +167,13 @@ def given(tmp_path_factory) -> Path:
     return folder
 
 
-POKES_LIMIT = f"Invalid value for '--pokes': expected a number less than or equal to {POKES_MOST}; `skincal "
+POKES_LIMIT = f"Invalid value for '--pokes': expected a number less than or equal to {MAX_REQUESTED_POKES}; `skincal "
 LOGS = ["--wrench", "{given}/logs/wrench", "--skin", "{given}/logs/skin"]
 UNKNOWN_POSE = approved("recording.unknown_pose", pose=99, known="1, 2, 3")
 NOT_SERVED = approved("operator.for_serve", options="OPTIONS")
 REFUSALS = [
     (["simulate", *SCENE, "--pokes", "0"], "Invalid value for '--pokes': expected a number greater than or equal to 1;"),
-    (["simulate", *SCENE, "--pokes", str(POKES_MOST + 1)], POKES_LIMIT + "simulate"),
+    (["simulate", *SCENE, "--pokes", str(MAX_REQUESTED_POKES + 1)], POKES_LIMIT + "simulate"),
     (["record", "--wrench", "a", "--skin", "b", *SCENE, "--pokes", "99999999999999999999"], POKES_LIMIT + "record"),
     (["solve", "x", "--layout-out"], "Option '--layout-out' requires an argument;"),
     (["simulate", *SCENE, "--pokes", "many"], "Invalid value for '--pokes': expected a whole number;"),
@@ -252,19 +252,19 @@ def test_an_order_that_is_none_is_said_and_left_out(capsys, line):
 
 
 def test_each_problem_of_a_link_is_reported_once_and_that_it_sends_again():
-    from skincal.cli.record import OPENING_NS, LinkReports
+    from skincal.cli.record import REPORT_UNOPENED_LINK_AFTER_NS, LinkReports
     from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, LinkVerdict, Stream
 
     reports, events = LinkReports(10), []
 
-    def said(state, answer=LinkAnswer.LISTENING, now_ns=OPENING_NS):
+    def said(state, answer=LinkAnswer.LISTENING, now_ns=REPORT_UNOPENED_LINK_AFTER_NS):
         link = LinkHealth("skin", state, "", (Stream.SKIN,), "", 0, 0.0, 0, verdict=LinkVerdict(answer))
         return reports.new([link], events, now_ns)
 
-    assert OPENING_NS <= 2_000_000_000
+    assert REPORT_UNOPENED_LINK_AFTER_NS <= 2_000_000_000
     assert said(LinkState.LOST) == []
-    assert said(LinkState.LOST, now_ns=10 + OPENING_NS)[0].startswith("skin: is not open yet")
-    assert said(LinkState.LOST, now_ns=11 + OPENING_NS) == []
+    assert said(LinkState.LOST, now_ns=10 + REPORT_UNOPENED_LINK_AFTER_NS)[0].startswith("skin: is not open yet")
+    assert said(LinkState.LOST, now_ns=11 + REPORT_UNOPENED_LINK_AFTER_NS) == []
     events.append("skin")
     assert said(LinkState.OPEN) == []
     (silent,) = said(LinkState.OPEN, LinkAnswer.NO_ANSWER)

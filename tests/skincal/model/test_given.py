@@ -12,7 +12,7 @@ from skincal.files.reference import read_reference
 from skincal.mesh.load import load_surface
 from skincal.mesh.readers import read_mesh
 from skincal.model import given
-from skincal.model.errors import MAX_SENTENCE_CHARS, InputError, plain_text
+from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError, plain_text
 from skincal.model.scene import SurfaceSpec, load_scene
 from skincal.model.skin import read_layout
 from skincal.streams.links import LinkError, LinkSpec, open_link
@@ -25,7 +25,7 @@ def sentence_of(work, *arguments):
     with pytest.raises(InputError) as raised:
         work(*arguments)
     text = str(raised.value)
-    assert len(text) <= MAX_SENTENCE_CHARS
+    assert len(text) <= ERROR_SENTENCE_MAX_CHARS
     assert plain_text(text) == text
     return text
 
@@ -234,7 +234,7 @@ def test_text_meshes_have_a_limit(monkeypatch, tmp_path):
 
 def test_a_sentence_keeps_its_beginning_and_its_end():
     error = InputError(f"/{'x' * 400}/{'y ' * 400}: is \x1b[2Jlong; make it short.")
-    assert len(str(error)) <= MAX_SENTENCE_CHARS
+    assert len(str(error)) <= ERROR_SENTENCE_MAX_CHARS
     assert str(error).startswith("/xxx")
     assert str(error).endswith("make it short.")
     assert "\x1b" not in str(error)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skincal.model.errors import InputError
-from skincal.model.scene import MAX_SETTING_S, SETTING_MAX
+from skincal.model.scene import MAX_TIME_SETTING_S, SETTING_MAX
 from skincal.robot.target_client import read_line
 from skincal.robot.target_lines import (
     GREETING,
@@ -81,7 +81,7 @@ def test_a_target_survives_its_line():
 
 def test_what_thresholds_allow_survives_its_line():
     # A still window of a minute, held twice; the middle of the widest force window.
-    read = read_line(write_line(replace(SHOWN, hold=2.0 * MAX_SETTING_S, force=SETTING_MAX / 2.0)))
+    read = read_line(write_line(replace(SHOWN, hold=2.0 * MAX_TIME_SETTING_S, force=SETTING_MAX / 2.0)))
     assert (read.hold, read.force) == (120.0, 500_000.0)
     read = read_line(write_line(replace(SHOWN, hold=2e-5, force=0.0012345)))
     assert (read.hold, read.force) == (2e-5, 0.0012345)

@@ -14,9 +14,9 @@ from skincal.model.actions import AtLandmark, BeginClosing, FoundAtLandmark, Red
 from skincal.rig.closing import ClosingPlace, ClosingPlaces, closing_check
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.closing_pokes import (
-    MAX_POKES_PER_PLACE,
-    MAX_REPEATS,
-    MIN_CONTACTS_BETWEEN_CHECKS,
+    CLOSING_CHECK_MAX_POKES_PER_PLACE,
+    MAX_REPEATS_OF_DECIDING_PLACE,
+    MIN_CONTACTS_BETWEEN_CLOSING_CHECKS,
     closing_rounds,
     closings_of,
     taxel_pokes,
@@ -179,7 +179,7 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
     while it.look().phase is GuidePhase.CLOSING:
         it.poke_landmark(it.look().landmark.landmark.name)
         asked += 1
-    assert 1 <= asked <= MAX_REPEATS
+    assert 1 <= asked <= MAX_REPEATS_OF_DECIDING_PLACE
     assert not it.verdict().doubted
     # Where the operator says that it was not there, nothing hangs on it.
     it.session.act(AtLandmark(slipped, ""))
@@ -189,7 +189,7 @@ def test_one_poke_far_off_is_asked_for_once_more_and_nothing_has_moved():
 def test_where_an_early_poke_was_far_off_its_place_is_asked_for_twice_at_most():
     it = Sessions(RigErrors.noise(), slips=0.03)
     first = next(iter(it.session.landmark_pokes)).name
-    assert it.close().count(first) == 1 + MAX_REPEATS
+    assert it.close().count(first) == 1 + MAX_REPEATS_OF_DECIDING_PLACE
     (closing,) = it.verdict().closings
     assert (closing.single_poke_decides, closing.place, closing.poke) == (True, first, 1)
 
@@ -199,7 +199,7 @@ def test_the_place_of_one_poke_is_asked_for_no_more_where_others_are_poked_inste
     other = next(reversed(it.session.landmark_pokes)).name
     assert other != first
     made = it.number
-    for _ in range(MAX_POKES_PER_PLACE):
+    for _ in range(CLOSING_CHECK_MAX_POKES_PER_PLACE):
         assert it.look().phase is GuidePhase.CLOSING
         it.poke_landmark(other)
     assert it.look().phase is GuidePhase.ENOUGH
@@ -392,10 +392,10 @@ def test_after_more_work_it_is_asked_for_again():
     it = Sessions(RigErrors.noise())
     it.close()
     pokes = simulate_contacts(it.rig, unguided(it.rig, 1, it.rng), it.rng, first_poke=it.session.last_poke + 1)
-    for contact in pokes[: MIN_CONTACTS_BETWEEN_CHECKS - 1]:
+    for contact in pokes[: MIN_CONTACTS_BETWEEN_CLOSING_CHECKS - 1]:
         it.session.add(contact)
     assert it.look().phase is GuidePhase.ENOUGH
-    it.session.add(pokes[MIN_CONTACTS_BETWEEN_CHECKS - 1])
+    it.session.add(pokes[MIN_CONTACTS_BETWEEN_CLOSING_CHECKS - 1])
     assert it.look().closing.number == 2
     it.close()
     assert [each.has_moved for each in it.verdict().closings] == [False, False]

@@ -18,11 +18,11 @@ from skincal.model.scene import resource
 from skincal.rig.correction import RIG, Correction, RigPrior
 from skincal.session.corrections import correct_action
 from skincal.session.error_history import (
+    ERROR_HISTORY_MAX_POINTS,
     MAX,
     MEAN,
     P95,
-    PAUSE_MAX_S,
-    POINTS_MAX,
+    SHOWN_PAUSE_MAX_S,
     TAXELS,
     ErrorCourse,
     poking_times,
@@ -198,7 +198,7 @@ def test_recounted_points_carry_what_the_correction_in_use_does_not_know(sample)
 
 def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monkeypatch):
     pipeline, truth, contacts = sample
-    monkeypatch.setattr("skincal.session.error_history.POINTS_MAX", 4)
+    monkeypatch.setattr("skincal.session.error_history.ERROR_HISTORY_MAX_POINTS", 4)
     live, session = history_of(pipeline, truth), Session(pipeline.scene, pipeline.session.surface)
     for contact in contacts:
         session.add(contact)
@@ -216,8 +216,8 @@ def test_thinning_keeps_every_nth_poke_and_the_newest_as_they_were(sample, monke
 
 @given(st.integers(0, 10**6))
 def test_a_course_has_at_most_a_few_hundred_points(count):
-    assert count / stride_of(count) <= POINTS_MAX
-    assert stride_of(count) == 1 or count / stride_of(count) > POINTS_MAX / 2
+    assert count / stride_of(count) <= ERROR_HISTORY_MAX_POINTS
+    assert stride_of(count) == 1 or count / stride_of(count) > ERROR_HISTORY_MAX_POINTS / 2
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.integers(-1, 3)), max_size=40))
@@ -237,7 +237,7 @@ def test_spreads_are_those_of_numpy(pairs):
 
 def test_time_never_runs_backwards_and_a_night_counts_a_minute():
     times = poking_times([100.0, 103.0, 103.0 + 8 * 3600, 5.0, 9.0])
-    assert times.tolist() == [0.0, 3.0, 3.0 + PAUSE_MAX_S, 3.0 + PAUSE_MAX_S, 7.0 + PAUSE_MAX_S]
+    assert times.tolist() == [0.0, 3.0, 3.0 + SHOWN_PAUSE_MAX_S, 3.0 + SHOWN_PAUSE_MAX_S, 7.0 + SHOWN_PAUSE_MAX_S]
     assert len(poking_times([])) == 0
 
 

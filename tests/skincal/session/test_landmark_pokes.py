@@ -29,7 +29,7 @@ from skincal.model.actions import (
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene, resource
-from skincal.session.landmark_pokes import REACTION_S
+from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
 from skincal.words.poke_words import missed_words
@@ -142,7 +142,7 @@ def test_a_poke_after_the_request_is_at_the_landmark_whether_a_taxel_answers_or_
     assert snapshot.at_landmarks == {2: "head", 3: "head"}
     assert snapshot.can_undo == approved("landmark.undo_poke", poke=3, name="head")
     # A poke that was on its way is not at it, and none is once nothing is asked for.
-    late = TimedAction(second - round(REACTION_S * 0.9e9), AskLandmark("tail"))
+    late = TimedAction(second - round(VISUAL_REACTION_TIME_S * 0.9e9), AskLandmark("tail"))
     assert fed(scene, items, [late]).snapshot().at_landmarks == {3: "tail"}
     ended = TimedAction(third - 300_000_000, AskLandmark(""))
     assert fed(scene, items, [late, ended]).snapshot().at_landmarks == {}

@@ -189,5 +189,5 @@ def test_work_gives_way_to_a_newer_request_unless_it_took_long(session, monkeypa
     assert review_sent(sent(session), lambda: False) is None
     steps = iter([True, True, False])
     assert review_sent(sent(session), lambda: next(steps)) is None, "in the middle"
-    monkeypatch.setattr(review, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(review, "FINISH_REVIEW_IF_RUNNING_FOR_S", 0.0)
     assert_is_of(session, review_sent(sent(session), lambda: False))

@@ -11,7 +11,7 @@ from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
 from skincal.robot.target_lines import Answer, AnswerKind, Judged, NoTarget, PokeTarget
 from skincal.session.decisions import Decisions
-from skincal.session.robot_dialogue import DETECTION_TIMEOUT_S, RobotDialogue
+from skincal.session.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.session.snapshot import PokeRecord
 from skincal.taxels.result import Method
 from tests.approved import approved
@@ -129,8 +129,8 @@ def test_what_is_reached_and_not_felt_is_rejected_in_the_end():
     course = Course()
     course.asked(1.0, wants(3))
     assert course.robot.handle_answer(Answer(REACHED, 1), 2.0).protocol_error == ""
-    assert course.at(2.0 + DETECTION_TIMEOUT_S - 0.1, wants(3)) == []
-    verdict, line = course.at(2.0 + DETECTION_TIMEOUT_S + 0.1, wants(3))
+    assert course.at(2.0 + POKE_DETECTION_TIMEOUT_S - 0.1, wants(3)) == []
+    verdict, line = course.at(2.0 + POKE_DETECTION_TIMEOUT_S + 0.1, wants(3))
     assert verdict == Judged(1, approved("targets.not_felt"))
     assert line.number == 2
 

@@ -6,7 +6,7 @@ from cobs import cobs as reference_cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skincal.cli.simulate import SERVED_NOISE_NM
+from skincal.cli.simulate import SERVED_MOMENT_NOISE_NM
 from skincal.model.readings import Loss, Stream
 from skincal.simulate.board_formats import SkbEncoder, SktEncoder, cobs, make_encoder
 from skincal.simulate.device import DeviceSettings, DeviceTimeline
@@ -89,12 +89,12 @@ def test_decoders_read_what_the_boards_say(form):
 
 @pytest.mark.parametrize("form", ["skb", "skt", "text"])
 def test_a_served_sensor_without_noise_does_not_look_frozen(form):
-    line, arrived = play(RigErrors.none(), 1.5, settings=DeviceSettings(format=form, flicker=SERVED_NOISE_NM))
+    line, arrived = play(RigErrors.none(), 1.5, settings=DeviceSettings(format=form, flicker=SERVED_MOMENT_NOISE_NM))
     _, _, wrenches = decode(line, arrived, "wrench", form)
     differs = (np.diff(wrenches, axis=0) != 0).any(axis=1)
     assert differs.mean() > 0.6
     still = decode(*play(RigErrors.none(), 1.5, settings=DeviceSettings(format=form)), "wrench", form)[2]
-    np.testing.assert_allclose(wrenches, still[: len(wrenches)], atol=2 * SERVED_NOISE_NM)
+    np.testing.assert_allclose(wrenches, still[: len(wrenches)], atol=2 * SERVED_MOMENT_NOISE_NM)
 
 
 def test_the_forearm_sends_its_pose_in_degrees():

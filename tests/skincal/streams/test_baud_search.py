@@ -6,7 +6,7 @@ import pytest
 from skincal.model.readings import Stream
 from skincal.streams.decoders.auto_detect import LinkDecoder
 from skincal.streams.transports import baud_search
-from skincal.streams.transports.baud_search import BAUD_RATES, TRIAL_MAX_S, BaudSearchLink
+from skincal.streams.transports.baud_search import BAUD_RATE_TRIAL_MAX_S, BAUD_RATES, BaudSearchLink
 from tests.skincal.streams.maker_records import VECTORS
 
 BOTA, ROBOTIQ = VECTORS["bota"].data, VECTORS["robotiq"].data
@@ -67,7 +67,7 @@ def test_the_rate_is_found_and_kept(record, baud):
 def test_the_search_goes_round_and_skin_of_any_width_is_not_found_in_noise():
     line = Line(BOTA, 1)
     link = BaudSearchLink(line, tuple(Stream))
-    for _ in range(int(2 * len(BAUD_RATES) * TRIAL_MAX_S / 0.1)):
+    for _ in range(int(2 * len(BAUD_RATES) * BAUD_RATE_TRIAL_MAX_S / 0.1)):
         link.read(0.1)
     assert not link.found
     assert line.trials[: len(BAUD_RATES) + 1] == [*BAUD_RATES, BAUD_RATES[0]]

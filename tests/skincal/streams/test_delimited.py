@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skincal.model.readings import Loss, Stream
-from skincal.streams.decoders.auto_detect import TEXT_AFTER_BYTES, LinkDecoder
+from skincal.streams.decoders.auto_detect import ASSUME_TEXT_AFTER_BYTES, LinkDecoder
 from skincal.streams.decoders.delimited import TextDecoder
 
 SKIN = (Stream.SKIN,)
@@ -188,7 +188,7 @@ def test_binary_after_a_long_banner_is_still_found():
 
 def test_file_read_at_once_and_end_of_a_short_one():
     fast = LinkDecoder("auto", 2, SKIN)
-    assert fast.feed(b"1,2\n" * TEXT_AFTER_BYTES, 7)
+    assert fast.feed(b"1,2\n" * ASSUME_TEXT_AFTER_BYTES, 7)
     short = LinkDecoder("auto", 2, SKIN)
     assert short.feed(b"1,2\n3,4\n", 7) == []
     ((host_ns, batch),) = short.finish()

@@ -14,7 +14,7 @@ import pytest
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.rtde import RtdeHandshake
 from skincal.devices.yarp import name_server, read_names
-from skincal.model.errors import MAX_SENTENCE_CHARS, InputError
+from skincal.model.errors import ERROR_SENTENCE_MAX_CHARS, InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.simulate.emulated_devices import MAKERS, NameTalk, PlainTalk, RdtEncoder, RtdeTalk, XelaTalk, YarpEncoder
 from skincal.simulate.emulated_transports import MakerOutlets, TalkOutlet
@@ -145,7 +145,7 @@ def test_a_device_that_talks_and_never_agrees_is_not_kept():
 
 def test_what_a_device_says_is_made_plain_and_short():
     failure = LinkError(FailureKind.OTHER, f"x: \x1b[2J{'word ' * 1000}; look at it.")
-    assert len(str(failure)) <= MAX_SENTENCE_CHARS
+    assert len(str(failure)) <= ERROR_SENTENCE_MAX_CHARS
     assert "\x1b" not in str(failure)
     assert str(failure).endswith("; look at it.")
 
@@ -446,7 +446,7 @@ def heard_of(address, carries, seconds):
         reader.stop()
     assert not reader.running
     (health,) = intake.health(0)
-    assert len(health.text) <= MAX_SENTENCE_CHARS + 200
+    assert len(health.text) <= ERROR_SENTENCE_MAX_CHARS + 200
     assert health.readings < 10, "what a liar sends is no reading"
     return said
 

@@ -15,7 +15,13 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.streams.intake import Intake
 from skincal.streams.links import LinkSpec
-from skincal.streams.pairing import INTERPOLATION_MAX_S, WRENCH_WAIT_MAX_S, WRENCHES_KEPT, Pairing, WrenchRing
+from skincal.streams.pairing import (
+    FRAME_MAX_WAIT_FOR_WRENCH_S,
+    MAX_INTERPOLATED_GAP_S,
+    MAX_STORED_WRENCHES,
+    Pairing,
+    WrenchRing,
+)
 from tests.skincal.streams.maker_records import rdt_packets, rdt_record
 
 LINKS = (LinkSpec("wrench", "a", (Stream.WRENCH,)), LinkSpec("skin", "b", (Stream.SKIN,)))
@@ -82,7 +88,7 @@ def test_slower_wrench_is_interpolated_at_the_middle_of_the_interval():
         np.testing.assert_allclose(sample.wrench, ramp(sample.host_s - 0.002), atol=1e-9)
 
 
-@pytest.mark.parametrize(("gap", "found"), [(INTERPOLATION_MAX_S - 0.002, True), (INTERPOLATION_MAX_S + 0.002, False)])
+@pytest.mark.parametrize(("gap", "found"), [(MAX_INTERPOLATED_GAP_S - 0.002, True), (MAX_INTERPOLATED_GAP_S + 0.002, False)])
 def test_wider_gaps_are_not_interpolated(gap, found):
     pairing = Pairing()
     wrench_s = np.array([START, START + gap, START + 0.2])
@@ -145,9 +151,9 @@ def test_frame_waits_for_its_wrench():
 def test_frame_without_a_wrench_is_counted_after_its_wait_and_holds_up_none():
     pairing = Pairing()
     pairing.add_frame(START, START, np.zeros(1))
-    assert pairing.pop_paired(START + WRENCH_WAIT_MAX_S) == []
+    assert pairing.pop_paired(START + FRAME_MAX_WAIT_FOR_WRENCH_S) == []
     assert not pairing.counts
-    assert pairing.pop_paired(START + WRENCH_WAIT_MAX_S + 0.001) == []
+    assert pairing.pop_paired(START + FRAME_MAX_WAIT_FOR_WRENCH_S + 0.001) == []
     assert pairing.counts == Counter({Loss.UNPAIRED: 1})
     wrench_s = START + 0.3 + np.arange(40) * 0.001
     pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
@@ -168,7 +174,7 @@ def test_wait_counts_from_the_arrival_of_a_frame_that_came_late():
 def test_frame_older_than_every_reading_kept_is_late():
     pairing = Pairing()
     for k in range(5):
-        wrench_s = START + (k * WRENCHES_KEPT + np.arange(WRENCHES_KEPT)) * 0.001
+        wrench_s = START + (k * MAX_STORED_WRENCHES + np.arange(MAX_STORED_WRENCHES)) * 0.001
         pairing.add_wrench(wrench_s, wrench_batch(wrench_s))
     pairing.add_frame(START + 1.0, START + 1.0, np.zeros(1))
     assert pairing.pop_paired(START + 1.0) == []

@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from skincal.model.readings import Batch, Stream
-from skincal.streams.clocks import BEHIND_S, WINDOW_S, ConvexHullClock, IndexClock, Timestamper, lower_hull, supporting_line
+from skincal.streams.clocks import (
+    CLOCK_BEHIND_MAX_S,
+    CLOCK_FIT_WINDOW_S,
+    ConvexHullClock,
+    IndexClock,
+    Timestamper,
+    lower_hull,
+    supporting_line,
+)
 
 SETTLED_S = 10.0
 
@@ -143,7 +151,7 @@ def test_clock_that_lost_time_is_followed_after_a_while():
     device = 10 + np.arange(4000) * 0.01
     host = device + np.where(np.arange(4000) < 2000, 0, 5.0)
     mapped = run(ConvexHullClock(), device, host)
-    late = host[2000:] > host[2000] + BEHIND_S + 0.1
+    late = host[2000:] > host[2000] + CLOCK_BEHIND_MAX_S + 0.1
     np.testing.assert_allclose(mapped[2000:][late], host[2000:][late], atol=1e-9)
 
 
@@ -174,7 +182,7 @@ def test_memory_and_work_stay_flat():
     clock = ConvexHullClock()
     for i in range(30_000):
         clock.map(i * 0.01, i * 0.01 + 0.001 * (i % 7))
-    assert len(clock._points) <= WINDOW_S / 0.25 + 2
+    assert len(clock._points) <= CLOCK_FIT_WINDOW_S / 0.25 + 2
 
 
 def test_stamps_of_a_stream_always_rise():

@@ -18,7 +18,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import LinkState, Stream
 from skincal.streams import links
 from skincal.streams.links import (
-    NEW_REASON_S,
+    REPORT_NEW_OPEN_ERROR_AFTER_S,
     FailureKind,
     LinkError,
     LinkSpec,
@@ -172,7 +172,7 @@ def test_port_taken_by_another_program_while_away_is_said_after_a_while(tmp_path
                 port.symlink_to(second.path)
                 first.unplug()
                 next_event(items, LinkState.LOST)
-                taken = next_event(items, LinkState.LOST, NEW_REASON_S + PATIENCE_S)
+                taken = next_event(items, LinkState.LOST, REPORT_NEW_OPEN_ERROR_AFTER_S + PATIENCE_S)
                 assert approved("links.in_use") in taken.text
             next_event(items, LinkState.OPEN)
 

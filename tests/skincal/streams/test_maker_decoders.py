@@ -9,7 +9,7 @@ import pytest
 from skincal.devices.bota import crc_x25
 from skincal.devices.decoding import pack
 from skincal.devices.netft import read_page
-from skincal.devices.robotiq import FRAME_HEAD, SATURATED_COUNT, START_ANSWER, START_BYTES, crc_modbus
+from skincal.devices.robotiq import FRAME_HEAD, SATURATED_RAW_COUNT, START_ANSWER, START_BYTES, crc_modbus
 from skincal.model.readings import TEMPERATURE, Loss, SideReading, Stream
 from skincal.simulate.board_formats import SkbEncoder, SktEncoder
 from skincal.streams.decoders.auto_detect import NAMES, LinkDecoder, make_decoder
@@ -55,7 +55,7 @@ AXIA_BUSY, AXIA_RANGE, AXIA_BROKEN, ANY_ERROR = 8, 1 << 30, 1 << 2, 1 << 31
 )
 def test_the_status_of_a_device_is_a_sentence_and_flags_its_readings(name, data, saturated, invalid, words):
     if name == "robotiq":
-        data = FRAME_HEAD + struct.pack("<6h", SATURATED_COUNT, 0, 0, 0, 0, 0)
+        data = FRAME_HEAD + struct.pack("<6h", SATURATED_RAW_COUNT, 0, 0, 0, 0, 0)
         data += struct.pack("<H", crc_modbus(data))
     _, decoder, (batch,) = decode(name, data)
     assert (batch.saturated.tolist(), batch.invalid.tolist()) == ([saturated], [invalid])
