@@ -108,10 +108,12 @@ def test_a_pedal_is_set_by_keys_acts_as_the_space_bar_and_is_forgotten(bench, re
     assert len(pressed) == 1
     assert not QSettings("skincal", "test").contains("pedal/space")
     assert not bench.window.pedals._is_installed, "without a pedal no event is filtered"
+    a_key_with_a_use_is_refused(bench)
+    a_pedal_that_is_held_down_is_one_press(bench)
+    in_a_text_field_a_letter_is_a_letter_and_a_pedal_types_nothing(bench)
 
 
-def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
+def a_pedal_that_is_held_down_is_one_press(bench):
     assert bench.window.pedals.set_key("another", "F15") == ""
     pressed = presses(bench, "another")
     target = bench.window.session_view.state.target
@@ -126,8 +128,7 @@ def test_a_pedal_that_is_held_down_is_one_press(bench, recorded):
     assert len(pressed) == 1
 
 
-def test_a_key_with_a_use_is_refused(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
+def a_key_with_a_use_is_refused(bench):
     method = bench.window.session_view.state.method
     dialog = set_pedal(bench, Key.Key_V)
     assert approved("commands.key_taken", key="V", command="Next method") in dialog.outcome.text()
@@ -181,10 +182,8 @@ def test_pedals_are_saved_and_one_that_got_another_use_is_dropped(qtbot, tmp_pat
     assert settings.value("pedal/space") == "F13", "stopped, not forgotten"
 
 
-def test_in_a_text_field_a_letter_is_a_letter_and_a_pedal_types_nothing(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
+def in_a_text_field_a_letter_is_a_letter_and_a_pedal_types_nothing(bench):
     bench.window.pedals.set_key("space", "B")
-    bench.window.pedals.set_key("another", "F15")
     bench.key(Key.Key_N, Qt.KeyboardModifier.ControlModifier)
     dialog = dialog_of(bench, NewSessionDialog)
     dialog.fields["wrench"].setFocus()

@@ -156,13 +156,7 @@ def test_addresses_that_the_operator_names_are_not_asked_about(qtbot, tmp_path):
     for address in ("COM3", "/dev/ttyUSB0", "COM4"):
         window._confirm_addresses((address,), lambda address=address: seen.append(address))
     assert seen == ["COM3", "/dev/ttyUSB0"]
-    window.close()
-
-
-def test_the_oldest_addresses_are_forgotten_first(qtbot, tmp_path):
-    settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
-    window = Window(Controller(tmp_path), Theme(Choice.DARK), settings, tmp_path, Listener())
-    qtbot.addWidget(window)
+    # The oldest are forgotten first.
     for number in range(MAX_REMEMBERED_ADDRESSES):
         window._remember([f"tcp:10.0.0.{number}"])
     window._remember(["/dev/ttyUSB0"])

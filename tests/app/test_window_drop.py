@@ -38,36 +38,28 @@ def of(path: Path) -> str:
     return QUrl.fromLocalFile(str(path)).toString()
 
 
-def test_a_session_that_is_dropped_is_opened_in_place_of_what_is_open(bench, tmp_path, recorded):
+def test_what_is_dropped_is_opened_in_place_of_what_is_open_or_refused(bench, tmp_path, recorded):
+    assert not drop(bench.window), "only files are taken"
     other = shutil.copytree(recorded, tmp_path / "other session")
     bench.open(OpenRequest(session=recorded))
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         assert drop(bench.window, of(other))
     assert bench.controller.folder == other
+    drawing = tmp_path / "elbow.step"
+    drawing.write_bytes(b"")
+    for refused in (of(drawing), "https://example.org/session"):
+        bench.window.messages.dismiss()
+        assert drop(bench.window, refused)
+        assert bench.window.messages.isVisible()
+    assert bench.controller.folder == other
 
-
-def test_a_scene_that_is_dropped_is_opened_with_a_simulated_rig(bench):
+    # A scene, with a simulated rig.
     scene = resource("scenes/flat-patch/scene.toml")
     with bench.qtbot.waitSignal(bench.controller.session_opened, timeout=OPEN_MS):
         assert drop(bench.window, of(scene))
     assert bench.window.session_view.workspace.part.scene.path == scene
     assert bench.controller.running is Running.STREAMING
     assert bench.controller.simulated
-
-
-def test_of_what_cannot_be_opened_the_window_says_so_and_stays_as_it_is(bench, tmp_path, recorded):
-    bench.open(OpenRequest(session=recorded))
-    drawing = tmp_path / "elbow.step"
-    drawing.write_bytes(b"")
-    assert drop(bench.window, of(drawing))
-    assert bench.window.messages.isVisible()
-    assert drop(bench.window, "https://example.org/session")
-    assert bench.window.messages.isVisible()
-    assert bench.controller.folder == recorded
-
-
-def test_only_files_are_taken(bench):
-    assert not drop(bench.window)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import shutil
 import time
 from dataclasses import replace
@@ -31,6 +30,7 @@ from skincal.simulate.simulated_rig import Rig
 from skincal.taxels.result import Method
 from tests.app.whole_window import OPEN_MS
 from tests.app.window_support import is_elided
+from tests.app.workers.process_support import is_running
 from tests.approved import approved
 
 Key = Qt.Key
@@ -137,15 +137,6 @@ def assert_nothing_is_cut(poked) -> None:
             assert points.fontMetrics().horizontalAdvance(text) < points.columnWidth(column), text
     last = points.visualItemRect(points.topLevelItem(points.topLevelItemCount() - 1))
     assert points.viewport().rect().contains(last), "all landmarks are seen without scrolling the list"
-
-
-def is_running(process: int) -> bool:
-    """Whether there is a process of that number."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def moved(before, after) -> float:

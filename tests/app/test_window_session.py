@@ -268,6 +268,8 @@ def test_a_tab_is_found_by_its_place_and_files_are_proposed_in_a_folder_that_exi
     bench.window.session_view.save()
     assert QSettings("skincal", "test").value("window/tab") == "Taxel"
     bench.until_all_is_there()
+    assert bench.snapshot.pokes
+    assert bench.player.played == [], "old pokes are not heard"
     proposed = []
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *given: proposed.append(given[2]) or (str(tmp_path / "a"), ""))
     bench.key(Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)

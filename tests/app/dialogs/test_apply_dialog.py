@@ -128,13 +128,13 @@ def test_a_dialog_whose_task_ends_without_an_answer_can_be_closed(qtbot, tmp_pat
     assert not dialog.isVisible()
 
 
-@pytest.mark.parametrize("kind", ["export", "apply"])
-def test_the_window_ends_each_task_of_a_dialog(bench, monkeypatch, kind):
+def test_the_window_ends_each_task_of_a_dialog(bench, monkeypatch):
     """Also where the controller calls neither `done` nor `failed`."""
     bench.open(OpenRequest(session=resource("sessions/sample")))
-    monkeypatch.setattr(bench.controller, kind, lambda *given: given[-1]())
-    bench.window.commands.actions[kind].trigger()
-    dialog = bench.window.findChild(ExportDialog if kind == "export" else ApplyDialog)
-    dialog.start.click()
-    dialog.reject()
-    assert not dialog.isVisible()
+    for kind, shown in (("export", ExportDialog), ("apply", ApplyDialog)):
+        monkeypatch.setattr(bench.controller, kind, lambda *given: given[-1]())
+        bench.window.commands.actions[kind].trigger()
+        dialog = bench.window.findChild(shown)
+        dialog.start.click()
+        dialog.reject()
+        assert not dialog.isVisible()

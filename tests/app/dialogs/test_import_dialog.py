@@ -125,6 +125,11 @@ def test_tables_that_are_dropped_lead_to_the_same(bench, scene, samples, tmp_pat
 
 
 def test_what_is_wrong_is_one_sentence_and_nothing_can_be_imported(bench, scene, samples, tmp_path, recorded):
+    bench.open(OpenRequest(session=recorded))
+    dialog = asked(bench)
+    assert dialog.scene.currentText() == str(bench.window.session_view.workspace.part.scene.path), "of the open session"
+    tap(bench, Key.Key_Escape)
+    gone(bench, ImportDialog)
     folder = write_yarp(tmp_path / "log", samples)
     dialog = made(bench, scene, [folder])
     assert dialog.start.isEnabled()
@@ -251,12 +256,6 @@ def test_a_window_that_closes_meanwhile_leaves_nothing_behind(bench, scene, tmp_
     bench.until(lambda: not (tmp_path / "deep").exists(), 5000)
 
 
-def test_the_scene_of_the_open_session_is_proposed(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    dialog = asked(bench)
-    assert dialog.scene.currentText() == str(bench.window.session_view.workspace.part.scene.path)
-
-
 def test_every_control_has_a_name_and_is_reached_by_the_tab_key(bench, scene, samples, tmp_path):
     dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
     reached: list[QWidget] = []
@@ -269,6 +268,9 @@ def test_every_control_has_a_name_and_is_reached_by_the_tab_key(bench, scene, sa
         assert widget.accessibleName() or (isinstance(widget, QPushButton) and widget.text()), widget
     names = [button.accessibleName() for button in dialog.findChildren(QPushButton) if button.accessibleName()]
     assert len(set(names)) == len(names) == 5
+    with_curve = pixels(dialog.curve)
+    dialog.curve.show_curve(np.empty((0, 2)), "")
+    assert changed(with_curve, pixels(dialog.curve)) > 100
 
 
 @pytest.mark.parametrize("percent", [STEPS[0], STEPS[-1]])
@@ -280,13 +282,6 @@ def test_it_fits_the_screen_in_every_size_of_the_text(bench, scene, samples, tmp
     for button in (dialog.start, dialog.stop):
         assert dialog.rect().contains(button.geometry())
     assert dialog.curve.height() >= 60
-
-
-def test_the_curve_is_drawn(bench, scene, samples, tmp_path):
-    dialog = made(bench, scene, [write_yarp(tmp_path / "log", samples)])
-    with_curve = pixels(dialog.curve)
-    dialog.curve.show_curve(np.empty((0, 2)), "")
-    assert changed(with_curve, pixels(dialog.curve)) > 100
 
 
 def test_what_is_said_of_a_stream():

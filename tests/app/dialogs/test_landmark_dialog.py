@@ -36,7 +36,7 @@ def click_part(view) -> None:
     QTest.mouseClick(canvas_of(view), Qt.MouseButton.LeftButton, pos=QPoint(view.width() // 2, view.height() // 2))
 
 
-def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
+def test_a_point_is_clicked_or_typed_named_shown_and_taken_back(bench, recorded):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     window, view = bench.window, bench.window.session_view.workspace.view
@@ -68,11 +68,15 @@ def test_a_point_is_clicked_named_shown_and_taken_back(bench, recorded):
     bench.until(lambda: bench.snapshot.decisions.landmarks == before, 5000)
     bench.qtbot.wait(50)
     assert len(points_of(renderer_of(view).landmarks.marks)) // 2 == shown
-
-
-def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench, recorded):
+    the_command_again_asks_for_coordinates(bench)
+    escape_ends_the_wait(bench)
+    bench.key(Key.Key_K)
     bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
+    assert not window.messages.isVisible(), "another session waits for no click"
+    assert not bench.window.session_view.picking.waiting
+
+
+def the_command_again_asks_for_coordinates(bench):
     before = len(bench.snapshot.decisions.landmarks)
     bench.key(Key.Key_K)
     assert "K: type" in CLICK_REQUEST.text
@@ -87,11 +91,10 @@ def test_the_command_again_asks_for_coordinates_so_that_no_mouse_is_needed(bench
     QTest.keyClick(dialog, Key.Key_Return)
     bench.until(lambda: len(bench.snapshot.decisions.landmarks) == before + 1, 5000)
     np.testing.assert_allclose(bench.snapshot.decisions.landmarks[-1].place, [0.0125] * 3, atol=1e-12)
+    bench.until(lambda: not dialogs(), 5000)
 
 
-def test_escape_ends_the_wait(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
+def escape_ends_the_wait(bench):
     view, messages = bench.window.session_view.workspace.view, bench.window.messages
     bench.key(Key.Key_K)
     assert view.picking
@@ -107,15 +110,6 @@ def test_escape_ends_the_wait(bench, recorded):
     assert "The disk is full." in messages.text.text(), "what was said meanwhile stays"
     bench.key(Key.Key_Escape)
     assert not messages.isVisible()
-
-
-def test_another_session_waits_for_no_click(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
-    bench.key(Key.Key_K)
-    bench.open(OpenRequest(session=recorded))
-    assert not bench.window.messages.isVisible()
-    assert not bench.window.session_view.picking.waiting
 
 
 # Where nothing can be clicked

@@ -117,11 +117,10 @@ def test_a_threshold_is_changed_by_keys_undone_and_put_back(bench, recorded):
     bench.recording.pipeline.sync()
     assert load(folder).session.decisions.thresholds == scene
     assert load(folder).session.snapshot().can_undo == "return to the scene's thresholds"
+    what_is_wrong_is_said_at_the_field_and_nothing_is_changed(bench, dialog)
 
 
-def test_what_is_wrong_is_said_at_the_field_and_nothing_is_changed(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    dialog = page(bench)
+def what_is_wrong_is_said_at_the_field_and_nothing_is_changed(bench, dialog):
     asked: list[SetThresholds] = []
     dialog.thresholds_wanted.connect(asked.append)
     row = dialog.rows["tare_change_max"]

@@ -144,21 +144,15 @@ def test_the_copy_of_a_session_that_ships_may_be_written_though_nobody_may_write
     assert not storage.folder.exists()
 
 
-def test_pokes_that_were_all_rejected_are_not_lost_without_a_question_either(bench):
-    bench.open(OpenRequest(session=SAMPLE))
-    assert bench.controller.unsaved_pokes == 0
-    session = bench.controller._recording.pipeline.session
-    session.add(slip(session.last_poke + 1, Reason.NOT_STILL, 0.21, 0.3, "s"))
-    assert bench.controller.unsaved_pokes > 0
-
-
 def test_a_session_that_ships_is_opened_as_a_copy_and_stays_as_it_is(bench):
     before = sorted((path, path.stat().st_mtime_ns) for path in SAMPLE.rglob("*"))
     bench.open(OpenRequest(session=SAMPLE))
     assert copy_words(SAMPLE) in [message.text for message in bench.messages]
     assert bench.controller.unsaved_pokes == 0
+    session = bench.recording.pipeline.session
+    session.add(slip(session.last_poke + 1, Reason.NOT_STILL, 0.21, 0.3, "s"))
+    assert bench.controller.unsaved_pokes > 0, "rejected pokes are not lost without a question either"
     assert bench.controller.act(Exclude(bench.accepted()[0].poke))
-    assert bench.controller.unsaved_pokes > 0
     folder = bench.recording.storage.folder
     bench.window.leave()
     assert load(folder).session.excluded, "nobody was asked, so the copy stays"

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import signal
-
-import pytest
 from PySide6.QtCore import QSettings, Qt
 
-from app.commands import COMMANDS, key_words
 from app.session.opening import OpenRequest
 from app.sound.player import NoSoundError, Player
 from tests.app.whole_window import Bench
@@ -31,22 +26,6 @@ def test_a_poke_is_heard_in_its_order_and_muting_ends_it(bench):
     bench.player.played.clear()
     pokes = len(bench.accepted())
     bench.until(lambda: len(bench.accepted()) > pokes)
-    assert bench.player.played == []
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="ends a process as on Linux and macOS")
-def test_a_lost_device_is_heard_again_and_again(bench):
-    bench.open_served("flat-patch")
-    bench.until(lambda: len(bench.accepted()) >= 1)
-    os.kill(bench.device_pid(), signal.SIGKILL)
-    bench.until(lambda: [name for name, _ in bench.player.played].count("LOST") >= 2)
-    assert bench.window.session_view.workspace.now.headline.text().endswith(" disconnected")
-
-
-def test_old_pokes_are_not_heard(bench, recorded):
-    bench.open(OpenRequest(session=recorded))
-    bench.until_all_is_there()
-    assert bench.snapshot.pokes
     assert bench.player.played == []
 
 
@@ -78,10 +57,3 @@ def test_no_sound_device_disables_the_entry_with_the_reason_and_nothing_else(qtb
     assert not speech.isEnabled()
     assert not [m for m in bench.messages if m.error]
     bench.window.close()
-
-
-def test_no_key_does_two_things_and_all_are_listed():
-    keys = [key for command in COMMANDS for key in command.keys.split()]
-    assert len(keys) == len(set(keys))
-    assert "<b>M</b>" in key_words(2)
-    assert "<b>Shift+M</b>" in key_words(2)

@@ -44,9 +44,6 @@ def three_are_enough(monkeypatch):
     monkeypatch.setattr(landmarks_module, "MIN_LANDMARKS", 3)
 
 
-ARROW, BETWEEN = "\N{RIGHTWARDS ARROW}", "  \N{MIDDLE DOT}  "
-
-
 def of_pokes(*pokes, at=None, points=POINTS, excluded=()) -> Snapshot:
     """A session with these pokes, of which `at` are at landmarks: number to name."""
     made = session(len(pokes), pokes=pokes, excluded=excluded)
@@ -127,54 +124,6 @@ LATER = 100.0 + VISUAL_REACTION_TIME_S + 0.01
 
 
 # Which poke was there
-
-
-def test_a_poke_that_begins_after_the_landmark_was_seen_is_at_it_and_is_said_once():
-    landmarks = asking()
-    there = of_pokes(press(1, LATER))
-    assert landmarks.poked(there) == [FoundAtLandmark(1, "corner")]
-    assert landmarks.poked(there) == []
-    assert landmarks.poked(of_pokes(replace(press(1, LATER), final=False))) == [], "the same poke again"
-    assert landmarks.poked(of_pokes(press(1, LATER), press(2, LATER + 2))) == [FoundAtLandmark(2, "corner")]
-
-
-def test_a_poke_that_was_looked_at_before_the_landmark_came_is_not_taken_later():
-    landmarks = Landmarks(part(), plan_of(part()))
-    early = of_pokes(press(1, 500.0))
-    assert landmarks.poked(early) == [], "nothing was asked for yet"
-    landmarks.before_skin(guidance(target(3)), early, LOW, 100.0)
-    assert landmarks.poked(early) == []
-
-
-def test_pokes_of_a_session_that_is_opened_are_not_taken():
-    landmarks, old = asking(), of_pokes(press(1, 500.0))
-    landmarks.begin(old)
-    assert landmarks.poked(old) == []
-    landmarks.begin(of_pokes())
-    assert landmarks.poked(of_pokes(press(1, 500.0))) != []
-
-
-def test_the_clock_begins_anew_with_another_landmark_and_with_no_other_picture():
-    landmarks = asking()
-    landmarks.before_skin(guidance(target(3)), of_pokes(), LOW, 200.0)
-    assert landmarks.poked(of_pokes(press(1, LATER))) == [FoundAtLandmark(1, "corner")], "it was asked for since 100"
-    landmarks.before_skin(guidance(target(3)), of_pokes(press(1, LATER), at={1: "corner"}), LOW, 300.0)
-    both = of_pokes(press(1, LATER), press(2, 300.1), at={1: "corner"})
-    assert landmarks.poked(both) == [], "it was on its way to the corner"
-    third = of_pokes(press(1, LATER), press(2, 300.1), press(3, 301.0), at={1: "corner"})
-    (found,) = landmarks.poked(third)
-    assert found.name == "other"
-
-
-@pytest.mark.parametrize(
-    ("near", "channels", "taken"),
-    [(3, (3,), True), (3, (3, 15), False), (3, (15,), False), (15, (3,), False)],
-)
-def test_a_poke_is_not_at_a_landmark_far_from_which_taxels_answered(near, channels, taken):
-    point = Landmark("screw", laid(PLAN).places[near] + [0.0, 0.005, 0.0], UP)
-    landmarks = asking(snapshot=of_pokes(points=[point]))
-    poke = replace(touch(1, channels, [50.0] * len(channels)), start_s=LATER)
-    assert (landmarks.poked(of_pokes(poke, points=[point])) == [FoundAtLandmark(1, "screw")]) is taken
 
 
 @pytest.mark.parametrize("reason", [each for each in Reason if each is not Reason.NO_TAXEL])

@@ -51,3 +51,12 @@ def deaf_import(request, _progress):
     request.folder.mkdir(parents=True)
     (request.folder / "segment-0001.mcap").touch()
     time.sleep(60)
+
+
+def is_running(process: int | None) -> bool:
+    """Whether there is a process of that number."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    return True

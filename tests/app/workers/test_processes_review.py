@@ -26,6 +26,7 @@ from skincal.simulate.rig_errors import RigErrors
 from skincal.simulate.simulated_rig import Rig
 from skincal.words.rig_words import frame_sentence, rig_sentences
 from tests.app.whole_window import OPEN_MS
+from tests.app.workers.process_support import is_running
 from tests.approved import approved
 
 
@@ -86,14 +87,6 @@ def tell(session, client, *numbers):
     for number in numbers:
         session.act(AtLandmark(number, session.decisions.landmarks[number - 1].name))
         client.follow_session(session.snapshot())
-
-
-def is_running(pid: int | None) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
 
 
 def test_no_process_is_started_before_the_first_poke_at_a_landmark(qtbot, session, client, processes):

@@ -17,7 +17,7 @@ from PySide6.QtWidgets import QApplication
 from app.workers.processes import ProcessLostError, WorkerProcess
 from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
-from tests.app.workers.process_support import double, end, end_once, own_pid, refuse, until_unwanted
+from tests.app.workers.process_support import double, end, end_once, is_running, own_pid, refuse, until_unwanted
 from tests.approved import approved, approved_pattern
 
 
@@ -151,14 +151,6 @@ def processes():
     made.close()
 
 
-def is_running(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
 def test_a_process_is_there_from_the_first_question_to_the_end(processes):
     assert processes.pid is None
     assert processes.ask(processes.next_id(), double, 21) == 42
@@ -259,11 +251,7 @@ def test_the_window_imports_no_pool_of_processes_before_it_needs_one():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_a_process_runs_nothing_of_the_working_folder(processes, tmp_path, monkeypatch):
-    for name in ("numpy.py", "pickle.py", "skincal/__init__.py", "app/__init__.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("open('ran', 'w').close()\nraise SystemExit(99)\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+@pytest.mark.usefixtures("poisoned")
+def test_a_process_runs_nothing_of_the_working_folder(processes, tmp_path):
     assert processes.ask(processes.next_id(), double, 3) == 6
     assert not (tmp_path / "ran").exists()
