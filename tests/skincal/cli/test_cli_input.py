@@ -275,26 +275,6 @@ def test_each_problem_of_a_link_is_reported_once_and_that_it_sends_again():
     assert said(LinkState.LOST) == []
 
 
-def test_a_failed_import_leaves_nothing_in_the_way_of_the_corrected_one(run, tmp_path):
-    wrong, right = (write_logs(tmp_path / name, width=width) for name, width in (("wrong", 24), ("right", CHANNELS)))
-    there = tmp_path / "there"
-    there.mkdir()
-    (there / "notes.txt").write_text("mine")
-    for out in (there, tmp_path / "a" / "new"):
-        code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", out)
-        assert code == 2
-        assert err.rstrip().endswith(approved("recording.nothing_made"))
-        assert approved("recording.wrong_width", width=24, channels=CHANNELS) in err
-    assert not (tmp_path / "a").exists()
-    assert [path.name for path in there.iterdir()] == ["notes.txt"]
-    assert run("import", "yarp", *right, *SCENE, "--out", there)[0] == 0
-    before = sorted(there.rglob("*"))
-    code, _, err = run("import", "yarp", *wrong, *SCENE, "--out", there)
-    assert code == 2
-    assert approved("session.holds_one") in err
-    assert sorted(there.rglob("*")) == before, "an older session is never taken away"
-
-
 def test_a_recording_without_a_byte_of_the_wrench_leaves_nothing_and_one_with_bytes_stays(run, tmp_path):
     skin = tmp_path / "skin.txt"
     skin.write_text("".join(f"S {k} " + " ".join(["5"] * CHANNELS) + "\n" for k in range(40)))

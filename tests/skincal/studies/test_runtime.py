@@ -11,15 +11,14 @@ from functools import lru_cache, partial
 import numpy as np
 import pytest
 
-from skincal.mesh.search import nearest_in_metric, nearest_points
+from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import make_surface
-from skincal.methods import estimate_from, estimate_taxels
+from skincal.methods import estimate_taxels
 from skincal.plotting import render
 from skincal.simulate.example_parts import SHAPES, ExamplePart
 from skincal.studies import baselines, runtime
 from skincal.studies.benchmarking import gc_disabled, quartiles, time_words, timed, usable_cores
 from skincal.studies.runtime import SURFACE_SEARCHES, known_positions, main_rows, runtime_limits, summary
-from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import Method
 from tests.approved import approved
 from tests.skincal.studies.studies_support import FOREARM, TINY, tiny
@@ -272,32 +271,3 @@ def test_quartiles_and_words_of_times():
     assert quartiles([4.0, 1.0, 2.0, 3.0, 5.0]) == {"median": 3.0, "q1": 2.0, "q3": 4.0, "count": 5}
     words = {0.123: "0.123 ms", 1000.0: "1 s", 90e3: "90 s", 240e3: "4 min", 3.6e7: "10 h"}
     assert {ms: time_words(ms) for ms in words} == words
-
-
-def best_of(runs, work):
-    seconds = []
-    for _ in range(runs):
-        start = time.process_time()
-        work()
-        seconds.append(time.process_time() - start)
-    return min(seconds)
-
-
-def test_the_search_tree_is_many_times_faster_than_every_triangle():
-    """Fails on gross loss only: measured 100 to 200 times."""
-    mesh = SHAPES[FOREARM].mesh(10_000)
-    problems = list(baselines.taxel_problems(poked(), bench().channels, bench().scene.noise).values())
-    search = partial(nearest_in_metric, mesh, *(np.array(part) for part in zip(*problems, strict=True)))
-    search()
-    ours = best_of(5, search) / len(problems)
-    brute = best_of(3, lambda: [baselines.by_every_triangle(mesh, problem) for problem in problems[:5]])
-    assert brute / 5 > 20 * ours
-
-
-def test_a_solve_with_its_uncertainty_costs_about_what_bare_least_squares_do():
-    """Fails on gross loss only: measured about equal."""
-    forearm = bench()
-    ledger = ContactTable(poked())
-    rows = baselines.stack_rows(poked(), forearm.channels)
-    ours = best_of(5, lambda: estimate_from(ledger, forearm.channels, [Method.FREE], forearm.scene.noise, forearm.surface))
-    assert ours < 10 * best_of(5, lambda: baselines.by_lstsq(rows))
