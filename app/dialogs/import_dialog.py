@@ -55,13 +55,13 @@ from app.theme import WIDGET_GAP_PX
 from app.workers.processes import JobQueue, import_job, preview_job
 from app.workers.threads import ThreadService
 from skincal.files.importers.preview import RecordingFiles, RecordingPreview, guess_streams
-from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace
+from skincal.files.importers.registry import RECORDING_IMPORTERS, RecordedPlace, StoppedError
 from skincal.geometry import FloatArray
 from skincal.journal.writer import SCENE_FOLDER
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 from skincal.model.scene import Scene
-from skincal.session.importing import IMPORT_STOPPED, Imported, ImportRequest, missing_folders, take_away
+from skincal.session.importing import Imported, ImportRequest, missing_folders, take_away
 
 SIZE_PX = (760, 680)
 TYPING_PAUSE_BEFORE_PREVIEW_MS = 400
@@ -396,7 +396,7 @@ class ImportDialog(QDialog):
 
     def _kill_import(self) -> None:
         self._jobs.drop()
-        self._fail(IMPORT_STOPPED)
+        self._fail(str(StoppedError()))
 
     def done(self, result: int) -> None:
         self._typing.stop()

@@ -45,7 +45,19 @@ def _options(
     pass
 
 
-COMMANDS = ("scene", "solve", "apply", "compare", "report", "devices", "landmarks", "record", "simulate", "study")
+COMMANDS = (
+    "scene",
+    "solve",
+    "apply",
+    "compare",
+    "report",
+    "devices",
+    "landmarks",
+    "record",
+    "import_recording",
+    "simulate",
+    "study",
+)
 """Modules of this package with commands, in the order of the help. Each has `add_to(app)`."""
 
 

@@ -1,4 +1,4 @@
-"""`record` and `import`: from devices or from other programs' recordings to a session.
+"""`record`: from devices to a session. Its parts also serve `import` and `simulate`.
 
 A command that made no session of use takes its folder away again: with its input put right it then finds the folder free.
 """
@@ -6,14 +6,13 @@ A command that made no session of use takes its folder away again: with its inpu
 from __future__ import annotations
 
 import contextlib
-import gc
 import math
 import queue
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import FileIO
@@ -25,7 +24,6 @@ import typer
 
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
-from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace
 from skincal.model.errors import InputError
 from skincal.model.given import parse_json
 from skincal.model.readings import LINK_SILENT_AFTER_S, Chunk, LinkAnswer, LinkEvent, LinkHealth, LinkState, Stream
@@ -66,16 +64,6 @@ def add_to(app: typer.Typer) -> None:
     app.command(
         epilog="Example: skincal record --wrench /dev/ttyUSB0 --skin /dev/ttyACM0 --pose 1 --scene icub-forearm --out monday"
     )(record)
-    importing = typer.Typer(
-        help="Make a session from another program's recording.",
-        no_args_is_help=True,
-        epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
-    )
-    for each in RECORDING_IMPORTERS:
-        example = f"Example: skincal import {each.name} --wrench ft --skin skin --pose 1 --scene icub-forearm --out monday"
-        purpose = f"Make a session of a recording: {each.title}."
-        importing.command(each.name, help=purpose, epilog=example)(_import_command(each))
-    app.add_typer(importing, name="import")
 
 
 def find_scene(path: Path) -> Scene:
@@ -118,12 +106,12 @@ def record(
     from skincal.streams.links import ChunkQueue, Reader, describe_links
 
     loaded = find_scene(scene)
-    _check_pose(loaded, pose, streamed=joints is not None)
+    check_pose(loaded, pose, streamed=joints is not None)
     if method is not None and targets is None:
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
     links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
     items = ChunkQueue()
-    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, _warn) as pipeline:
+    with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, warn) as pipeline:
         if orders:
             # A daemon, since nothing can interrupt its read.
             threading.Thread(target=_read_orders, args=(sys.stdin.fileno(), items), name="orders", daemon=True).start()
@@ -210,7 +198,7 @@ def _handle_item(pipeline: Pipeline, item: Chunk | LinkEvent | OrderLine) -> Non
         say(f"order {item.text[:SHOWN_ORDER_MAX_BYTES].decode(errors='replace').strip()}: not done. {error}", err=True)
 
 
-def _check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
+def check_pose(scene: Scene, pose: str | None, *, streamed: bool) -> None:
     """Refuse a pose that the scene does not have, or an arm without one, before anything is made."""
     known = [] if scene.arm is None else list(scene.arm.poses)
     if scene.arm is not None and pose is None and not streamed:
@@ -380,31 +368,6 @@ def finish(
         raise KeptError(trouble) if kept or pipeline.journal_failure else InputError(f"{trouble} No session was made.")
 
 
-def _import_command(importer: Importer) -> Callable[..., None]:
-    def command(
-        wrench: Path, skin: Path, scene: SceneOption, out: OutOption, joints: Path | None = None,
-        pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")] = None,
-        as_json: Json = False,
-    ) -> None:  # fmt: skip
-        from skincal.session.importing import new_session, play_recording
-
-        loaded = find_scene(scene)
-        _check_pose(loaded, pose, streamed=joints is not None)
-        paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
-        places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
-        recording = importer.open_recording(places)
-        # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
-        gc.freeze()
-        with new_session(out, loaded, recording.links, _warn, copy=True) as pipeline:
-            play_recording(pipeline, recording, pose)
-            finish(pipeline, out, as_json, recording.findings, imported=True)
-
-    # Typer reads the options from the annotations: each importer describes its own files.
-    help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
-    command.__annotations__ |= {"wrench": Annotated[Path, help_of["wrench"]], "skin": Annotated[Path, help_of["skin"]]}
-    command.__annotations__["joints"] = Annotated[Path | None, help_of["joints"]]
-    return command
-
-
-def _warn(sentence: str) -> None:
+def warn(sentence: str) -> None:
+    """Print a finding on stderr."""
     say(sentence, err=True)

@@ -212,6 +212,11 @@ class LengthSplitter(FrameSplitter):
     def __init__(self, next_frame: Callable[[bytes, int], tuple[bytes, int] | None]) -> None:
         self._next_frame = next_frame
 
+    @property
+    def has_partial_frame(self) -> bool:
+        """Whether bytes of an unfinished frame are kept, or nothing more is a frame."""
+        return bool(self._rest or self.fault)
+
     def split(self, data: bytes) -> list[bytes | None]:
         frames: list[bytes | None] = []
         if self.fault:

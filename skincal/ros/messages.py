@@ -27,8 +27,9 @@ import base64
 import binascii
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, cast
 
 import numpy as np
@@ -147,11 +148,11 @@ class MessageReader:
         try:
             stamp = message
             for step in self._stamp or ():
-                stamp = _step_into(stamp, step)
+                stamp = getattr(stamp, step.name) if step.index < 0 and type(stamp) is not dict else _step_into(stamp, step)
             if isinstance(stamp, float):
                 seconds = stamp
-            elif isinstance(stamp, Mapping):
-                parts = cast("Mapping[str, Any]", stamp)
+            elif isinstance(stamp, dict):
+                parts = cast("dict[str, Any]", stamp)
                 seconds = float(parts.get("sec", parts.get("secs", 0))) + 1e-9 * parts.get("nanosec", parts.get("nsecs", 0))
             else:
                 seconds = stamp.sec + 1e-9 * stamp.nanosec
@@ -253,7 +254,27 @@ def _getter(types: MessageTypes, type_name: str, path: str) -> Callable[[Any], F
                 part for element in _reach(message, steps) for tail in tails for part in _reach(element, tail)
             )
         paths = [[*steps, *tail] for tail in tails]
+    if all(step.name and not step.many for each in paths for step in each):
+        return _plain_getter([".".join(step.name for step in each) for each in paths])
     return lambda message: _joined(part for each in paths for part in _reach(message, each))
+
+
+def _plain_getter(names: Sequence[str]) -> Callable[[Any], FloatArray]:
+    """Make a getter of fields that are all there once, such as the six of a wrench: the usual case, ten times as fast."""
+    read = attrgetter(*names)
+    paths = [[_Step(step) for step in name.split(".")] for name in names]
+
+    def get(message: Any) -> FloatArray:
+        try:
+            found = read(message)
+            if len(names) == 1:
+                return _numbers(found)
+            # Six numbers are converted at once; arrays have other shapes.
+            return np.array(found, np.float64) if type(found[0]) is float else _joined(iter(found))
+        except (AttributeError, TypeError, ValueError):
+            return _joined(part for each in paths for part in _reach(message, each))
+
+    return get
 
 
 def _reach(value: Any, steps: Sequence[_Step], at: int = 0) -> Iterator[Any]:

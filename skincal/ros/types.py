@@ -107,6 +107,8 @@ class MessageTypes:
         self._store.max_sequence_length = MAX_ARRAY_ELEMENTS
         self._standard = get_typestore(Stores(_STORE_NAMES[ros]))
         self._of_ros = frozenset(self._standard.fielddefs)
+        self._complete = set[str]()
+        """Full names of types that are in the store with their parts."""
         for name, text in _SKIN_DEFINITIONS.items():
             self._standard.register(_parse_definition(name, text))
 
@@ -178,6 +180,8 @@ class MessageTypes:
 
     def _require(self, type_name: str) -> str:
         """Return the full name of a type; a standard one is added with its parts. Raises MessageError: it is unknown."""
+        if type_name in self._complete:
+            return type_name
         name = full_type_name(type_name)
         waiting = [name]
         while waiting:
@@ -189,6 +193,7 @@ class MessageTypes:
             definition = self._standard.fielddefs[each]
             self._store.register({each: definition})
             waiting += [field.type_name for field in (_field_of(*one) for one in definition[1]) if field.kind == "message"]
+        self._complete.add(name)
         return name
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from skincal.contacts.outcome import Contact
 from skincal.files.importers.preview import RecordingFiles
+from skincal.files.importers.registry import Importer, StoppedError
 from skincal.files.importers.timeline import START_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
@@ -24,15 +25,12 @@ from skincal.words.poke_words import no_poke_sentence
 
 CHUNKS_PER_PROGRESS_REPORT = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
-IMPORT_STOPPED = "The import was stopped; nothing was left behind."
+READING_SHARE_OF_TOPICS = 0.4
+"""Share of the time in which a recording with all streams in one file is read, before it is played."""
 
 
 class KeptError(InputError):
     """A recording failed, but a part of it is kept."""
-
-
-class StoppedError(InputError):
-    """The operator stopped the import."""
 
 
 @contextlib.contextmanager
@@ -106,12 +104,25 @@ def play_recording(
         span_ns = max(recording.span_ns, 1)
         for count, chunk in enumerate(pipeline.ahead(recording.chunks())):
             if count % CHUNKS_PER_PROGRESS_REPORT == 0 and not go_on(min(1.0, (chunk.host_ns - START_NS) / span_ns)):
-                raise StoppedError(IMPORT_STOPPED)
+                raise StoppedError
             pipeline.feed(chunk)
             if pipeline.journal_failure:
                 break
     finally:
         pipeline.close()
+
+
+def reading_share(importer: Importer) -> float:
+    """Share of the time of an import that passes before its session begins."""
+    return 0.0 if importer.one_stream else READING_SHARE_OF_TOPICS
+
+
+def joint_columns(scene: Scene) -> tuple[str, ...]:
+    """Name the columns of the scene's joint stream, empty for one that the arm does not need; empty if it names none."""
+    robot = scene.robot
+    if robot is None:
+        return ()
+    return tuple(name if column in robot.chain.joints else "" for column, name in enumerate(robot.columns))
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +156,10 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         The recording or the scene cannot be read, the folder cannot be written, or a file has no usable reading. No file is
         left.
     """
-    scene, recording = load_scene(request.scene), request.files.open()
+    scene, read_share = load_scene(request.scene), reading_share(request.files.importer)
+    recording = request.files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
-        play_recording(pipeline, recording, request.pose or None, go_on)
+        play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))
         outcomes = [record.outcome for record in pipeline.snapshot().pokes]
         silent = silent_links(pipeline.live(0).links)
         if pipeline.journal_failure:

@@ -69,16 +69,20 @@ class RecordingFiles:
             raise InputError(f"The files are of different kinds ({titles}); expected one kind of recording.")
         return found.popitem()[1]
 
-    def open(self) -> OpenRecording:
-        """Read the recording through.
+    def open(self, joints: Sequence[str] = (), go_on: Callable[[float], bool] = lambda _: True) -> OpenRecording:
+        """Read the recording through; the parameters are those of `Importer.open_recording`.
 
         Raises InputError: as for `importer`, or a file cannot be read.
         """
-        return self.importer.open_recording(self.places)
+        return self.importer.open_recording(self.places, joints, go_on)
 
 
-def guess_streams(paths: Sequence[Path]) -> RecordingFiles:
+def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
     """Assign files, or those of a folder, to streams by their names and first lines.
+
+    Parameters
+    ----------
+    channels : of the skin; 0 if unknown
 
     Raises InputError: none of them is a recording.
     """
@@ -87,16 +91,25 @@ def guess_streams(paths: Sequence[Path]) -> RecordingFiles:
         raise InputError(
             f"{paths[0]}: holds {len(files)} recordings; expected at most {MAX_FILES_TRIED}: name the files instead."
         )
-    guesses = [guess for path in files for guess in _guesses(path)]
+    # The sentence on a single file says more.
+    guesses = (
+        list(importer_of(files[0]).guess_streams(files[0]))
+        if _has_topics(files)
+        else [guess for path in files for guess in _guesses(path)]
+    )
     if not guesses:
         names = ", ".join(str(path) for path in paths)
         raise InputError(
-            f"{names}: no recording was found; expected folders of yarpdatadumper, or CSV files, of sensor and skin."
+            f"{names}: no recording was found; expected sensor and skin in yarpdatadumper folders, CSV files or a bag of ROS."
         )
     found: dict[Stream, RecordedPlace] = {}
-    for guess in sorted(guesses, key=lambda guess: (-guess.width, guess.place)):
+    for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
         found.setdefault(_likely_stream(guess), guess.place)
     return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS))
+
+
+def _has_topics(files: Sequence[Path]) -> bool:
+    return len(files) == 1 and not importer_of(files[0]).one_stream
 
 
 def _guesses(path: Path) -> Sequence[StreamGuess]:
@@ -114,7 +127,8 @@ def _likely_stream(guess: StreamGuess) -> Stream:
     by_width = (
         Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS if guess.width <= JOINTS_MAX_WIDTH else Stream.SKIN
     )
-    return guess.stream if guess.stream in (Stream.WRENCH, Stream.JOINTS) else named or guess.stream or by_width
+    is_sure = guess.stream in (Stream.WRENCH, Stream.JOINTS) or (guess.stream is not None and guess.place.topic)
+    return guess.stream if guess.stream is not None and is_sure else named or guess.stream or by_width
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from skincal.model.errors import InputError
 from skincal.model.readings import Stream
 
 if TYPE_CHECKING:
@@ -45,6 +46,15 @@ class StreamGuess:
     """`None` if its content does not tell."""
     width: int
     """Values of a row."""
+    rank: int = 0
+    """0 for a likely stream; a constant or slow one, or a guess that needs the number of channels, has a larger one."""
+
+
+class StoppedError(InputError):
+    """The operator stopped the import."""
+
+    def __init__(self) -> None:
+        super().__init__("The import was stopped; nothing was left behind.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +63,8 @@ class Importer:
 
     Its module has `guess_streams(path)`, which returns a `StreamGuess` for each stream in a file or folder, and
     `open_recording(places)`, which returns an `OpenRecording` of the places by stream. Both raise InputError if a path is no
-    such recording. The streams of one recording may be in several files, or in one file by topic.
+    such recording. The streams of one recording may be in several files, or in one file by topic. In the latter case
+    `open_recording` also gets `joints` and `go_on` of the method here.
     """
 
     name: str
@@ -67,6 +78,8 @@ class Importer:
     """Help of the command's option for each stream."""
     marker: str = ""
     """Name of the file that makes a folder one of its recordings; empty if it reads files alone."""
+    example: str = ""
+    """Arguments of the command in its help, if a file holds several streams."""
     one_stream: bool = True
     """Whether a file or folder holds one stream, so that those beside it belong to the same recording."""
 
@@ -75,10 +88,28 @@ class Importer:
         """Function of the module."""
         return self._function("guess_streams")
 
-    @property
-    def open_recording(self) -> Callable[[Mapping[Stream, RecordedPlace]], OpenRecording]:
-        """Function of the module."""
-        return self._function("open_recording")
+    def open_recording(
+        self,
+        places: Mapping[Stream, RecordedPlace],
+        joints: Sequence[str] = (),
+        go_on: Callable[[float], bool] = lambda _: True,
+    ) -> OpenRecording:
+        """Read the places of one recording through.
+
+        Parameters
+        ----------
+        joints : names of the joint stream's columns, empty for an unused column; only topics name their joints
+        go_on : gets the finished share, 0 to 1, and says whether to continue; single streams are read at once
+
+        Raises
+        ------
+        InputError
+            A place cannot be read, or the streams do not fit together.
+        StoppedError
+            `go_on` said no.
+        """
+        read = self._function("open_recording")
+        return read(places) if self.one_stream else read(places, joints, go_on)
 
     def _function(self, name: str) -> Any:
         return getattr(import_module(f"skincal.files.importers.{self.module}"), name)
@@ -95,6 +126,20 @@ RECORDING_IMPORTERS = (
             Stream.SKIN: "CSV file: time and one column a channel.",
             Stream.JOINTS: "CSV file: time and one column a joint.",
         },
+    ),
+    Importer(
+        "rosbag",
+        "Bags of ROS",
+        (".bag", ".active", ".mcap", ".db3"),
+        "rosbag",
+        {
+            Stream.WRENCH: "Topic of the force/torque sensor. Default: a likely one.",
+            Stream.SKIN: "Topic of the skin, or A+B for patches in this order; TOPIC?field=PATH, TOPIC?msg=FILE.",
+            Stream.JOINTS: "Topic of the joint states. Default: a likely one; none with --pose.",
+        },
+        marker="metadata.yaml",
+        example="monday_bag --wrench /ft/wrench --skin /skin/taxels",
+        one_stream=False,
     ),
     Importer(
         "yarp",
@@ -128,7 +173,7 @@ def find_recordings(folder: Path) -> list[Path]:
         start, patterns = (folder.parent, ("*/",)) if inside else (folder, ("*/", "*/*/"))
         if found := sorted({path.parent for pattern in patterns for path in start.glob(pattern + each.marker)}):
             return found
-    suffixes = {suffix for each in RECORDING_IMPORTERS if not each.marker for suffix in each.suffixes}
+    suffixes = {suffix for each in RECORDING_IMPORTERS if not (each.marker and each.one_stream) for suffix in each.suffixes}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
 
 

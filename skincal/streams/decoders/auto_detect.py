@@ -17,6 +17,7 @@ from skincal.devices.registry import CHECKSUMMED_FORMATS, FORMATS, find_decoder
 from skincal.model.errors import InputError
 from skincal.model.readings import Batch, Loss, Stream
 from skincal.streams.decoders.delimited import TextDecoder
+from skincal.streams.decoders.records import RecordsDecoder
 from skincal.streams.decoders.skb import SkbDecoder
 from skincal.streams.decoders.skt import SktDecoder
 from skincal.streams.decoders.yarp_log import CsvDecoder, YarpDecoder, YarpRxDecoder, YarpTxRxDecoder
@@ -29,6 +30,7 @@ _DECODER_OF_FORMAT: dict[str, type[FrameDecoder]] = {
     "yarp-tx-rx": YarpTxRxDecoder,
     "yarp-rx": YarpRxDecoder,
     "csv": CsvDecoder,
+    "records": RecordsDecoder,
 }
 """Formats that belong to no device, by the name in a link's description."""
 NAMES = (AUTO, *_DECODER_OF_FORMAT, *FORMATS)

@@ -10,13 +10,13 @@ from mcap.reader import make_reader
 from skincal.cli import main
 from skincal.contacts.detector import ContactDetector
 from skincal.files.importers.preview import guess_streams
+from skincal.files.importers.registry import StoppedError
 from skincal.journal import writer
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene, resource
 from skincal.session.importing import (
     Imported,
     ImportRequest,
-    StoppedError,
     import_recording,
     missing_folders,
     new_session,

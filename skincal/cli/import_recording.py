@@ -1,0 +1,136 @@
+"""`import`: from other programs' recordings to a session.
+
+A command that made no session of use takes its folder away again: with its input put right it then finds the folder free.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+from collections.abc import Callable, Generator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from skincal.cli.record import OutOption, SceneOption, check_pose, find_scene, finish, stopping, warn
+from skincal.cli.solve import Json
+from skincal.cli.terminal import ProgressLine
+from skincal.files.importers.registry import RECORDING_IMPORTERS, Importer, RecordedPlace
+from skincal.model.readings import Stream
+
+if TYPE_CHECKING:
+    from skincal.model.scene import Scene
+
+_PoseOption = Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")]
+
+
+def add_to(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    importing = typer.Typer(
+        help="Make a session from another program's recording.",
+        no_args_is_help=True,
+        epilog="Example: skincal import yarp --wrench log/ft --skin log/skin --pose 1 --scene icub-forearm --out monday",
+    )
+    for each in RECORDING_IMPORTERS:
+        streams = "--wrench ft --skin skin" if each.one_stream else each.example
+        example = f"Example: skincal import {each.name} {streams} --pose 1 --scene icub-forearm --out monday"
+        purpose = f"Make a session of a recording: {each.title}."
+        make = _files_command if each.one_stream else _topics_command
+        importing.command(each.name, help=purpose, epilog=example)(make(each))
+    app.add_typer(importing, name="import")
+
+
+def _files_command(importer: Importer) -> Callable[..., None]:
+    """Make the command of an importer whose streams are files or folders."""
+
+    def command(
+        wrench: Path, skin: Path, scene: SceneOption, out: OutOption, joints: Path | None = None, pose: _PoseOption = None,
+        as_json: Json = False,
+    ) -> None:  # fmt: skip
+        loaded = find_scene(scene)
+        check_pose(loaded, pose, streamed=joints is not None)
+        paths = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        places = {stream: RecordedPlace.parse(str(path)) for stream, path in paths.items() if path is not None}
+        _import(importer, places, loaded, pose, out, as_json)
+
+    help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
+    # Typer reads the options from the annotations: each importer describes its own files.
+    command.__annotations__ |= {"wrench": Annotated[Path, help_of["wrench"]], "skin": Annotated[Path, help_of["skin"]]}
+    command.__annotations__["joints"] = Annotated[Path | None, help_of["joints"]]
+    return command
+
+
+def _topics_command(importer: Importer) -> Callable[..., None]:
+    """Make the command of an importer whose streams are topics of one file or folder."""
+
+    def command(
+        path: Annotated[Path, typer.Argument(help="File or folder of the recording.")], scene: SceneOption, out: OutOption,
+        wrench: str | None = None, skin: str | None = None, joints: str | None = None, pose: _PoseOption = None,
+        as_json: Json = False,
+    ) -> None:  # fmt: skip
+        loaded = find_scene(scene)
+        names = {Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints}
+        check_pose(loaded, pose, streamed=True)
+        places = find_topics(path, {stream: name for stream, name in names.items() if name}, loaded, pose)
+        check_pose(loaded, pose, streamed=Stream.JOINTS in places)
+        _import(importer, places, loaded, pose, out, as_json)
+
+    help_of = {stream.value: typer.Option(help=text) for stream, text in importer.options.items()}
+    command.__annotations__ |= {name: Annotated[str | None, help_of[name]] for name in help_of}
+    return command
+
+
+def find_topics(path: Path, named: Mapping[Stream, str], scene: Scene, pose: str | None) -> dict[Stream, RecordedPlace]:
+    """Complete the named topics by likely ones.
+
+    A stream without a likely topic gets an empty one, which the importer refuses with the topics that there are. Joints are
+    read only where the scene has an arm and no pose is given.
+    """
+    from skincal.files.importers.preview import guess_streams
+
+    wanted = {Stream.WRENCH, Stream.SKIN, *named}
+    needs_joints = scene.arm is not None and pose is None
+    guessed = dict[Stream, RecordedPlace]()
+    if wanted - named.keys() or (needs_joints and Stream.JOINTS not in named):
+        guessed = guess_streams([path], scene.skin.channels).places
+    if needs_joints and Stream.JOINTS in guessed:
+        wanted.add(Stream.JOINTS)
+    return {
+        stream: RecordedPlace(path, named[stream]) if stream in named else guessed.get(stream, RecordedPlace(path))
+        for stream in Stream
+        if stream in wanted
+    }
+
+
+def _import(
+    importer: Importer, places: Mapping[Stream, RecordedPlace], scene: Scene, pose: str | None, out: Path, as_json: bool
+) -> None:
+    from skincal.session.importing import joint_columns, new_session, play_recording, reading_share
+
+    read_share = reading_share(importer)
+    with _progress() as go_on:
+        recording = importer.open_recording(places, joint_columns(scene), lambda share: go_on(read_share * share))
+        # Modules live as long as the command: looking through them for garbage takes a tenth of the time.
+        gc.freeze()
+        with new_session(out, scene, recording.links, warn, copy=True) as pipeline:
+            play_recording(pipeline, recording, pose, lambda share: go_on(read_share + (1 - read_share) * share))
+            finish(pipeline, out, as_json, recording.findings, imported=True)
+
+
+@contextlib.contextmanager
+def _progress() -> Generator[Callable[[float], bool]]:
+    """Yield a function that shows the finished share, 0 to 1, and says whether to continue: not after Ctrl-C."""
+    line = ProgressLine("import")
+    with stopping() as stop:
+
+        def go_on(share: float) -> bool:
+            line.show(share)
+            if share >= 1 or stop.is_set():
+                line.clear()
+            return not stop.is_set()
+
+        try:
+            yield go_on
+        finally:
+            line.clear()

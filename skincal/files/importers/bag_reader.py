@@ -1,0 +1,163 @@
+"""Bags of ROS 1 and ROS 2 as topics and messages in bytes, read by `rosbags`, which is imported with the first bag.
+
+A bag is a `.bag` file (ROS 1), a folder with `metadata.yaml`, or a single `.mcap` or `.db3` file (ROS 2). A folder whose
+recorder was killed has no `metadata.yaml`: then its files are read one after the other.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from heapq import merge
+from pathlib import Path
+from typing import Any, Literal
+
+from skincal.model.errors import InputError
+from skincal.ros.types import MessageTypes
+
+METADATA = "metadata.yaml"
+STORAGE_SUFFIXES = (".mcap", ".db3")
+ROS1_SUFFIXES = (".bag", ".active")
+_REPAIRS = {
+    ".bag": "rosbag reindex FILE",
+    ".active": "rosbag reindex FILE",
+    ".mcap": "mcap recover FILE -o NEW",
+    ".db3": "sqlite3 FILE .recover | sqlite3 NEW",
+}
+"""Command of the recorder's makers that repairs a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopic:
+    """A topic of a bag."""
+
+    name: str
+    type_name: str
+    """Empty if its messages are of several types."""
+    messages: int
+    """Number, as the bag's index has it."""
+
+
+class Bag:
+    """An open bag; use it in a `with` statement.
+
+    Raises InputError: there is no bag, it cannot be read, or the package `rosbags` is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.ros: Literal[1, 2] = 1 if path.suffix in ROS1_SUFFIXES else 2
+        self.types = MessageTypes(self.ros)
+        """Definitions of the types of the topics, as far as the bag has them."""
+        self.findings: list[str] = []
+        """Sentences on the state of the bag."""
+        self.damage = ""
+        """Why reading ended before the end of the bag; empty if it did not."""
+        self._stack = contextlib.ExitStack()
+        self._readers: list[Any] = []
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+        self._connections = [each for reader in self._readers for each in reader.connections]
+        self.topics = self._find_topics()
+        """By name."""
+
+    def _open(self) -> None:
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+
+        for file in self._files():
+            try:
+                reader = (Reader1 if self.ros == 1 else Reader2)(file)
+                reader.open()
+            except Exception as error:  # noqa: BLE001 - a damaged file can raise anything in the library
+                raise self._broken(file, error) from None
+            self._readers.append(reader)
+            self._stack.callback(reader.close)
+
+    def _files(self) -> list[Path]:
+        path = self.path
+        if not path.exists():
+            raise InputError(f"{path}: there is no such bag; expected a .bag file, or the folder that `ros2 bag record` made.")
+        if path.is_file() or (path / METADATA).is_file():
+            return [path]
+        files = sorted(each for each in path.iterdir() if each.suffix in STORAGE_SUFFIXES)
+        if not files:
+            raise InputError(f"{path}: the folder has no {METADATA} and no .mcap or .db3 file; expected a bag of ROS 2.")
+        if logs := [each.name for each in files if each.with_name(f"{each.name}-wal").exists()]:
+            self.findings.append(
+                f"the recorder of {logs[0]} was killed: its last messages are in {logs[0]}-wal and are not read. To have them, "
+                f"run: sqlite3 {logs[0]} 'PRAGMA wal_checkpoint'."
+            )
+        self.findings.append(
+            f"it has no {METADATA}, since its recorder was killed; {', '.join(f.name for f in files)} was read."
+        )
+        return files
+
+    def _broken(self, file: Path, error: Exception) -> InputError:
+        """Make a sentence of an error of the library at opening."""
+        why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        inside = [file] if file.is_file() else sorted(each for each in file.iterdir() if each.suffix in STORAGE_SUFFIXES)
+        repair = _REPAIRS.get(inside[0].suffix if inside else "", "ros2 bag reindex FOLDER")
+        return InputError(f"{file}: the bag cannot be opened ({why}). It may be cut off; repair a copy of it: {repair}")
+
+    def _find_topics(self) -> dict[str, BagTopic]:
+        by_name = dict[str, list[Any]]()
+        for each in self._connections:
+            by_name.setdefault(each.topic, []).append(each)
+        return {
+            name: BagTopic(name, _only_type(found), sum(each.msgcount for each in found)) for name, found in by_name.items()
+        }
+
+    def define(self, topic: str) -> None:
+        """Add the definition that the bag has of a topic's type. Raises InputError: it cannot be used."""
+        for each in self._connections:
+            if each.topic == topic and each.msgdef.data:
+                self.types.add_definition(each.msgtype, each.msgdef.data)
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time of arrival (ns) and bytes of the messages of some topics, in order of arrival.
+
+        Where the bag is damaged they end, and `damage` says why.
+        """
+        self.damage = ""
+        sources = [
+            reader.messages(connections=wanted)
+            for reader in self._readers
+            if (wanted := [each for each in reader.connections if each.topic in topics])
+        ]
+        try:
+            for connection, arrival_ns, data in sources[0] if len(sources) == 1 else merge(*sources, key=_arrival_of):
+                yield connection.topic, arrival_ns, data
+        except Exception as error:  # noqa: BLE001 - a damaged file can raise anything in the library
+            self.damage = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last arrival, ns, as the bag's index has them."""
+        return min(each.start_time for each in self._readers), max(each.end_time for each in self._readers)
+
+    def close(self) -> None:
+        """Close its files."""
+        with contextlib.suppress(Exception):
+            self._stack.close()
+
+    def __enter__(self) -> Bag:
+        """Return the bag."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close its files."""
+        self.close()
+
+
+def _only_type(connections: list[Any]) -> str:
+    names = {each.msgtype for each in connections}
+    return names.pop() if len(names) == 1 else ""
+
+
+def _arrival_of(message: tuple[Any, int, bytes]) -> int:
+    return message[1]

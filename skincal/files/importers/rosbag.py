@@ -1,0 +1,339 @@
+"""Bags of ROS as the chunks of a session: each stream is a topic, or several topics of the patches of a skin.
+
+A topic may have the options of a running robot's address (`skincal.ros.topics`): `/skin?field=sensors[0].values`,
+`/skin?msg=TaxelData.msg`, `/joint_states?joints=l_elbow,l_wrist`, `/skin/a+/skin/b`.
+
+Messages are placed by the stamps in their headers where all streams have them by one clock, otherwise by the recorder's clock:
+then a header's stamp counts as far as it agrees with the arrival, after a constant difference was removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from array import array
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from skincal.files.importers.bag_reader import Bag, BagTopic
+from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
+from skincal.files.importers.tape import Tape
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError, plural
+from skincal.model.readings import Stream
+from skincal.ros.messages import MessageReader, streams_of
+from skincal.ros.patches import SkinPatches
+from skincal.ros.topics import TopicChoice
+from skincal.ros.types import MessageError
+from skincal.streams.links import LinkSpec
+
+PROBED_MESSAGES = 100
+"""Messages of a topic that are read to guess its stream."""
+MIN_RATE_HZ = 5.0
+"""A topic with fewer messages a second is hardly a sensor: a press lasts a second."""
+MAX_CLOCK_DIFFERENCE_S = 0.5
+"""Clocks that differ by less are taken for one clock: a message may wait for as long before it is recorded."""
+MAX_DELAY_SPREAD_S = 0.1
+"""Of 80 % of the delays of a stream whose sender has another clock; beyond it the arrival is the better time."""
+GO_ON_MESSAGES = 2000
+"""Messages between two reports of progress: some 0.05 s."""
+LATE_S = 2.0
+"""A stream that starts or ends by more than this after or before the others is reported."""
+SHOWN_TOPICS = 8
+"""Topics that a sentence lists."""
+
+
+# ------------------------------------------------------------------ guess
+
+
+def guess_streams(path: Path) -> list[StreamGuess]:
+    """Guess the streams of the topics of a bag, from their types and first messages.
+
+    Raises InputError: it cannot be read, or no topic has readings.
+    """
+    with Bag(path) as bag:
+        guesses = [guess for topic in bag.topics.values() if (guess := _guess(bag, topic)) is not None]
+        if not guesses:
+            raise InputError(f"{path}: no topic has readings of a sensor or skin; it has {list_topics(bag)}.")
+    return [*guesses, *_joined_patches(guesses)]
+
+
+def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
+    if not topic.type_name or not topic.messages:
+        return None
+    try:
+        bag.define(topic.name)
+        streams = streams_of(bag.types, topic.type_name)
+        if not streams:
+            return None
+        reader = MessageReader(bag.types, topic.type_name, streams[0])
+    except InputError:
+        return None
+    rows: list[FloatArray] = []
+    arrivals: list[int] = []
+    for _, arrival_ns, data in islice(bag.messages([topic.name]), PROBED_MESSAGES):
+        with contextlib.suppress(MessageError):
+            values = reader.values_of(bag.types.decode(data, topic.type_name))
+            if values is not None:
+                rows.append(values)
+                arrivals.append(arrival_ns)
+    if not rows:
+        return None
+    width = Counter(map(len, rows)).most_common(1)[0][0]
+    changes = any(len(row) == width and not np.array_equal(row, rows[0]) for row in rows)
+    is_fast = len(arrivals) > 1 and (len(arrivals) - 1) * 1e9 >= MIN_RATE_HZ * (arrivals[-1] - arrivals[0])
+    stream = streams[0] if len(streams) == 1 else None
+    rank = int(not changes) + int(not is_fast)
+    return StreamGuess(RecordedPlace(bag.path, topic.name), stream, width, rank)
+
+
+def _joined_patches(guesses: Sequence[StreamGuess]) -> list[StreamGuess]:
+    """Guess that all topics that may be skins are the patches of one, in the order of their names."""
+    patches = sorted(
+        (each for each in guesses if each.stream in (None, Stream.SKIN) and each.rank == 0), key=lambda each: each.place
+    )
+    if len(patches) < 2:
+        return []
+    place = RecordedPlace(patches[0].place.path, "+".join(each.place.topic for each in patches))
+    return [StreamGuess(place, Stream.SKIN, sum(each.width for each in patches), rank=3)]
+
+
+def list_topics(bag: Bag) -> str:
+    """List the topics of a bag with their types, for a sentence."""
+    words = [f"{each.name} ({each.type_name or 'several types'})" for each in list(bag.topics.values())[:SHOWN_TOPICS]]
+    more = len(bag.topics) - len(words)
+    return (", ".join(words) + (f" and {more} more" if more else "")) or "no topics"
+
+
+# ------------------------------------------------------------------ reading
+
+
+@dataclass(slots=True)
+class _Recorded:
+    """A stream while its messages are read."""
+
+    stream: Stream
+    choice: TopicChoice
+    readers: dict[str, MessageReader]
+    """By topic."""
+    patches: SkinPatches | None
+    tape: Tape = field(default_factory=Tape)
+    arrivals: array[float] = field(default_factory=lambda: array("d"))
+    """Seconds by the recorder's clock."""
+    stamps: array[float] = field(default_factory=lambda: array("d"))
+    """Seconds by the sender's clock; NaN without one."""
+    messages: Counter[str] = field(default_factory=Counter[str])
+    """By topic."""
+    unreadable: int = 0
+    why_unreadable: str = ""
+
+    def add(self, bag: Bag, topic: str, arrival_ns: int, data: bytes) -> None:
+        """Read a message."""
+        reader = self.readers[topic]
+        self.messages[topic] += 1
+        try:
+            message = bag.types.decode(data, reader.type_name)
+            values = reader.values_of(message)
+        except MessageError as error:
+            self.unreadable += 1
+            self.why_unreadable = self.why_unreadable or str(error)
+            return
+        if values is not None and self.patches is not None:
+            values = self.patches.add(self.choice.topics.index(topic), values)
+        if values is not None:
+            stamp = reader.stamp_of(message)
+            self.tape.add(values)
+            self.arrivals.append(arrival_ns * 1e-9)
+            self.stamps.append(np.nan if stamp is None else stamp)
+
+    def findings(self) -> list[str]:
+        """Sentences on the messages."""
+        reader = self.readers[self.choice.topics[0]]
+        found = [f"{self.choice} ({reader.type_name})" + (f", field {reader.field}." if self.choice.field else ".")]
+        if self.stream is Stream.JOINTS and reader.joints:
+            found.append(f"the order of the joints is {', '.join(name or 'unused' for name in reader.joints)}.")
+        if self.unreadable:
+            found.append(f"{plural(self.unreadable, 'message')} left out: {self.why_unreadable}.")
+        for topic, count in zip(self.choice.topics, self.patches.superseded if self.patches else [], strict=False):
+            if count:
+                found.append(f"{plural(count, 'message')} of {topic} left out: a newer one came before the frame was complete.")
+        return [f"{self.stream.value}: {sentence}" for sentence in found]
+
+
+def open_recording(
+    places: Mapping[Stream, RecordedPlace], joints: Sequence[str] = (), go_on: Callable[[float], bool] = lambda _: True
+) -> OpenRecording:
+    """Read the topics of a bag through.
+
+    Parameters
+    ----------
+    joints : names of the columns of the joint stream, empty for an unused column; without them all joints of the first message
+    go_on : gets the finished share, 0 to 1, and says whether to continue
+
+    Raises
+    ------
+    InputError
+        The bag or a topic cannot be read, has no message or no stamp in common with the others.
+    StoppedError
+        `go_on` said no.
+    """
+    paths = {place.path for place in places.values()}
+    if len(paths) > 1:
+        raise InputError(f"The topics are of {len(paths)} bags; expected one bag with all of them.")
+    with Bag(paths.pop()) as bag:
+        streams = [_prepare(bag, stream, place.topic, joints) for stream, place in places.items()]
+        _read_messages(bag, streams, go_on)
+        for each in streams:
+            _require_readings(bag, each)
+        findings = [f"the bag: {sentence}" for sentence in bag.findings]
+        if bag.damage:
+            findings.append(
+                f"the bag is damaged after {max(each.arrivals[-1] for each in streams) - bag.span_ns[0] * 1e-9:.1f} s "
+                f"({bag.damage}): everything after it is missing."
+            )
+        findings += _missing_messages(bag, streams)
+    times, clock_findings = place_in_time(streams)
+    timelines = [Timeline(each.stream.value, [seconds]) for each, seconds in zip(streams, times, strict=True)]
+    for each, timeline in zip(streams, timelines, strict=True):
+        findings += [*each.findings(), *timeline.sentences()]
+    check_overlap(timelines)
+    findings += [*clock_findings, *_late_streams(timelines)]
+    return OpenRecording(
+        tuple(LinkSpec(each.stream.value, f"file:{bag.path}::{each.choice}", (each.stream,), "records") for each in streams),
+        tuple(timelines),
+        tuple(
+            lambda each=each, seconds=seconds: each.tape.lines(seconds) for each, seconds in zip(streams, times, strict=True)
+        ),
+        tuple(findings),
+    )
+
+
+def _prepare(bag: Bag, stream: Stream, text: str, joints: Sequence[str]) -> _Recorded:
+    """Make the readers of the topics of a stream. Raises InputError: a topic or its type cannot be read."""
+    if not text:
+        raise InputError(f"{bag.path}: the topic of the {stream.value} is not named; it has {list_topics(bag)}.")
+    choice = TopicChoice.parse(text)
+    if len(choice.topics) > 1 and stream is not Stream.SKIN:
+        raise InputError(f"{text}: several topics can be the patches of a skin only; expected one topic of the {stream.value}.")
+    readers: dict[str, MessageReader] = {}
+    for name in choice.topics:
+        topic = bag.topics.get(name)
+        if topic is None:
+            raise InputError(f"{bag.path}: has no topic {name}; it has {list_topics(bag)}.")
+        if not topic.type_name:
+            raise InputError(f"{bag.path}: the messages of {name} are of several types; record it again with one type.")
+        if choice.msg is not None:
+            bag.types.add_file(choice.msg, topic.type_name)
+        else:
+            bag.define(name)
+        try:
+            readers[name] = MessageReader(bag.types, topic.type_name, stream, choice.field, choice.joints or joints)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
+        if not choice.field and stream not in (found := streams_of(bag.types, topic.type_name)):
+            kinds = " or ".join(each.value for each in found) or "no readings"
+            raise InputError(f"{name}: its messages ({topic.type_name}) hold {kinds}; expected the {stream.value}.")
+    return _Recorded(stream, choice, readers, SkinPatches(choice.topics) if len(choice.topics) > 1 else None)
+
+
+def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[float], bool]) -> None:
+    of_topic = dict[str, list[_Recorded]]()
+    for each in streams:
+        for name in each.choice.topics:
+            of_topic.setdefault(name, []).append(each)
+    total = max(1, sum(bag.topics[name].messages for name in of_topic))
+    for count, (topic, arrival_ns, data) in enumerate(bag.messages(of_topic.keys())):
+        for each in of_topic[topic]:
+            each.add(bag, topic, arrival_ns, data)
+        if count % GO_ON_MESSAGES == 0 and not go_on(min(1.0, count / total)):
+            raise StoppedError
+
+
+def _require_readings(bag: Bag, each: _Recorded) -> None:
+    """Raise InputError: a stream has no reading."""
+    if each.tape.rows:
+        return
+    name = str(each.choice)
+    missing = next((sentence for reader in each.readers.values() if (sentence := reader.missing_joints)), "")
+    silent = [topic for topic in each.choice.topics if not each.messages[topic]]
+    if silent:
+        why = f"{', '.join(silent)} has no message" + (f" before the damage ({bag.damage})" if bag.damage else "")
+        why += "; choose another topic"
+    elif missing:
+        why = missing.rstrip(".")
+    else:
+        why = f"none of its {plural(each.messages.total(), 'message')} has a reading"
+        why += f" ({each.why_unreadable})" if each.why_unreadable else "; choose another topic or field"
+    raise InputError(f"{bag.path}: {name}: {why}.")
+
+
+def _missing_messages(bag: Bag, streams: Sequence[_Recorded]) -> list[str]:
+    """Compare the numbers of messages with those of the bag's index."""
+    found: list[str] = []
+    for each in streams:
+        for topic, read in each.messages.items():
+            expected = bag.topics[topic].messages
+            if read < expected:
+                found.append(f"{each.stream.value}: the bag announces {expected} messages of {topic}; {read} could be read.")
+    return found
+
+
+# ------------------------------------------------------------------ time
+
+
+def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[str]]:
+    """Choose the times of the readings of each stream.
+
+    Returns
+    -------
+    (rows,) seconds for each stream, and sentences on the clocks.
+    """
+    arrivals = [np.array(each.arrivals) for each in streams]
+    stamps = [np.array(each.stamps) for each in streams]
+    delays = [arrival - stamp for arrival, stamp in zip(arrivals, stamps, strict=True)]
+    offsets = [float(np.median(delay[np.isfinite(delay)])) if np.isfinite(delay).any() else np.nan for delay in delays]
+    # NaN if a stream has no stamps.
+    have_one_clock = max(offsets) - min(offsets) <= MAX_CLOCK_DIFFERENCE_S and not np.isnan(offsets).any()
+    times: list[FloatArray] = []
+    findings: list[str] = []
+    for each, arrival, stamp, delay, offset in zip(streams, arrivals, stamps, delays, offsets, strict=True):
+        name, shift, unstamped = each.stream.value, 0.0, int(np.isnan(stamp).sum())
+        if unstamped == len(stamp):
+            findings.append(f"{name}: its messages have no stamp; they are placed by their arrival at the recorder.")
+            times.append(arrival)
+            continue
+        if not have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
+            low, high = np.nanquantile(delay, [0.1, 0.9])
+            if high - low > MAX_DELAY_SPREAD_S:
+                findings.append(
+                    f"{name}: its stamps differ from the arrival by {low:.3f} to {high:.3f} s; it is placed by its arrival."
+                )
+                times.append(arrival)
+                continue
+            shift = offset
+            findings.append(f"{name}: its clock differs from the recorder's by {-offset:+.3f} s; this was corrected.")
+        elif have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
+            findings.append(f"{name}: it is placed by the stamps of its sender, {-offset:+.3f} s from the recorder's clock.")
+        if unstamped:
+            findings.append(f"{name}: {plural(unstamped, 'message')} without a stamp: placed by the arrival.")
+        times.append(np.where(np.isnan(stamp), arrival - offset, stamp) + shift)
+    return times, findings
+
+
+def _late_streams(timelines: Sequence[Timeline]) -> list[str]:
+    """Report streams that start later or end earlier than the others: nothing is paired there."""
+    first, last = min(each.first for each in timelines), max(each.last for each in timelines)
+    found: list[str] = []
+    for each in timelines:
+        if each.first - first > LATE_S:
+            found.append(
+                f"{each.name}: starts {each.first - first:.1f} s after the first stream; pokes before it are not found."
+            )
+        if last - each.last > LATE_S:
+            found.append(f"{each.name}: ends {last - each.last:.1f} s before the last stream; pokes after it are not found.")
+    return found
