@@ -118,8 +118,8 @@ class MessageReader:
     Parameters
     ----------
     field : path of the values; empty for the usual field
-    joints : names of the joints in the wanted order; without them all joints of the first message, in its order. For
-        `JointState` only
+    joints : names of the joints in the wanted order, empty for one that is not used and counts as 0; without names all joints
+        of the first message, in its order. For `JointState` only
 
     Raises InputError: the field does not exist or has no numbers, or the type has no definition.
     """
@@ -181,7 +181,7 @@ class MessageReader:
     @property
     def missing_joints(self) -> str:
         """Sentence on the wanted joints that never came; empty if all did."""
-        missing = [name for name in self.joints if name not in self.seen_joints]
+        missing = [name for name in self.joints if name and name not in self.seen_joints]
         if not self._by_name or not missing:
             return ""
         seen = ", ".join(list(self.seen_joints)[:SHOWN_NAMES]) or "none"
@@ -196,9 +196,10 @@ class MessageReader:
             raise MessageError(f"a joint state has {len(names)} names and {len(positions)} positions")
         self.joints = self.joints or tuple(names)
         self.seen_joints.update(zip(names, positions.tolist(), strict=True))
-        if not any(name in names for name in self.joints) or any(name not in self.seen_joints for name in self.joints):
+        wanted = [name for name in self.joints if name]
+        if not any(name in names for name in wanted) or any(name not in self.seen_joints for name in wanted):
             return None
-        return np.array([self.seen_joints[name] for name in self.joints])
+        return np.array([self.seen_joints[name] if name else 0.0 for name in self.joints])
 
 
 # ------------------------------------------------------------------ paths

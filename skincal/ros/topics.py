@@ -25,7 +25,7 @@ class TopicChoice:
     msg: Path | None = None
     """File with the type's definition; `None` if it is known."""
     joints: tuple[str, ...] = ()
-    """Names of the joints in their order; empty if the scene names them, or for all of them."""
+    """Names of the joints in their order, "" for an unused one; empty if the scene names them, or for all of them."""
 
     @classmethod
     def parse(cls, text: str) -> TopicChoice:
@@ -45,7 +45,7 @@ class TopicChoice:
         wrong = [name for name in names if not _TOPIC_RE.fullmatch(name)]
         if wrong:
             raise InputError(f"{topics!r} is no topic; expected a name such as /ft/wrench, or several: /skin/a+/skin/b.")
-        joints = tuple(name for name in options.get("joints", "").split(",") if name)
+        joints = tuple(options["joints"].split(",")) if options.get("joints") else ()
         return cls(names, options.get("field", ""), Path(options["msg"]) if options.get("msg") else None, joints)
 
     def __str__(self) -> str:

@@ -16,10 +16,10 @@ from typing import Any, Literal
 from skincal.model.errors import InputError
 from skincal.ros.types import MessageTypes
 
-METADATA = "metadata.yaml"
+METADATA_NAME = "metadata.yaml"
 STORAGE_SUFFIXES = (".mcap", ".db3")
 ROS1_SUFFIXES = (".bag", ".active")
-_REPAIRS = {
+_REPAIR_COMMANDS = {
     ".bag": "rosbag reindex FILE",
     ".active": "rosbag reindex FILE",
     ".mcap": "mcap recover FILE -o NEW",
@@ -49,7 +49,7 @@ class Bag:
         self.path = path
         self.ros: Literal[1, 2] = 1 if path.suffix in ROS1_SUFFIXES else 2
         self.types = MessageTypes(self.ros)
-        """Definitions of the types of the topics, as far as the bag has them."""
+        """Definitions of the types of those topics that were defined by `define`."""
         self.findings: list[str] = []
         """Sentences on the state of the bag."""
         self.damage = ""
@@ -82,18 +82,18 @@ class Bag:
         path = self.path
         if not path.exists():
             raise InputError(f"{path}: there is no such bag; expected a .bag file, or the folder that `ros2 bag record` made.")
-        if path.is_file() or (path / METADATA).is_file():
+        if path.is_file() or (path / METADATA_NAME).is_file():
             return [path]
         files = sorted(each for each in path.iterdir() if each.suffix in STORAGE_SUFFIXES)
         if not files:
-            raise InputError(f"{path}: the folder has no {METADATA} and no .mcap or .db3 file; expected a bag of ROS 2.")
+            raise InputError(f"{path}: the folder has no {METADATA_NAME} and no .mcap or .db3 file; expected a bag of ROS 2.")
         if logs := [each.name for each in files if each.with_name(f"{each.name}-wal").exists()]:
             self.findings.append(
                 f"the recorder of {logs[0]} was killed: its last messages are in {logs[0]}-wal and are not read. To have them, "
                 f"run: sqlite3 {logs[0]} 'PRAGMA wal_checkpoint'."
             )
         self.findings.append(
-            f"it has no {METADATA}, since its recorder was killed; {', '.join(f.name for f in files)} was read."
+            f"it has no {METADATA_NAME}, since its recorder was killed; {', '.join(f.name for f in files)} was read."
         )
         return files
 
@@ -101,7 +101,7 @@ class Bag:
         """Make a sentence of an error of the library at opening."""
         why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         inside = [file] if file.is_file() else sorted(each for each in file.iterdir() if each.suffix in STORAGE_SUFFIXES)
-        repair = _REPAIRS.get(inside[0].suffix if inside else "", "ros2 bag reindex FOLDER")
+        repair = _REPAIR_COMMANDS.get(inside[0].suffix if inside else "", "ros2 bag reindex FOLDER")
         return InputError(f"{file}: the bag cannot be opened ({why}). It may be cut off; repair a copy of it: {repair}")
 
     def _find_topics(self) -> dict[str, BagTopic]:

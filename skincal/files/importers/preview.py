@@ -104,7 +104,7 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
         )
     found: dict[Stream, RecordedPlace] = {}
     for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
-        found.setdefault(_likely_stream(guess), guess.place)
+        found.setdefault(_likely_stream(guess, channels), guess.place)
     return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS))
 
 
@@ -119,14 +119,14 @@ def _guesses(path: Path) -> Sequence[StreamGuess]:
         return ()
 
 
-def _likely_stream(guess: StreamGuess) -> Stream:
+def _likely_stream(guess: StreamGuess, channels: int) -> Stream:
     """Choose a stream by the columns if they tell, else by the name, else by the number of values."""
     path = guess.place.path
     name = (guess.place.topic or (path.parent.name if path.name == importer_of(path).marker else path.name)).lower()
     named = next((stream for stream, words in _NAME_PATTERNS if words.search(name)), None)
-    by_width = (
-        Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS if guess.width <= JOINTS_MAX_WIDTH else Stream.SKIN
-    )
+    by_width = Stream.SKIN
+    if guess.width != channels and guess.width <= JOINTS_MAX_WIDTH:
+        by_width = Stream.WRENCH if guess.width == WRENCH_VALUES else Stream.JOINTS
     is_sure = guess.stream in (Stream.WRENCH, Stream.JOINTS) or (guess.stream is not None and guess.place.topic)
     return guess.stream if guess.stream is not None and is_sure else named or guess.stream or by_width
 

@@ -53,8 +53,8 @@ class StreamGuess:
 class StoppedError(InputError):
     """The operator stopped the import."""
 
-    def __init__(self) -> None:
-        super().__init__("The import was stopped; nothing was left behind.")
+    def __init__(self, sentence: str = "The import was stopped; nothing was left behind.") -> None:
+        super().__init__(sentence)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,9 @@ class Importer:
     options: Mapping[Stream, str]
     """Help of the command's option for each stream."""
     marker: str = ""
-    """Name of the file that makes a folder one of its recordings; empty if it reads files alone."""
+    """Name of the file that makes a folder a stream of its recordings; empty if it reads files alone."""
+    folder_patterns: tuple[str, ...] = ()
+    """Patterns of the files that make a folder a whole recording with several streams."""
     example: str = ""
     """Arguments of the command in its help, if a file holds several streams."""
     one_stream: bool = True
@@ -137,7 +139,7 @@ RECORDING_IMPORTERS = (
             Stream.SKIN: "Topic of the skin, or A+B for patches in this order; TOPIC?field=PATH, TOPIC?msg=FILE.",
             Stream.JOINTS: "Topic of the joint states. Default: a likely one; none with --pose.",
         },
-        marker="metadata.yaml",
+        folder_patterns=("metadata.yaml", "*.mcap", "*.db3"),
         example="monday_bag --wrench /ft/wrench --skin /skin/taxels",
         one_stream=False,
     ),
@@ -160,20 +162,28 @@ def importer_of(path: Path) -> Importer:
     """Choose the importer of a file or folder by its name, or by the files in it; `yarp` if nothing tells."""
     named = (each for each in RECORDING_IMPORTERS if path.suffix.lower() in each.suffixes)
     marked = (each for each in RECORDING_IMPORTERS if each.marker and (path / each.marker).is_file())
-    return next(named, None) or next(marked, RECORDING_IMPORTERS[-1])
+    whole = (each for each in RECORDING_IMPORTERS if _is_whole_recording(path, each))
+    return next(named, None) or next(marked, None) or next(whole, RECORDING_IMPORTERS[-1])
+
+
+def _is_whole_recording(folder: Path, importer: Importer) -> bool:
+    return any(next(folder.glob(pattern), None) for pattern in importer.folder_patterns)
 
 
 def find_recordings(folder: Path) -> list[Path]:
     """List the recordings in a folder, no deeper than two folders, since it may be a whole disk: folders first, else files."""
+    if any(_is_whole_recording(folder, each) for each in RECORDING_IMPORTERS):
+        return [folder]
     for each in (each for each in RECORDING_IMPORTERS if each.marker):
         # Recordings of single streams are in one folder.
         inside = (folder / each.marker).is_file()
-        if inside and not each.one_stream:
-            return [folder]
         start, patterns = (folder.parent, ("*/",)) if inside else (folder, ("*/", "*/*/"))
         if found := sorted({path.parent for pattern in patterns for path in start.glob(pattern + each.marker)}):
             return found
-    suffixes = {suffix for each in RECORDING_IMPORTERS if not (each.marker and each.one_stream) for suffix in each.suffixes}
+    inner = (path for path in folder.iterdir() if path.is_dir())
+    if found := sorted(path for path in inner if any(_is_whole_recording(path, each) for each in RECORDING_IMPORTERS)):
+        return found
+    suffixes = {suffix for each in RECORDING_IMPORTERS if not each.marker for suffix in each.suffixes}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
 
 

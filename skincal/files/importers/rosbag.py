@@ -4,7 +4,7 @@ A topic may have the options of a running robot's address (`skincal.ros.topics`)
 `/skin?msg=TaxelData.msg`, `/joint_states?joints=l_elbow,l_wrist`, `/skin/a+/skin/b`.
 
 Messages are placed by the stamps in their headers where all streams have them by one clock, otherwise by the recorder's clock:
-then a header's stamp counts as far as it agrees with the arrival, after a constant difference was removed.
+then a header's stamp counts if it agrees with the arrival, after a constant difference was removed.
 """
 
 from __future__ import annotations

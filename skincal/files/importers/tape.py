@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from tempfile import TemporaryFile
+from weakref import finalize
 
 import numpy as np
 
@@ -27,6 +28,7 @@ class Tape:
     def __init__(self) -> None:
         self.rows = 0
         self._file = TemporaryFile()  # noqa: SIM115 - open as long as the recording
+        finalize(self, self._file.close)
         self._runs: list[tuple[int, int, int]] = []
         """Rows, values of a row, and kind of record."""
         self._block: list[FloatArray] = []

@@ -11,6 +11,7 @@ from skincal.ros.messages import MessageReader, find_field, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
+from tests.skincal.ros_support import make_message
 
 STAMP = {"sec": 1700000000, "nanosec": 250000000}
 HEADER = {"stamp": STAMP, "frame_id": "sensor"}
@@ -67,26 +68,9 @@ def types(request, tmp_path):
     return found
 
 
-def make(types, type_name, content):
-    """Make the message object of a JSON object, in the classes of the type system."""
-    made = {}
-    for field in types.fields_of(type_name):
-        value = content.get(field.name, 0)
-        if field.kind == "message":
-            value = (
-                [make(types, field.type_name, each) for each in value]
-                if field.is_array
-                else make(types, field.type_name, value)
-            )
-        elif field.is_array and field.kind == "number":
-            value = np.array(value, "u1" if field.type_name in ("byte", "char") else field.type_name)
-        made[field.name] = value
-    return types._store.types[type_name](**made)
-
-
 @pytest.mark.parametrize(("type_name", "field", "content", "stream", "expected"), CASES)
 def test_bytes_and_json_give_the_same_values_and_stamp(types, type_name, field, content, stream, expected):
-    message = make(types, type_name, content)
+    message = make_message(types, type_name, content)
     store = types._store
     data = bytes((store.serialize_cdr if types.ros == 2 else store.serialize_ros1)(message, type_name))
     read = types.decode(data, type_name)
@@ -179,7 +163,7 @@ def test_hostile_definitions_give_a_sentence(definition):
 
 
 def test_damaged_bytes_give_a_sentence_or_values(types):
-    message = make(types, LAB_TYPE, LAB)
+    message = make_message(types, LAB_TYPE, LAB)
     store = types._store
     good = bytes((store.serialize_cdr if types.ros == 2 else store.serialize_ros1)(message, LAB_TYPE))
     reader, refused = MessageReader(types, LAB_TYPE, Stream.SKIN), 0
