@@ -10,8 +10,10 @@ from app.session.opening import PART_FILES, OpenRequest, server_command
 from skincal.files.importers.registry import is_recording
 from skincal.model.errors import InputError
 
-DROP_ADVICE = "Drop the folder of a session, a scene (*.toml), a mesh, a URDF, or a recording: of yarpdatadumper, in CSV files, or a bag "
+DROP_ADVICE = (
+    "Drop the folder of a session, a scene (*.toml), a mesh, a URDF, or a recording: of yarpdatadumper, in CSV files, or a bag "
     "of ROS."
+)
 
 
 @dataclass(frozen=True, slots=True)
