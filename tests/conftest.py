@@ -28,6 +28,8 @@ os.environ["CYCLONEDDS_URI"] = (
     '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
     "</Domain></CycloneDDS>"
 )
+# Nor are other tests on this machine.
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 
 POISON = "open({mark!r}, 'a').write(__file__ + '\\n')\nraise SystemExit(99)\n"
 NAMES = ("typer.py", "numpy.py", "pickle.py", "pip.py", "app/__init__.py", "skincal/__init__.py")

@@ -90,9 +90,12 @@ def simulate(
         typer.Option(
             "--as",
             help="Makers' devices to be, by name, separated by commas: netft, bota, robotiq, robotiq-text, rtde, yarp, "
-            "xela, papillarray. What none of them sends comes from a board.",
+            "xela, papillarray, ros2. What none of them sends comes from a board.",
         ),
     ] = "",
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Be a ROS 2 robot: --serve --as ros2, in the domain of ROS_DOMAIN_ID.")
+    ] = False,
     targets: Annotated[
         str | None,
         typer.Option(metavar="[HOST:]PORT", help="With --operator guided: who asks, as `record --targets` or the window does."),
@@ -114,6 +117,7 @@ def simulate(
     from skincal.simulate.virtual_session import simulate_session
 
     loaded = find_scene(scene)
+    serve, speak_as = serve or ros2, f"{speak_as},ros2".strip(",") if ros2 else speak_as
     _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
     names = tuple(name.strip() for name in poses.split(",") if name.strip())

@@ -100,6 +100,8 @@ class DeviceAddress:
     first_bytes: bytes = b""
     """Packets that the reader gets first: what was learnt outside the stream, such as a sensor's page."""
     command: Command | None = None
+    handshake: Handshake | None = None
+    """Dialogue of this address; `None` for that of its route."""
 
     @property
     def label(self) -> str:

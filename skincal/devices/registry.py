@@ -38,6 +38,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "rtde": Entry(("rtde",), ("rtde",)),
         "xela": Entry(("xela",), ("xela",)),
         "ros2": Entry(("ros2",), ("ros2",)),
+        "rosbridge": Entry(("rosbridge",), ("rosbridge",)),
         "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
         "plain": Entry(("socket", "lines", "run")),
     }

@@ -95,12 +95,24 @@ class TopicDecoder(FrameDecoder):
     def _make_splitter(self) -> FrameSplitter:
         return packet_splitter(MESSAGE_MAX_BYTES)
 
-    def _use_topics(self, choice: TopicChoice, definitions: Mapping[str, str]) -> None:
-        """Take the topics and options of the link. Raises InputError: a definition cannot be used."""
-        for name, text in definitions.items():
-            self._types.add_definition(name, text)
-        self._choice, self._type_problem = choice, ""
-        self._patches = SkinPatches(choice.topics)
+    def _use_head(self, payload: bytes) -> Loss | None:
+        """Take the first packet: topics, definitions, options, and the types that are known."""
+        try:
+            head = cast("dict[str, Any]", json.loads(payload))
+            options = {"field": head["field"], "joints": ",".join(head["joints"])}
+            for name, text in head["definitions"].items():
+                self._types.add_definition(name, text)
+            self._choice = TopicChoice.make("+".join(head["topics"]), options)
+            self._patches, self._type_problem = SkinPatches(self._choice.topics), ""
+            for topic, type_name in enumerate(head["types"]):
+                if type_name:
+                    self._use_type(topic, type_name)
+        except (ValueError, RecursionError, TypeError, KeyError, AttributeError, IndexError, InputError) as error:
+            self._type_problem = f"The first packet cannot be read: {error}"
+            self._problem = self._type_problem
+            return Loss.UNREADABLE
+        self._problem = self._type_problem
+        return None
 
     def _use_type(self, topic: int, type_name: str) -> None:
         """Learn the type of a topic. A type that cannot be read becomes the device's message."""
@@ -137,12 +149,15 @@ class TopicDecoder(FrameDecoder):
         if values is None:
             self._status = reader.missing_joints
             return None
-        self._status = ""
+        self._status = self._type_problem
         before = self._patches.superseded[topic]
         frame = self._patches.add(topic, values)
         if self._patches.superseded[topic] > before:
             self._count_missing(1)
-            self._status = f"The skin waits for {', '.join(self._patches.waiting_for)}; the slowest topic sets its rate"
+            self._status = (
+                self._type_problem
+                or f"The skin waits for {', '.join(self._patches.waiting_for)}; the slowest topic sets its rate"
+            )
         return None if frame is None else self._add(self._stream, NO_SEQ, stamp, frame)
 
 
@@ -154,7 +169,7 @@ class Ros2Decoder(TopicDecoder):
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]
         if kind == HEAD_KIND:
-            return self._read_head(payload)
+            return self._use_head(payload)
         if kind == LOSS_KIND:
             if len(payload) != LOSSES_STRUCT.size:
                 return Loss.UNREADABLE
@@ -174,19 +189,6 @@ class Ros2Decoder(TopicDecoder):
             self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
         return self._take_message(topic, message, source_ns * 1e-9, arrival_ns * 1e-9)
-
-    def _read_head(self, payload: bytes) -> Loss | None:
-        try:
-            head = cast("dict[str, Any]", json.loads(payload))
-            options = {"field": head["field"], "joints": ",".join(head["joints"])}
-            self._use_topics(TopicChoice.make("+".join(head["topics"]), options), head["definitions"])
-            for topic, type_name in enumerate(head["types"]):
-                self._use_type(topic, type_name)
-        except (ValueError, RecursionError, TypeError, KeyError, AttributeError, InputError) as error:
-            self._problem = self._type_problem = f"The first packet cannot be read: {error}"
-            return Loss.UNREADABLE
-        self._problem = self._type_problem
-        return None
 
 
 def topics_of(address: DeviceAddress) -> TopicChoice:

@@ -32,6 +32,8 @@ class Encoder:
     def __init__(self) -> None:
         self._next_number = Counter[Stream | None]()
         """`None`: headers."""
+        self.joint_names: tuple[str, ...] = ()
+        """Names of the scene's columns of joint angles; empty if it has none."""
 
     def header(self, t_us: int, fields: str, width: int) -> bytes:
         """Encode the header: `key=value,...` and the number of values in a reading. A maker's device has none."""

@@ -282,6 +282,7 @@ def _boards(rig: Rig, settings: DeviceSettings, rng: np.random.Generator) -> lis
             # TCP damages nothing, and UDP no delivered datagram.
             damage = errors if maker.serial else replace(errors, corrupted=0.0, dropped=0.0)
             encoder, link, hz = maker.encoder(), LossyLink(latency, damage, own), maker.hz or hz
+            encoder.joint_names = () if rig.scene.robot is None else rig.scene.robot.columns
         else:
             encoder = make_encoder(settings.format, top, width if stream is Stream.SKIN else 0)
             link = LossyLink(latency, errors, own)

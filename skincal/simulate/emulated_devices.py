@@ -19,6 +19,7 @@ from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import SENSOR_STREAMS, Stream
 from skincal.simulate.board_formats import Encoder
+from skincal.simulate.ros_outlets import Ros2Encoder
 
 NETFT_COUNTS_PER_UNIT = 1_000_000
 """Counts of the simulated Net F/T per N and per N m."""
@@ -389,6 +390,7 @@ MAKERS: Mapping[str, Maker] = MappingProxyType(
         "yarp": Maker(SENSOR_STREAMS, YarpEncoder, 0.0),
         "xela": Maker((Stream.SKIN,), XelaEncoder, 100.0),
         "papillarray": Maker((Stream.SKIN,), PapillArrayEncoder, 100.0, serial=True),
+        "ros2": Maker(SENSOR_STREAMS, Ros2Encoder, 0.0),
     }
 )
 """Key: the name in `--as`."""

@@ -21,6 +21,7 @@ from skincal.simulate.emulated_devices import (
     YarpTalk,
 )
 from skincal.simulate.outlets import PtyOutlet, TcpOutlet
+from skincal.simulate.ros_outlets import RosOutlet
 
 RDT_RECORD_BYTES = 36
 YARP_PORTS = {
@@ -151,7 +152,7 @@ class SilentPtyOutlet(PtyOutlet):
         return came, b""
 
 
-MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RobotiqOutlet | SilentPtyOutlet
+MakerOutlet: TypeAlias = TalkOutlet | RdtOutlet | RosOutlet | RobotiqOutlet | SilentPtyOutlet
 
 
 class SkinManagerOutlet(TalkOutlet):
@@ -189,6 +190,8 @@ class MakerOutlets:
                 return TalkOutlet(lambda: RtdeTalk(field), "rtde://127.0.0.1:{}")
             case "xela":
                 return TalkOutlet(XelaTalk, "xela://127.0.0.1:{}")
+            case "ros2":
+                return RosOutlet(stream)
             case "robotiq-text":
                 return TalkOutlet(PlainTalk, "robotiq://127.0.0.1:{}")
             case _ if tcp:

@@ -34,9 +34,10 @@ def open_address(
         link = open_transport(Opening(address, carries, format_name, is_cancelled))
     except LinkError as error:
         raise LinkError(error.kind, f"{error} {address.connect_hint}".rstrip()) from error
-    if route.handshake is None and not address.first_bytes:
+    handshake = address.handshake or (None if route.handshake is None else route.handshake(carries))
+    if handshake is None and not address.first_bytes:
         return link
-    handshake = Handshake() if route.handshake is None else route.handshake(carries)
+    handshake = handshake or Handshake()
     return HandshakeLink(address.text, link, handshake, address.first_bytes)
 
 

@@ -81,7 +81,9 @@ class WebSocketLink:
         return self._receive_frames(self._transport.read(timeout_s))
 
     def write(self, data: bytes) -> None:
-        self._protocol.send_text(data)
+        """Send each line as a text message."""
+        for line in data.splitlines():
+            self._protocol.send_text(line)
         self._send()
 
     def close(self) -> None:
