@@ -81,11 +81,13 @@ class PlaceStep(Step):
     def update_fields(self, preview: PartPreview) -> None:
         layout = preview.layout
         names = [] if layout is None else [module.id for module in layout.modules]
-        if self.module is not None and self.module >= len(names):
-            self.module = None
+        has_whole = layout is None or any(module.anchor is None for module in layout.modules)
+        if self.module is None or self.module >= len(names):
+            self.module = None if has_whole else 0
         with QSignalBlocker(self.moved):
             self.moved.clear()
-            self.moved.addItem("the whole layout", WHOLE_LAYOUT)
+            if has_whole:
+                self.moved.addItem("the whole layout", WHOLE_LAYOUT)
             for index, name in enumerate(names if len(names) > 1 else []):
                 self.moved.addItem(f"module {name} alone", index)
             self.moved.setCurrentIndex(self.moved.findData(WHOLE_LAYOUT if self.module is None else self.module))
@@ -106,12 +108,10 @@ class PlaceStep(Step):
     def _anchor(self) -> Anchor | None:
         """Anchor of what moves; `None` if it is not on the part."""
         preview = self.preview
-        whole = None if self.draft.anchor is None else self.draft.anchor.anchor()
         if preview is None or preview.layout is None:
             return None
+        whole = preview.proposed_anchor if self.draft.anchor is None else self.draft.anchor.anchor()
         if self.module is None:
-            if whole is None:
-                return preview.layout.modules[0].anchor
             return whole
         try:
             return anchor_of_module(preview.surface, preview.layout.modules[self.module], whole)

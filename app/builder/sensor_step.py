@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QFormLayout, QListWidget, QListWidgetItem, QWidget
+from PySide6.QtWidgets import QFormLayout, QLabel, QListWidget, QListWidgetItem, QWidget
 
 from app.builder.fields import VectorField, button, choice, number_field, quiet_label, row_of, set_silently, show_choice
 from app.builder.step import NO_POINTS, Step
@@ -75,7 +75,7 @@ class SensorStep(Step):
         self.add_point = button(ADD_POINT)
         self.pick_note = quiet_label()
         self.origin, self.direction = VectorField("position of the sensor"), VectorField("direction of z", is_direction=True)
-        form.addRow(row_of(self.under, self.bottom_gap))
+        form.addRow(row_of(self.under, QLabel("origin"), self.bottom_gap, QLabel("below")))
         form.addRow(row_of(self.same, self.pick))
         form.addRow(self.pick_note)
         form.addRow("&Position", self.origin)
@@ -104,9 +104,10 @@ class SensorStep(Step):
         if robot is not None:
             self._list_sensors(preview)
         pose = preview.sensor_pose
-        if draft.urdf is None and pose is not None and not self.pick.isChecked():
-            self.origin.show_value(pose[:3, 3] * 1e3)
-            self.direction.show_value(pose[:3, 2])
+        if draft.urdf is None and not self.pick.isChecked():
+            shown = np.eye(4) if pose is None else pose
+            self.origin.show_value(shown[:3, 3] * 1e3)
+            self.direction.show_value(shown[:3, 2])
         for widget in self.turns:
             widget.setEnabled(pose is not None)
         self.under.setEnabled(preview.surface is not None)

@@ -23,7 +23,7 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.search import nearest_points
 from skincal.mesh.surface import Surface, make_surface
 from skincal.model.skin import Layout
-from skincal.session.draft_preview import PartPreview
+from skincal.session.draft_preview import FIRST_SIDE, PartPreview
 from skincal.session.robot_shape import RobotShape
 
 AXIS_SHARE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
@@ -31,7 +31,7 @@ MIN_AXIS_M = 0.03
 OTHER_AXIS_SHARE = 0.4  # Of other sensors' axes, of the chosen one's
 MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longest side
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-FIRST_VIEW = np.array([0.83, 0.42, 0.36])
+FIRST_VIEW = np.array(FIRST_SIDE)
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
 MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
 LABEL_GAP_PX = 6.0
@@ -230,6 +230,13 @@ class MarksLayer(Layer):
         self.labels += [Label(str(number), at, gap, 2.0) for number, at in enumerate(picture.points, start=1)]
 
 
+class DraftModulesLayer(ModulesLayer):
+    """The layout that is being placed: its taxels are the subject, not a plan behind estimates."""
+
+    dot_px = 6.0
+    hue_share = 1.0
+
+
 class DraftRenderer(SceneRenderer):
     """Layers, light and camera of a draft; they follow every change of it."""
 
@@ -245,7 +252,7 @@ class DraftRenderer(SceneRenderer):
             SensorsLayer(plotter, static),
             MarksLayer(plotter, static),
         )
-        self.modules = ModulesLayer(plotter, static, layout, laid)
+        self.modules = DraftModulesLayer(plotter, static, layout, laid)
         self._fitted: object = None
         self._surface: Surface | None = None
         self._picture: DraftPicture | None = None

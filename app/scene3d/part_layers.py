@@ -67,10 +67,12 @@ class ModulesLayer(Layer):
     """The modules as planned: outlines in their hues, the taxels as faint dots, the modules' numbers."""
 
     name = "modules"
+    dot_px = 3.0
+    hue_share = PLAN_DOT_HUE_SHARE
 
     def __init__(self, plotter: pv.BasePlotter, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
         super().__init__(plotter, static)
-        self.outlines, self.dots = Segments(plotter, PART, 2.0), Dots(plotter, PART, 3.0, is_lit=False)
+        self.outlines, self.dots = Segments(plotter, PART, 2.0), Dots(plotter, PART, self.dot_px, is_lit=False)
         self._set_modules(layout, laid)
 
     def set_layout(self, static: StaticScene, layout: Layout, laid: PlacedLayout) -> None:
@@ -98,7 +100,7 @@ class ModulesLayer(Layer):
         self.colours = colours
         known = np.isfinite(self.static.places[:, 0])
         points = (self.static.places + OUTLINE_HEIGHT_ABOVE_PART_M * self.static.normals)[known]
-        shades = PLAN_DOT_HUE_SHARE * self.static.hues[known] + (1 - PLAN_DOT_HUE_SHARE) * np.array(colours.faint)
+        shades = self.hue_share * self.static.hues[known] + (1 - self.hue_share) * np.array(colours.faint)
         self.dots.show(points, shades.astype(np.uint8))
 
     def draw(self) -> None:

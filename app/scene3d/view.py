@@ -112,12 +112,12 @@ class Pointer(QObject):
         buttons = event.buttons()
         if buttons == Qt.MouseButton.NoButton:
             return
-        if self._is_tools:
-            self.tool.drag(*self._pixels(event.position()))
-            return
         if not self._dragged and (event.position() - self._start).manhattanLength() < MAX_CLICK_MOVE_PX:
             return
         self._dragged = True
+        if self._is_tools:
+            self.tool.drag(*self._pixels(event.position()))
+            return
         step, self._last = event.position() - self._last, event.position()
         size = max(1, min(self._canvas.width(), self._canvas.height()))
         if buttons & Qt.MouseButton.MiddleButton or event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
@@ -136,7 +136,6 @@ class Pointer(QObject):
         if self._is_tools and event.button() == Qt.MouseButton.LeftButton:
             self._is_tools = False
             self.tool.release()
-            return
         if not self._dragged and event.button() == Qt.MouseButton.LeftButton:
             self._clicked(*self._pixels(event.position()))
 

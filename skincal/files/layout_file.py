@@ -59,12 +59,12 @@ def corrected_text(text: str, changes: Sequence[ModuleChange]) -> str:
     for table in cast("list[MutableMapping[str, Any]]", document["modules"]):
         if (change := by_id.get(int(table["id"]))) is not None:
             for key, value in change.keys.items():
-                _set_key(table, key, value)
+                set_key(table, key, value)
     done = tomlkit.dumps(document)
     return done.replace("\n", "\r\n") if windows else done
 
 
-def _set_key(table: MutableMapping[str, Any], key: str, value: float | bool | int) -> None:
+def set_key(table: MutableMapping[str, Any], key: str, value: Any) -> None:
     """Set a value of a table: in its place where there is one, else below the last value, above comments on the next table."""
     from tomlkit.items import Item, Table
 

@@ -21,9 +21,9 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec, load_scene
-from skincal.model.skin import Layout
+from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
-from skincal.session.layout_placing import LaidFindings, find_laid_problems
+from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles
 
@@ -33,6 +33,9 @@ PREFERRED_DIAGONAL_M = (0.04, 2.0)
 UNIT_ORDER = ("mm", "m", "cm", "in")
 UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS)
 """Findings about a mesh that change nothing for the person: the size is shown anyway."""
+NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
+FIRST_SIDE = (0.83, 0.42, 0.36)
+"""Unit, link frame: the side of a part that is seen first."""
 CACHE_SIZE = 8
 """Kept results of each kind of work."""
 
@@ -73,6 +76,8 @@ class PartPreview:
     joints: tuple[JointState, ...] = ()
     layout: Layout | None = None
     laid: PlacedLayout | None = None
+    proposed_anchor: Anchor | None = None
+    """Where the layout is shown while the draft does not place it; `None` if it does."""
     laid_findings: LaidFindings | None = None
     problems: Mapping[str, str] = field(default_factory=dict[str, str])
     """Sentence about what cannot be used, by the step that mends it: part, sensor, joints, skin, place."""
@@ -273,19 +278,27 @@ class _Work:
                 f"expected at least {layout.width}."
             )
         anchor = None if draft.anchor is None else draft.anchor.anchor()
-        laid = None
+        if anchor is None and all(module.anchor is None for module in layout.modules):
+            self.problems["place"] = NOT_PLACED
+            anchor = self.values["proposed_anchor"] = _propose_anchor(layout, surface)
         try:
             laid = place_layout(layout, anchor, surface)
             remarks = anchor_remarks(layout, anchor, surface)
         except InputError as error:
-            self.problems["place"] = str(error)
+            self.problems.setdefault("place", str(error))
             return
         found = find_laid_problems(layout, laid, surface)
         self.values |= {"laid": laid, "laid_findings": found}
-        if laid is None:
-            self.problems["place"] = found.sentences[0]
-        else:
-            self.findings["place"] = (*found.sentences, *remarks)
+        self.findings["place"] = (*found.sentences, *remarks)
+
+
+def _propose_anchor(layout: Layout, surface: Surface | None) -> Anchor:
+    """Choose a place for a layout: on the side of the part that is seen first; in the origin without a mesh."""
+    if surface is None:
+        return anchor_at(None, layout, np.zeros(3), None)
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    point = (low + high) / 2.0 + float(np.linalg.norm(high - low)) * np.array(FIRST_SIDE)
+    return anchor_at(surface, layout, point, None)
 
 
 def _read_robot(path: Path) -> Robot:

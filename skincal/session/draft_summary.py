@@ -87,7 +87,7 @@ def _skin(preview: PartPreview) -> tuple[SummaryLine, ...]:
     channels = draft.channels if draft.channels is not None or layout is None else layout.width
     frame = SummaryLine("skin", State.COMPLETE, f"{plural(channels or 0, 'value')} a frame, which {rises} under pressure")
     if layout is None:
-        cost = "no layout: the modules method is not available, and the guide searches for the taxels"
+        cost = "no layout: no modules method, the guide searches for the taxels, and the skin cannot be simulated"
         return frame, SummaryLine("skin", State.OPTIONAL, cost)
     parts = f"layout of {plural(len(layout.modules), 'module')} with {plural(len(layout.channels), 'taxel')}"
     return frame, SummaryLine("skin", State.COMPLETE, parts)
@@ -98,7 +98,7 @@ def _place(preview: PartPreview) -> tuple[SummaryLine, ...]:
         return ()
     problem = preview.problems.get("place")
     if problem is not None and preview.draft.anchor is None:
-        cost = "the layout is not on the part: the guide searches for the taxels, which takes about twice as many pokes"
+        cost = "the layout is not placed: the guide searches for the taxels, and the skin cannot be simulated"
         return (SummaryLine("place", State.OPTIONAL, cost),)
     if problem is not None:
         return (SummaryLine("place", State.NEEDED, problem),)

@@ -5,12 +5,14 @@ An anchor that moves keeps its x axis as parallel as the surface allows.
 
 from __future__ import annotations
 
+import re
 from collections.abc import MutableMapping
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
+from skincal.files.layout_file import set_key
 from skincal.geometry import FloatArray, IntArray, tangent_axes
 from skincal.mesh.geodesics import geodesics_of
 from skincal.mesh.lay import PlacedLayout, place_anchor
@@ -24,6 +26,7 @@ OFF_MESH_M = 0.0005
 """m. A taxel further from the mesh is off it: covers are no thinner."""
 OVERLAP_SHARE = 0.4
 """Of the spacing: two modules with nearer taxels overlap."""
+_MODULE_START = re.compile(r"(?m)^(?=\[\[modules\]\])")
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
 
 
@@ -88,18 +91,24 @@ def with_module_anchor(text: str, module: int, anchor: AnchorDraft | None) -> st
     import tomlkit
     from tomlkit.exceptions import TOMLKitError
 
+    # One table at a time: to parse 350 of them takes two seconds.
+    pieces = _MODULE_START.split(text)
+    at = next((at for at, piece in enumerate(pieces) if re.search(rf"^id[ \t]*=[ \t]*{module}\b", piece, re.MULTILINE)), None)
+    if len(pieces) < 2 or at is None:
+        pieces, at = [text], 0
     try:
-        document = tomlkit.parse(text)
+        document = tomlkit.parse(pieces[at])
         for table in cast("list[MutableMapping[str, Any]]", document["modules"]):
             if int(table["id"]) == module:
-                table.pop("anchor", None)
-                if anchor is not None:
+                if anchor is None:
+                    table.pop("anchor", None)
+                else:
                     own = tomlkit.inline_table()
                     for key in ("at_mm", "point_mm", "x", "normal"):
                         own[key] = list(getattr(anchor, key))
-                    table["anchor"] = own
-                return str(tomlkit.dumps(document))
-    except TOMLKitError as error:
+                    set_key(table, "anchor", own)
+                return "".join([*pieces[:at], str(tomlkit.dumps(document)), *pieces[at + 1 :]])
+    except (TOMLKitError, KeyError) as error:
         raise InputError(f"The layout's file cannot be changed here ({error}); change it by hand.") from None
     raise InputError(f"The layout has no module {module}; choose one of its modules.")
 
@@ -116,7 +125,7 @@ class LaidFindings:
 def find_laid_problems(layout: Layout, laid: PlacedLayout | None, surface: Surface | None) -> LaidFindings:
     """Find taxels beside the mesh, and modules without a position."""
     if laid is None:
-        return LaidFindings(np.empty(0, np.int64), ("The layout is not on the part yet: click where its middle lies.",))
+        return LaidFindings(np.empty(0, np.int64), ())
     sentences: list[str] = []
     unplaced = [module.id for module in layout.modules if np.isnan(laid.places[module.channels, 0]).all()]
     if unplaced:
