@@ -89,7 +89,8 @@ class BuilderPage(QWidget):
             tab.setCheckable(True)
             tab.setProperty("choice", True)
             tab.setStyleSheet("padding: 3px 4px")
-            tab.setShortcut(QKeySequence(f"Alt+{number}"))
+            # Not the button's own shortcut, which each new text removes.
+            QShortcut(QKeySequence(f"Alt+{number}"), self, partial(self._show_numbered, number))
             self.tabs.addButton(tab, number - 1)
             bar.addWidget(tab)
             area = scrolled(step)
@@ -259,6 +260,12 @@ class BuilderPage(QWidget):
         self._show_tabs()
         self._show_findings()
         self.show_picture()
+
+    def _show_numbered(self, number: int) -> None:
+        """Open the step with this number among the shown ones."""
+        shown = self._shown_steps()
+        if number <= len(shown):
+            self.show_step(shown[number - 1])
 
     def _go(self, way: int) -> None:
         steps = self._shown_steps()

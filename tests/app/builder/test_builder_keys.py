@@ -68,7 +68,7 @@ def test_a_part_is_described_with_the_keyboard_alone(bench, tube):  # noqa: F811
         build.push(sensor.add_point)
     assert np.array(build.draft.sensor_pose)[:3, 3] == pytest.approx(np.zeros(3), abs=1e-4)
     assert np.array(build.draft.sensor_pose)[:3, 2] == pytest.approx([0, 0, 1], abs=1e-4)
-    build.press(Qt.Key.Key_4, Qt.KeyboardModifier.AltModifier)
+    build.press(Qt.Key.Key_3, Qt.KeyboardModifier.AltModifier)
     assert build.page.open_step is skin
     build.type_into(skin.channels, "24")
     build.tab_to(skin.layout_kind)
