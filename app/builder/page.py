@@ -28,7 +28,7 @@ from PySide6.QtWidgets import (
 from app.builder.check_step import CheckStep
 from app.builder.fields import button
 from app.builder.joints_step import JointsStep
-from app.builder.part_step import PartStep, with_part_file
+from app.builder.part_step import PartStep
 from app.builder.place_step import PlaceStep
 from app.builder.sensor_step import SensorStep
 from app.builder.skin_step import SkinStep
@@ -44,6 +44,7 @@ from app.workers.threads import ThreadService
 from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview, PartPreviewer, completed_draft
 from skincal.session.draft_summary import State, can_start, summarize
+from skincal.session.part_changes import with_part_file
 from skincal.session.part_draft import DraftHistory, PartDraft, open_draft, save_draft
 
 SIDE_PX = 500

@@ -21,33 +21,16 @@ from app.builder.step import Step
 from app.dialogs.form_widgets import path_row
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_view import Mode
-from app.session.opening import MESHES
+from app.session.opening import PART_FILES
 from skincal.model.errors import InputError
 from skincal.model.scene import UNITS
-from skincal.model.urdf import Robot, read_urdf
-from skincal.session.draft_preview import PartPreview, guess_unit, mesh_sides
+from skincal.model.urdf import Robot
+from skincal.session.draft_preview import PartPreview
 from skincal.session.draft_summary import size_words
-from skincal.session.part_draft import PartDraft
+from skincal.session.part_changes import with_link, with_part_file, with_unit
 
-URDF_ENDINGS = (".urdf",)
-PART_FILES = f"Part ({' '.join(f'*{ending}' for ending in (*MESHES, *URDF_ENDINGS))});;All files (*)"
+FILE_FILTER = f"Part ({' '.join(f'*{ending}' for ending in PART_FILES)});;All files (*)"
 UNIT_NAMES = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
-
-
-def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
-    """Make the draft of another mesh or URDF; what depended on the old one is dropped.
-
-    Raises InputError: the file cannot be read.
-    """
-    fresh = replace(
-        draft, urdf=None, mesh=None, link="part", sensor="", joints=(), fixed=(), packages=(), mesh_pose=None,
-        sensor_pose=None, anchor=None, landmarks=(), has_dh_arm=False,
-    )  # fmt: skip
-    if path.suffix.lower() in URDF_ENDINGS or path.suffix.lower() not in MESHES:
-        robot = read_urdf(path)
-        fresh = replace(fresh, urdf=path, link="")
-        return replace(fresh, link=next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh
-    return replace(fresh, mesh=path, unit=guess_unit(mesh_sides(path)), name=draft.name or path.stem)
 
 
 class PartStep(Step):
@@ -67,7 +50,7 @@ class PartStep(Step):
         self.part_name.setMaxLength(80)
         self.part_name.editingFinished.connect(self._rename)
         self.unit = choice("unit of the mesh", UNIT_NAMES)
-        self.unit.activated.connect(lambda _: self.change(replace(self.draft, unit=self.unit.currentData())))
+        self.unit.activated.connect(lambda _: self.change(with_unit(self.draft, self.unit.currentData())))
         self.size_text = QLabel()
         self.size_text.setWordWrap(True)
         self.tree = QTreeWidget()
@@ -76,7 +59,7 @@ class PartStep(Step):
         self.tree.setMinimumHeight(150)
         self.tree.itemSelectionChanged.connect(self._choose_in_tree)
         self.frame: QComboBox = compact_combo("frame of all positions")
-        self.frame.activated.connect(lambda _: self.change(replace(self.draft, link=self.frame.currentText())))
+        self.frame.activated.connect(lambda _: self.take_link(self.frame.currentText()))
         form = QFormLayout()
         form.addRow(label, row)
         form.addRow("Part's &name", self.part_name)
@@ -96,7 +79,7 @@ class PartStep(Step):
 
     def choose_file(self) -> None:
         """Ask for a file, and take it."""
-        path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", self._named(), PART_FILES)
+        path, _ = QFileDialog.getOpenFileName(self, "Mesh or URDF", self._named(), FILE_FILTER)
         if path:
             self.take_file(Path(path))
 
@@ -116,7 +99,8 @@ class PartStep(Step):
             self.failed.emit(str(error))
 
     def take_link(self, link: str) -> None:
-        self.change(replace(self.draft, link=link))
+        if self._robot is not None:
+            self.change(with_link(self.draft, self._robot, link))
 
     def update_fields(self, preview: PartPreview) -> None:
         draft = preview.draft
@@ -182,7 +166,7 @@ class PartStep(Step):
     def _choose_in_tree(self) -> None:
         chosen = self.tree.selectedItems()
         if chosen and self.preview is not None and chosen[0].text(0) != self.preview.mesh_link:
-            self.change(replace(self.draft, link=chosen[0].text(0)))
+            self.take_link(chosen[0].text(0))
 
     def _rename(self) -> None:
         name = self.part_name.text().strip()

@@ -7,7 +7,8 @@ from app.state.running import Running
 FIRST_MINUTE = (
     (
         "This robot is simulated.",
-        "Nothing is connected. A simulated hand presses the skin. Ctrl+N: start with your own devices.",
+        "Nothing is connected. A simulated hand presses the skin. Ctrl+Shift+N: describe your own part. Ctrl+N: start with "
+        "your own devices.",
     ),
     (
         "The large line at the bottom tells you what to do.",

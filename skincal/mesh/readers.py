@@ -288,3 +288,5 @@ def _ply_faces(element: _Element, body: _Body) -> IntArray:
 
 
 _READERS: dict[str, Callable[[bytes], Mesh]] = {".stl": _read_stl, ".obj": _read_obj, ".ply": _read_ply, ".off": _read_off}
+MESH_SUFFIXES = tuple(_READERS)
+"""Endings of mesh files that are read."""

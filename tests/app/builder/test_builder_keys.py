@@ -14,6 +14,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit, QListWidget, QSlider
 
 from app.dialogs.new_session import NewSessionDialog
+from app.scene3d.camera import project
 from skincal.model.scene import resource
 from skincal.session.part_draft import open_draft
 from skincal.simulate.outlets import TcpOutlet
@@ -158,6 +159,13 @@ def test_the_arm_follows_the_joint_stream_and_wrong_columns_are_reported(bench):
     from tools.first_part import FRAME, SENSOR, find_icub
 
     build = Builder(bench, find_icub())
+    renderer, preview = build.page.view._renderer, build.page.preview
+    head = next(link for link in preview.shape.links if link.link == "head")
+    pose = preview.link_poses["head"]
+    at = project(renderer.renderer, (head.vertices.mean(axis=0) @ pose[:3, :3].T + pose[:3, 3])[None])[0]
+    canvas = build.page.view.canvas
+    build.click((round(at[0]) - canvas.width() // 2, canvas.height() - round(at[1]) - canvas.height() // 2))
+    assert (build.draft.link, build.page.preview.mesh_link) == ("head", "head")
     build.page.change(replace(build.draft, link=FRAME, sensor=SENSOR))
     joints = build.open_step("joints")
     with closing(Lines([80.0, 10.0])) as device:
@@ -167,6 +175,22 @@ def test_the_arm_follows_the_joint_stream_and_wrong_columns_are_reported(bench):
         assert joints.warning.text() == ""
         device.values = [10.0, 80.0]
         bench.until(lambda: "l_wrist_prosup" in joints.warning.text(), OPEN_MS)
+
+
+def test_of_many_changes_the_newest_is_shown_and_few_others_are_worked_on(bench):
+    bench.window.change_part(resource("scenes/whole-body/scene.toml"))
+    build = Builder(bench)
+    place = build.open_step("place")
+    previewer, asked = build.page._previewer, []
+    preview = previewer.preview
+    previewer.preview = lambda draft, angles: asked.append(draft) or preview(draft, angles)
+    for _ in range(30):
+        place.nudge(0.5, 0.0)
+    build.settle()
+    assert len(asked) <= 3
+    assert asked[-1] == build.draft == build.page.preview.draft
+    build.page.undo()
+    assert not build.page.is_changed, "what one key does again and again is undone at once"
 
 
 def test_a_shipped_scene_is_opened_changed_and_saved_elsewhere(bench, tmp_path):

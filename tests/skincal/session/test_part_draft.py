@@ -15,6 +15,7 @@ from skincal.session.draft_preview import PartPreviewer, completed_draft, guess_
 from skincal.session.draft_summary import State, can_start, summarize
 from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
 from skincal.session.part import load_part
+from skincal.session.part_changes import with_link, with_part_file, with_unit
 from skincal.session.part_draft import (
     IDENTITY_POSE,
     AnchorDraft,
@@ -256,3 +257,67 @@ def test_a_skin_at_rest_answers_nothing():
     watch.feed(np.zeros(3))  # of another device
     assert not len(watch.touch().channels)
     assert "Press the skin" in watch.touch().sentence()
+
+
+ROBOT = """<robot name="r"><link name="base"/><link name="tool"/><link name="part"><visual><geometry>
+<mesh filename="tube.stl" scale="0.001 0.001 0.001"/></geometry></visual></link><link name="frame"/><link name="cap"/>
+<joint name="ft" type="fixed"><parent link="base"/><child link="tool"/><origin xyz="0 0 0.1"/></joint>
+<joint name="wrist" type="revolute"><parent link="tool"/><child link="part"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1"/></joint><joint name="f" type="fixed"><parent link="part"/><child link="frame"/>
+<origin xyz="0.1 0 0" rpy="0 1.5707963267948966 0"/></joint><joint name="c" type="revolute"><parent link="part"/>
+<child link="cap"/><axis xyz="1 0 0"/><limit lower="-1" upper="1"/></joint>
+<sensor name="s" type="force_torque"><parent joint="ft"/></sensor></robot>"""
+
+
+def test_points_follow_a_change_of_frame_and_are_dropped_with_the_part(cylinder):
+    urdf = cylinder.with_name("r.urdf")
+    urdf.write_text(ROBOT)
+    previewer = PartPreviewer()
+    start = with_part_file(PartDraft(), urdf)
+    assert start.link == "part", "the only link with a mesh"
+    start = replace(start, sensor="s", layout_text=repeated_modules("triangle_12", 1, 3))
+    seen = previewer.preview(start, {})
+    anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.01, 0.06]), None)
+    own = AnchorDraft.from_anchor(anchor_of_module(seen.surface, seen.layout.modules[1], anchor))
+    start = replace(
+        start, anchor=AnchorDraft.from_anchor(anchor), layout_text=with_module_anchor(start.layout_text, 1, own),
+        landmarks=(LandmarkDraft("rim", (0.04, 0.0, 0.12), (1.0, 0.0, 0.0)),),
+    )  # fmt: skip
+    seen, moved = previewer.preview(start, {}), previewer.preview(with_link(start, seen.robot, "frame"), {})
+    pose = seen.link_poses["frame"]
+    again = moved.laid.places @ pose[:3, :3].T + pose[:3, 3]
+    assert np.allclose(again, seen.laid.places, atol=3e-6, equal_nan=True)
+    assert pose[:3, :3] @ moved.draft.landmarks[0].place + pose[:3, 3] == pytest.approx([0.04, 0.0, 0.12], abs=1e-6)
+    assert moved.sensor_pose == pytest.approx(np.linalg.inv(pose) @ seen.sensor_pose, abs=1e-9)
+    assert previewer.preview(start, {"wrist": 0.5}).sensor_pose != pytest.approx(seen.sensor_pose, abs=1e-3)
+    for other in (with_link(start, seen.robot, "cap"), with_unit(start, "cm"), with_part_file(start, cylinder)):
+        assert (other.anchor, other.landmarks) == (None, ())
+        assert "anchor" not in other.layout_text
+    fixed = previewer.preview(replace(start, fixed=(("wrist", 20.0),)), {})
+    assert fixed.joints == ()
+    assert fixed.sensor_pose == pytest.approx(previewer.preview(start, {"wrist": np.radians(20.0)}).sensor_pose)
+    lost = previewer.preview(replace(start, joints=("elbow",)), {})
+    assert "no column of the joint stream has its name" in lost.problems["joints"]
+    assert not can_start(lost)
+
+
+def test_what_is_wrong_with_the_place_of_a_layout_is_said(tmp_path):
+    tube = trimesh.creation.cylinder(40.0, 60.0, sections=96)
+    shell = trimesh.Trimesh(tube.vertices, tube.faces[np.abs(tube.face_normals[:, 2]) < 0.5])
+    shell.slice_plane((0, 0, 0), (1, 0, 0)).export(tmp_path / "shell.stl")
+    previewer = PartPreviewer()
+    draft = replace(
+        PartDraft(mesh=tmp_path / "shell.stl", sensor_pose=IDENTITY_POSE), layout_text=repeated_modules("triangle_12", 2, 3)
+    )
+    seen = previewer.preview(draft, {})
+    assert "not placed yet" in seen.problems["place"]
+    assert seen.laid is not None, "it is shown all the same"
+    for point, words in (((0.05, 0, 0.025), "off the mesh"), ((0.05, 0, 0), "")):
+        anchor = anchor_at(seen.surface, seen.layout, np.array(point), None)
+        found = previewer.preview(replace(draft, anchor=AnchorDraft.from_anchor(anchor)), {})
+        assert [words in sentence for sentence in found.findings["place"]] == ([True] if words else [])
+    assert "place" not in found.problems
+    own = anchor_of_module(seen.surface, seen.layout.modules[0], anchor)
+    text = with_module_anchor(draft.layout_text, 0, AnchorDraft.from_anchor(nudged_anchor(seen.surface, own, 0.03, 0.0)))
+    crossed = previewer.preview(replace(found.draft, layout_text=text), {})
+    assert any("overlap" in sentence for sentence in crossed.findings["place"])

@@ -1,0 +1,90 @@
+"""Changes of a part draft that other entries depend on: another file, another frame, another unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from skincal.files.layout_sources import parse_layout
+from skincal.geometry import FloatArray, inverse_pose
+from skincal.mesh.readers import MESH_SUFFIXES
+from skincal.model.skin import Anchor
+from skincal.model.urdf import Robot, read_urdf
+from skincal.session.draft_preview import guess_unit, mesh_sides
+from skincal.session.layout_placing import with_module_anchor
+from skincal.session.part_draft import (
+    METRE_DIGITS,
+    UNIT_DIGITS,
+    AnchorDraft,
+    LandmarkDraft,
+    PartDraft,
+    layout_file_of,
+    rounded,
+)
+
+
+def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
+    """Take another mesh or URDF; everything that depended on the old one is dropped.
+
+    Raises InputError: the file cannot be read.
+    """
+    fresh = without_places(
+        replace(
+            draft, urdf=None, mesh=None, link="part", sensor="", joints=(), fixed=(), packages=(), mesh_pose=None,
+            sensor_pose=None, has_dh_arm=False,
+        )
+    )  # fmt: skip
+    if path.suffix.lower() in MESH_SUFFIXES:
+        return replace(fresh, mesh=path, unit=guess_unit(mesh_sides(path)), name=draft.name or path.stem)
+    robot = read_urdf(path)
+    return replace(fresh, urdf=path, link=next(iter(robot.meshes)) if len(robot.meshes) == 1 else "")
+
+
+def with_unit(draft: PartDraft, unit: str) -> PartDraft:
+    """Read the mesh in another unit; points that were clicked on it are dropped."""
+    return without_places(replace(draft, unit=unit))
+
+
+def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
+    """Choose another link, or another frame of the same one: then points on the part are converted, else dropped."""
+    changed = replace(draft, link=link)
+    frames = robot.fixed_frames(draft.link) if draft.link in robot.links else {}
+    if link not in frames:
+        return without_places(replace(changed, joints=()))
+    pose = inverse_pose(frames[link])
+    text = draft.layout_text
+    for module in parse_layout(text, layout_file_of(draft)).modules if text else ():
+        if module.anchor is not None:
+            text = with_module_anchor(text, module.id, _moved_anchor(module.anchor, pose))
+    return replace(
+        changed,
+        anchor=None if draft.anchor is None else _moved_anchor(draft.anchor.anchor(), pose),
+        layout_text=text,
+        landmarks=tuple(_moved_landmark(mark, pose) for mark in draft.landmarks),
+    )
+
+
+def without_places(draft: PartDraft) -> PartDraft:
+    """Drop the points on the part: anchors and landmarks."""
+    text = draft.layout_text
+    for module in parse_layout(text, layout_file_of(draft)).modules if text else ():
+        if module.anchor is not None:
+            text = with_module_anchor(text, module.id, None)
+    return replace(draft, anchor=None, layout_text=text, landmarks=())
+
+
+def _moved_anchor(anchor: Anchor, pose: FloatArray) -> AnchorDraft:
+    turn = pose[:3, :3]
+    point = turn @ anchor.point + pose[:3, 3]
+    return AnchorDraft.from_anchor(Anchor(anchor.at, point, turn @ anchor.x, turn @ anchor.normal))
+
+
+def _moved_landmark(mark: LandmarkDraft, pose: FloatArray) -> LandmarkDraft:
+    turn = pose[:3, :3]
+    return replace(
+        mark,
+        place=rounded(turn @ np.array(mark.place) + pose[:3, 3], METRE_DIGITS),
+        normal=None if mark.normal is None else rounded(turn @ np.array(mark.normal), UNIT_DIGITS),
+    )
