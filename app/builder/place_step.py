@@ -17,7 +17,7 @@ from skincal.model.errors import InputError
 from skincal.model.skin import Anchor
 from skincal.session.draft_preview import PartPreview
 from skincal.session.layout_placing import anchor_at, anchor_of_module, nudged_anchor, turned_anchor, with_module_anchor
-from skincal.session.part_draft import AnchorDraft
+from skincal.session.part_draft import AnchorDraft, PartDraft
 
 WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
 TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)
@@ -74,6 +74,8 @@ class PlaceStep(Step):
         self._grip: FloatArray | None = None
         """From the anchor's point to the point where a drag began, (3,) metres."""
         self._drag = 0
+        self._newest: tuple[PartDraft, int | None, Anchor] | None = None
+        """The draft of the last move, what moved, and its anchor: the preview of that draft comes later."""
 
     def applies(self, preview: PartPreview) -> bool:
         return bool(preview.draft.layout_text)
@@ -110,6 +112,8 @@ class PlaceStep(Step):
         preview = self.preview
         if preview is None or preview.layout is None:
             return None
+        if self._newest is not None and self._newest[0] is self.draft and self._newest[1] == self.module:
+            return self._newest[2]
         whole = preview.proposed_anchor if self.draft.anchor is None else self.draft.anchor.anchor()
         if self.module is None:
             return whole
@@ -125,6 +129,7 @@ class PlaceStep(Step):
         draft = AnchorDraft.from_anchor(anchor)
         if self.module is None:
             self.change(replace(self.draft, anchor=draft), merge and f"place {merge}")
+            self._newest = self.draft, None, anchor
             return
         id_ = preview.layout.modules[self.module].id
         try:
@@ -133,6 +138,7 @@ class PlaceStep(Step):
             self.failed.emit(str(error))
             return
         self.change(replace(self.draft, layout_text=text), merge and f"place {id_} {merge}")
+        self._newest = self.draft, self.module, anchor
 
     def take_point(self, point: FloatArray) -> None:
         preview = self.preview

@@ -15,6 +15,7 @@ from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview
+from skincal.session.part_changes import sensors_between
 from skincal.session.part_draft import IDENTITY_POSE, pose_rows
 from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
 
@@ -25,6 +26,7 @@ PICK_WORDS = (
     "Click the third point.",
 )
 SIGN_CHOICES = {"": "as the URDF says", "1": "the force on the part", "-1": "its reaction"}
+FEELS_THE_PART = "between part and base"
 ADD_POINT = "Add the position as the next point"
 MAX_DEPTH_MM = 1000.0
 
@@ -127,12 +129,11 @@ class SensorStep(Step):
         robot = preview.robot
         assert robot is not None
         names = [sensor.name for sensor in robot.sensors]
-        near = {joint.name for joint in robot.path_to_root(preview.draft.link)} if preview.draft.link in robot.links else set()
+        near = sensors_between(robot, preview.draft.link)
         with QSignalBlocker(self.list):
             self.list.clear()
             for sensor in robot.sensors:
-                is_near = sensor.joint in near
-                item = QListWidgetItem(f"{sensor.name}   between part and base" if is_near else sensor.name)
+                item = QListWidgetItem(f"{sensor.name}   {FEELS_THE_PART}" if sensor.name in near else sensor.name)
                 item.setData(Qt.ItemDataRole.UserRole, sensor.name)
                 self.list.addItem(item)
                 item.setSelected(sensor.name == preview.draft.sensor)

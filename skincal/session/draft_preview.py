@@ -17,7 +17,7 @@ from skincal.geometry import Arm, FloatArray
 from skincal.mesh.lay import PlacedLayout, anchor_remarks, place_layout
 from skincal.mesh.load import FindingKind, load_surface
 from skincal.mesh.readers import read_mesh
-from skincal.mesh.surface import Surface
+from skincal.mesh.surface import Surface, entry_points
 from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import UNITS, SurfaceSpec, load_scene
@@ -297,8 +297,9 @@ def _propose_anchor(layout: Layout, surface: Surface | None) -> Anchor:
     if surface is None:
         return anchor_at(None, layout, np.zeros(3), None)
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-    point = (low + high) / 2.0 + float(np.linalg.norm(high - low)) * np.array(FIRST_SIDE)
-    return anchor_at(surface, layout, point, None)
+    middle, side = (low + high) / 2.0, np.array(FIRST_SIDE) / np.linalg.norm(FIRST_SIDE)
+    entries = entry_points(surface, middle, -side)
+    return anchor_at(surface, layout, entries[0] if len(entries) else middle + side * np.linalg.norm(high - low), None)
 
 
 def _read_robot(path: Path) -> Robot:

@@ -39,7 +39,8 @@ def with_part_file(draft: PartDraft, path: Path) -> PartDraft:
     if path.suffix.lower() in MESH_SUFFIXES:
         return replace(fresh, mesh=path, unit=guess_unit(mesh_sides(path)), name=draft.name or path.stem)
     robot = read_urdf(path)
-    return replace(fresh, urdf=path, link=next(iter(robot.meshes)) if len(robot.meshes) == 1 else "")
+    fresh = replace(fresh, urdf=path, link="")
+    return with_link(fresh, robot, next(iter(robot.meshes))) if len(robot.meshes) == 1 else fresh
 
 
 def with_unit(draft: PartDraft, unit: str) -> PartDraft:
@@ -48,11 +49,16 @@ def with_unit(draft: PartDraft, unit: str) -> PartDraft:
 
 
 def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
-    """Choose another link, or another frame of the same one: then points on the part are converted, else dropped."""
+    """Choose another link, or another frame of the same one: then points on the part are converted, else dropped.
+
+    The sensor nearest to the part is chosen, unless the present one is between part and base, too.
+    """
     changed = replace(draft, link=link)
     frames = robot.fixed_frames(draft.link) if draft.link in robot.links else {}
     if link not in frames:
-        return without_places(replace(changed, joints=()))
+        between = sensors_between(robot, link)
+        sensor = draft.sensor if draft.sensor in between else next(iter(between), "")
+        return without_places(replace(changed, joints=(), sensor=sensor))
     pose = inverse_pose(frames[link])
     text = draft.layout_text
     for module in parse_layout(text, layout_file_of(draft)).modules if text else ():
@@ -64,6 +70,13 @@ def with_link(draft: PartDraft, robot: Robot, link: str) -> PartDraft:
         layout_text=text,
         landmarks=tuple(_moved_landmark(mark, pose) for mark in draft.landmarks),
     )
+
+
+def sensors_between(robot: Robot, link: str) -> list[str]:
+    """List the force/torque sensors between a link and the robot's base, the nearest first: they feel pokes on the link."""
+    path = [joint.name for joint in robot.path_to_root(link)]
+    found = [sensor for sensor in robot.sensors if sensor.joint in path]
+    return [sensor.name for sensor in sorted(found, key=lambda sensor: path.index(sensor.joint))]
 
 
 def without_places(draft: PartDraft) -> PartDraft:

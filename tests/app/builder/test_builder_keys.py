@@ -11,10 +11,21 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit, QListWidget, QSlider
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QLineEdit,
+    QListWidget,
+    QMessageBox,
+    QSlider,
+)
 
 from app.dialogs.new_session import NewSessionDialog
 from app.scene3d.camera import project
+from app.text.message import PART_NOT_SAVED
+from app.window import OWN_SCENE_SETTING
 from skincal.model.scene import resource
 from skincal.session.part_draft import open_draft
 from skincal.simulate.outlets import TcpOutlet
@@ -184,9 +195,12 @@ def test_of_many_changes_the_newest_is_shown_and_few_others_are_worked_on(bench)
     previewer, asked = build.page._previewer, []
     preview = previewer.preview
     previewer.preview = lambda draft, angles: asked.append(draft) or preview(draft, angles)
+    before = build.page.preview.layout.modules[0].anchor
     for _ in range(30):
         place.nudge(0.5, 0.0)
     build.settle()
+    after = build.page.preview.layout.modules[0].anchor
+    assert np.linalg.norm(after.point - before.point) == pytest.approx(0.015, rel=0.05), "each of the thirty steps counts"
     assert len(asked) <= 3
     assert asked[-1] == build.draft == build.page.preview.draft
     build.page.undo()
@@ -212,3 +226,33 @@ def test_a_shipped_scene_is_opened_changed_and_saved_elsewhere(bench, tmp_path):
     assert build.page.save() == scene
     assert scene.read_text().splitlines()[1].startswith('name = "other"')
     assert not build.page.is_changed
+
+
+def test_the_start_page_offers_a_new_part_first_until_a_scene_of_ones_own_was_opened(bench):
+    page, settings = bench.window.opening, bench.window._settings
+    bench.controller.leave()
+    for own, first in ((False, "part"), (True, "new")):
+        settings.setValue(OWN_SCENE_SETTING, own)
+        bench.window._show_opening()
+        bench.qtbot.wait(20)
+        order = sorted(page.buttons, key=lambda name: page.buttons[name].y())
+        assert order[0] == first
+    with bench.qtbot.waitSignal(page.command_wanted):
+        page.buttons["part"].click()
+    assert bench.window.builder is not None
+    bench.window.builder.leave_button.click()
+    assert bench.window.builder is None
+    assert bench.window.stack.currentWidget() is page
+    assert page.buttons["new"].isVisible()
+
+
+def test_a_part_that_is_not_saved_is_asked_about(bench, tube):  # noqa: F811
+    build = Builder(bench, tube)
+    assert build.page.is_changed
+    for wanted in (False, True):
+        build.page.leave_button.click()
+        box = bench.window.findChildren(QMessageBox)[-1]
+        assert box.text() == PART_NOT_SAVED
+        box.buttons()[-1 if wanted else 0].click()
+        bench.qtbot.wait(20)
+        assert (bench.window.builder is None) == wanted

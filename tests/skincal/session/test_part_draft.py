@@ -275,7 +275,8 @@ def test_points_follow_a_change_of_frame_and_are_dropped_with_the_part(cylinder)
     previewer = PartPreviewer()
     start = with_part_file(PartDraft(), urdf)
     assert start.link == "part", "the only link with a mesh"
-    start = replace(start, sensor="s", layout_text=repeated_modules("triangle_12", 1, 3))
+    assert start.sensor == "s", "the only one between part and base"
+    start = replace(start, layout_text=repeated_modules("triangle_12", 1, 3))
     seen = previewer.preview(start, {})
     anchor = anchor_at(seen.surface, seen.layout, np.array([0.05, 0.01, 0.06]), None)
     own = AnchorDraft.from_anchor(anchor_of_module(seen.surface, seen.layout.modules[1], anchor))
