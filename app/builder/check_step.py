@@ -32,6 +32,7 @@ class CheckStep(Step):
     """Landmarks and summary."""
 
     name = "check"
+    tab = "Check"
     title = "Landmarks and check"
     hint = (
         "Click screw heads and corners: known points that you can poke. Three or more show a common shift, a turned sensor "

@@ -57,6 +57,7 @@ class JointsStep(Step):
     """Joints of the chain."""
 
     name = "joints"
+    tab = "Joints"
     title = "Joints"
     hint = "These joints lie between sensor and part. Move them here, or connect their stream: the arm in the view follows."
 

@@ -287,12 +287,11 @@ class BuilderPage(QWidget):
             order = (State.COMPLETE, State.OPTIONAL, State.NEEDED)
             states[line.step] = max(states.get(line.step, State.COMPLETE), line.state, key=order.index)
         signs = {State.COMPLETE: " \N{CHECK MARK}", State.OPTIONAL: "", State.NEEDED: ""}
-        names = ("Part", "Sensor", "Joints", "Skin", "Place", "Check")
-        for index, (step, name) in enumerate(zip(self.steps, names, strict=True)):
+        for index, step in enumerate(self.steps):
             tab = self.tabs.button(index)
             tab.setVisible(step in shown)
             tab.setText(
-                f"{shown.index(step) + 1 if step in shown else ''} {name}{signs[states.get(step.name, State.OPTIONAL)]}"
+                f"{shown.index(step) + 1 if step in shown else ''} {step.tab}{signs[states.get(step.name, State.OPTIONAL)]}"
             )
             tab.setChecked(step is self.open_step)
         at = shown.index(self.open_step)

@@ -37,6 +37,7 @@ class PartStep(Step):
     """Mesh or URDF."""
 
     name = "part"
+    tab = "Part"
     title = "Part"
     hint = "Choose the mesh of the part (STL, OBJ, PLY, OFF), or the URDF of the robot that carries it."
 
@@ -71,6 +72,15 @@ class PartStep(Step):
         form.addRow("F&rame", self.frame)
         self.frame_note = quiet_label("Positions are given in this frame. All listed frames are fixed to the link.")
         form.addRow(self.frame_note)
+        self.own_mesh = QLineEdit()
+        self.own_mesh.setPlaceholderText("that of the URDF; choose a file if it cannot be read")
+        self.own_mesh.editingFinished.connect(self._take_own_mesh)
+        self.mesh_label, self.mesh_row = path_row("&Mesh", self.own_mesh, self._choose_own_mesh)
+        form.addRow(self.mesh_label, self.mesh_row)
+        self.package = QLineEdit()
+        self.package.editingFinished.connect(self._take_package)
+        self.package_label, self.package_row = path_row("Pac&kage", self.package, self._choose_package)
+        form.addRow(self.package_label, self.package_row)
         self.form = form
         self.column.addLayout(form)
         self.column.addStretch(1)
@@ -91,6 +101,31 @@ class PartStep(Step):
     def _named(self) -> str:
         return str(self.draft.urdf or self.draft.mesh or "")
 
+    def _take_own_mesh(self) -> None:
+        text = self.own_mesh.text().strip()
+        mesh = Path(text).expanduser() if text else None
+        if self.draft.urdf is not None and mesh != self.draft.mesh:
+            self.change(replace(self.draft, mesh=mesh))
+
+    def _choose_own_mesh(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Mesh of the link", self._named(), FILE_FILTER)
+        if path:
+            self.own_mesh.setText(path)
+            self._take_own_mesh()
+
+    def _take_package(self) -> None:
+        text = self.package.text().strip()
+        if text and self.preview is not None and self.preview.missing_packages:
+            packages = {**dict(self.draft.packages), self.preview.missing_packages[0]: Path(text).expanduser()}
+            self.package.clear()
+            self.change(replace(self.draft, packages=tuple(packages.items())))
+
+    def _choose_package(self) -> None:
+        path = QFileDialog.getExistingDirectory(self, self.package_label.text().replace("&", ""), self._named())
+        if path:
+            self.package.setText(path)
+            self._take_package()
+
     def take_file(self, path: Path) -> None:
         """Use a mesh or a URDF."""
         try:
@@ -109,6 +144,8 @@ class PartStep(Step):
         if not self.part_name.hasFocus():
             self.part_name.setText(draft.name)
             self.part_name.setPlaceholderText(draft.link if draft.urdf is not None else "part")
+        if not self.own_mesh.hasFocus():
+            self.own_mesh.setText("" if draft.mesh is None else str(draft.mesh))
         show_choice(self.unit, draft.unit)
         self.size_text.setText("" if preview.size_mm is None else f"{size_words(preview.size_mm)}{self._doubt(preview)}")
         self._show_rows(has_robot=draft.urdf is not None, has_mesh=preview.size_mm is not None)
@@ -123,8 +160,13 @@ class PartStep(Step):
         return "" if preview.draft.urdf is not None else "?  If that is wrong, choose another unit."
 
     def _show_rows(self, *, has_robot: bool, has_mesh: bool) -> None:
-        for widget in (self.tree_note, self.tree, self.frame, self.frame_note):
-            self.form.setRowVisible(widget, has_robot)
+        for row in (self.tree_note, self.tree, self.frame, self.frame_note, self.mesh_row):
+            self.form.setRowVisible(row, has_robot)
+        missing = () if self.preview is None else self.preview.missing_packages
+        self.form.setRowVisible(self.package_row, has_robot and bool(missing))
+        if missing:
+            self.package_label.setText(f"Pac&kage {missing[0]}")
+            self.package.setPlaceholderText(f"folder of the ROS package {missing[0]}")
         self.form.setRowVisible(self.unit, has_mesh and not has_robot)
         self.form.setRowVisible(self.size_text, has_mesh)
 

@@ -31,6 +31,7 @@ class PlaceStep(Step):
     """Position of the layout."""
 
     name = "place"
+    tab = "Place"
     title = "Place the layout"
     hint = (
         "Click the part where the middle of the layout lies. Drag the layout to slide it, turn the wheel over it to turn it. "

@@ -35,6 +35,7 @@ class SensorStep(Step):
     """The sensor's pose in the part's frame."""
 
     name = "sensor"
+    tab = "Sensor"
     title = "Force/torque sensor"
     hint = (
         "The sensor's axes are drawn: x red, y green, z blue. A turn by 90 degrees is the usual mistake; a few pokes will "

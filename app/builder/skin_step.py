@@ -46,6 +46,7 @@ class SkinStep(Step):
     """Channels and layout."""
 
     name = "skin"
+    tab = "Skin"
     title = "Skin"
     hint = "How many values a frame of the skin has, and where its taxels lie relative to each other."
 

@@ -25,6 +25,7 @@ class Step(QWidget):
 
     name: ClassVar[str]
     """As in `PartPreview.problems`."""
+    tab: ClassVar[str]
     title: ClassVar[str]
     hint: ClassVar[str]
 

@@ -33,6 +33,8 @@ MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longe
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 FIRST_VIEW = np.array(FIRST_SIDE)
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
+SIDEWAYS = np.array([1.0, 1.0, 0.0])
+MIN_SIDE_OFFSET_M = 0.02
 MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
 LABEL_GAP_PX = 6.0
 MIN_FACING = 0.05
@@ -313,16 +315,20 @@ class DraftRenderer(SceneRenderer):
         if picture is None:
             return PLAIN_POSE
         preview, aspect = picture.preview, self.aspect()
-        turn, points = np.eye(3), self.static.extent
+        turn, points, view = np.eye(3), self.static.extent, FIRST_VIEW
         if _view_of(picture) == "robot" and preview.robot is not None:
             turn, points = preview.link_poses[preview.robot.root][:3, :3], self.links.extent(preview)
+            if preview.surface is not None and len(points):
+                # From the side of the robot on which the part is.
+                offset = turn.T @ (preview.surface.vertices.mean(axis=0) - (points.min(axis=0) + points.max(axis=0)) / 2.0)
+                view = np.where(offset * SIDEWAYS < -MIN_SIDE_OFFSET_M, -1.0, 1.0) * FIRST_VIEW
         if picture.step in SENSOR_STEPS[:2]:
             chosen = [] if preview.sensor_pose is None else [preview.sensor_pose]
             tips = [pose[:3, 3] + self.sensors.size * pose[:3, :3].T for pose in chosen or preview.sensors.values()]
             points = np.concatenate([points, *tips])
         if not len(points):
             return PLAIN_POSE
-        back = turn @ FIRST_VIEW if self.static.facing is None else self.static.facing
+        back = turn @ view if self.static.facing is None else self.static.facing
         right = np.cross(turn[:, 2], back)
         right = right / np.linalg.norm(right) if np.linalg.norm(right) > MIN_UPRIGHT_SIN else turn[:, 0]
         axes = np.stack([right, np.cross(back, right), back])

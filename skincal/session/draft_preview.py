@@ -25,7 +25,7 @@ from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
 from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
-from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles
+from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
 
 KeptResult = TypeVar("KeptResult")
 PREFERRED_DIAGONAL_M = (0.04, 2.0)
@@ -62,6 +62,8 @@ class PartPreview:
     shape: RobotShape | None = None
     link_poses: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """(4, 4) float, metres: all links in the part's link."""
+    missing_packages: tuple[str, ...] = ()
+    """ROS packages whose meshes are not found."""
     mesh_link: str = ""
     """Link of the URDF whose mesh the part has."""
     surface: Surface | None = None
@@ -163,6 +165,7 @@ class _Work:
         robot = self.once(_read_robot, path)
         shape = self.once(_load_shape, path, self.draft.packages)
         self.values |= {"robot": robot, "shape": shape}
+        self.values["missing_packages"] = tuple(missing_packages(robot, packages))
         self._find_joints(robot)
         angles = {**middle_angles(robot), **self.angles}
         root = draft.link if draft.link in robot.links else robot.links[0]

@@ -14,6 +14,7 @@ from skincal.model.errors import InputError, plural
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.urdf import MOVING, Robot, find_mesh
 
+PACKAGE_SCHEME = "package://"
 MAX_SHAPE_TRIANGLES = 2_000_000
 """Of a whole robot in the view: an iCub has 300,000. Links beyond it are not drawn."""
 
@@ -60,6 +61,18 @@ def load_robot_shape(robot: Robot, packages: Mapping[str, Path]) -> RobotShape:
         (f"{plural(len(missing), 'mesh file')} of the robot cannot be drawn; the first: {missing[0]}",) if missing else ()
     )
     return RobotShape(tuple(shapes), findings)
+
+
+def missing_packages(robot: Robot, packages: Mapping[str, Path]) -> list[str]:
+    """List the ROS packages of meshes that are not found."""
+    missing: dict[str, None] = {}
+    for mesh in robot.meshes.values():
+        if mesh.filename.startswith(PACKAGE_SCHEME):
+            try:
+                find_mesh(robot, mesh, packages)
+            except InputError:
+                missing[mesh.filename.removeprefix(PACKAGE_SCHEME).partition("/")[0]] = None
+    return list(missing)
 
 
 def middle_angles(robot: Robot) -> dict[str, float]:

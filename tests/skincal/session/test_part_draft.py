@@ -322,3 +322,23 @@ def test_what_is_wrong_with_the_place_of_a_layout_is_said(tmp_path):
     text = with_module_anchor(draft.layout_text, 0, AnchorDraft.from_anchor(nudged_anchor(seen.surface, own, 0.03, 0.0)))
     crossed = previewer.preview(replace(found.draft, layout_text=text), {})
     assert any("overlap" in sentence for sentence in crossed.findings["place"])
+
+
+def test_a_package_that_is_not_found_is_named_and_its_folder_helps(tmp_path, cylinder):
+    urdf = tmp_path / "robots/r.urdf"
+    urdf.parent.mkdir()
+    urdf.write_text(ROBOT.replace("tube.stl", "package://arm_description/meshes/tube.stl"))
+    folder = tmp_path / "elsewhere/meshes"
+    folder.mkdir(parents=True)
+    cylinder.rename(folder / "tube.stl")
+    previewer, draft = PartPreviewer(), with_part_file(PartDraft(), urdf)
+    seen = previewer.preview(draft, {})
+    assert seen.missing_packages == ("arm_description",)
+    assert "arm_description" in seen.problems["part"]
+    assert "cannot be drawn" in seen.findings["part"][0]
+    draft = replace(draft, packages=(("arm_description", folder.parent),), channels=4, name="arm")
+    seen = previewer.preview(draft, {})
+    assert (seen.missing_packages, len(seen.shape.links)) == ((), 1)
+    saved = save_draft(completed_draft(seen), tmp_path / "scenes/arm/scene.toml")
+    assert dict(saved.packages)["arm_description"].resolve() == folder.parent
+    assert load_part(saved.source).surface is not None
