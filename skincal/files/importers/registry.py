@@ -167,7 +167,8 @@ def importer_of(path: Path) -> Importer:
 
 
 def _is_whole_recording(folder: Path, importer: Importer) -> bool:
-    return any(next(folder.glob(pattern), None) for pattern in importer.folder_patterns)
+    # A session of this program has MCAP files, too, and a folder with its scene.
+    return not (folder / "scene").is_dir() and any(next(folder.glob(pattern), None) for pattern in importer.folder_patterns)
 
 
 def find_recordings(folder: Path) -> list[Path]:

@@ -16,7 +16,7 @@ from skincal.files.importers.registry import RecordedPlace, StoppedError, import
 from skincal.files.importers.tape import Tape
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
-from skincal.model.readings import Chunk, Loss, Stream
+from skincal.model.readings import SENSOR_STREAMS, Chunk, Loss, Stream
 from skincal.model.scene import load_scene, resource
 from skincal.session.importing import ImportRequest, import_recording
 from skincal.session.replay import load
@@ -47,12 +47,12 @@ def sample_streams():
     """Times (n,) ns and values (n, width) of the streams of the shipped simulated session; joints are radians."""
     log = SessionLog(resource("sessions/sample"))
     decoders = {link.name: LinkDecoder(link.format, None, link.carries) for link in log.links}
-    times, rows = {stream: [] for stream in Stream}, {stream: [] for stream in Stream}
+    times, rows = {stream: [] for stream in SENSOR_STREAMS}, {stream: [] for stream in SENSOR_STREAMS}
     for item in log.items():
         for host_ns, batch in decoders[item.link].feed(item.data, item.host_ns) if isinstance(item, Chunk) else ():
             times[batch.stream] += [host_ns // 1000 * 1000] * len(batch.values)
             rows[batch.stream] += batch.values.tolist()
-    return {stream: (times[stream], np.array(rows[stream])) for stream in Stream}
+    return {stream: (times[stream], np.array(rows[stream])) for stream in SENSOR_STREAMS}
 
 
 def write_sample(path, kind):
@@ -75,7 +75,7 @@ def write_sample_tables(folder):
         names = heads.get(stream) or [f"t{channel}" for channel in range(rows.shape[1])]
         lines = (f"{ns * 1e-9!r},{','.join(map(repr, row))}\n" for ns, row in zip(times, rows.tolist(), strict=True))
         (folder / f"{stream.value}.csv").write_text(f"t_s,{','.join(names)}\n{''.join(lines)}")
-    return [part for stream in Stream for part in (f"--{stream.value}", str(folder / f"{stream.value}.csv"))]
+    return [part for stream in SENSOR_STREAMS for part in (f"--{stream.value}", str(folder / f"{stream.value}.csv"))]
 
 
 def import_sample(arguments, out, capsys):
