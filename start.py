@@ -9,6 +9,7 @@ It has the options and commands of `skincal`:
   start.py --scene NAME | FILE.toml       open the window on another part
   start.py --session DIR                  go on with a recorded session
   start.py --headless                     run the simulated session without a window
+  start.py --ros2 ...                     install the packages that read ROS 2, then the same as without it
   start.py COMMAND ...                    a command: solve, export, apply, compare, report, devices, watch,
                                           landmarks, record, simulate, import or study
   start.py --help                         this text; once it is installed, every option and command

@@ -249,3 +249,12 @@ def test_the_display_for_tests_is_asked_for_before_anything_is_installed(monkeyp
     monkeypatch.setattr(install.shutil, "which", lambda *_, **__: None)
     with pytest.raises(places.StopError, match="Xvfb"):
         install.require_test_display()
+
+
+def test_the_packages_of_ros_2_are_selected_with_those_they_need() -> None:
+    lock = places.TEST_LOCK.read_text(encoding="utf-8")
+    selected = install.select_packages(lock, install.ROS2_PACKAGES)
+    names = {line.partition("==")[0] for line in selected.splitlines() if line[:1].isalnum()}
+    assert {"cyclonedds", "rich-click", "rich", "rosbags", "apsw", "lz4", "ruamel-yaml"} <= names
+    assert not names & {"mujoco", "pytest", "ruff", "pyside6-essentials"}
+    assert install.select_packages(lock, ()) == ""

@@ -29,6 +29,8 @@ STAMP_FILE = checkout.VENV / "skincal-installed.txt"
 UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
+ROS2_PACKAGES = ("cyclonedds", "rosbags")
+"""Of the extra `ros2`."""
 XVFB_NEEDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
 """An unpacked Xvfb needs these at their compiled-in paths. Every X desktop has them."""
 NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
@@ -56,6 +58,34 @@ def ensure(lock: Path) -> bool:
     except OSError as error:
         raise StopError(f"{checkout.VENV} could not be written: {error.strerror or error}.") from error
     return True
+
+
+def ensure_ros2() -> None:
+    """Install the packages that read ROS 2 into `.venv`, from the lock of the tests. Raises StopError with the remedy."""
+    if _python("-c", f"import {', '.join(ROS2_PACKAGES)}").returncode == 0:
+        return
+    with _hold_lock():
+        selected = checkout.VENV / "ros2.lock"
+        selected.write_text(select_packages(checkout.TEST_LOCK.read_text(encoding="utf-8"), ROS2_PACKAGES), encoding="utf-8")
+        say(f"Installing the packages that read ROS 2 into {checkout.VENV} (once; 20 MB to fetch) ...")
+        _pip_install(selected)
+
+
+def select_packages(lock: str, names: Iterable[str]) -> str:
+    """Select the packages of these names, and those they need, from the text of a lock: a comment names who needs each."""
+    blocks = re.split(r"^(?=[A-Za-z0-9])", lock, flags=re.MULTILINE)[1:]
+    users_of: dict[str, set[str]] = {}
+    for block in blocks:  # one package may have several, each for some versions of Python
+        users_of.setdefault(_package_of(block), set()).update(re.findall(r"^ +# (?:via|  )\s*(\S+)", block, re.MULTILINE))
+    selected, waiting = set[str](), set(names)
+    while waiting:
+        selected |= waiting
+        waiting = {name for name, users in users_of.items() if users & selected} - selected
+    return "".join(block for block in blocks if _package_of(block) in selected)
+
+
+def _package_of(block: str) -> str:
+    return re.split(r"[=\s]", block, maxsplit=1)[0]
 
 
 def is_ready(lock: Path) -> bool:

@@ -33,7 +33,10 @@ def add_to(app: typer.Typer) -> None:
 
 def new_scene(
     out: Annotated[Path, typer.Option(help="Scene file to write (*.toml).")],
-    urdf: Annotated[Path | None, typer.Option(help="URDF of the robot that carries the part.")] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option(help="URDF of the robot that carries the part; ros2:/robot_description takes it from a running robot."),
+    ] = None,
     link: Annotated[str, typer.Option(help="Link of the part: the frame of every position.")] = "part",
     sensor: Annotated[str, typer.Option(help="Force/torque sensor of the URDF, or a joint or link at it.")] = "",
     joints: Annotated[str, typer.Option(help="Columns of the joint stream, by joint name, separated by commas.")] = "",
@@ -63,7 +66,7 @@ def new_scene(
         raise InputError("--layout and --grid exclude each other; keep one.")
     draft = SceneDraft(
         out=out,
-        urdf=urdf,
+        urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
         sensor=sensor,
         joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
@@ -81,6 +84,21 @@ def new_scene(
     write_scene(draft)
     result = scene_result(load_part(out), None)
     output.print_result(result, [f"wrote {out}", *_lines(result)], as_json)
+
+
+def _saved_description(address: str, out: Path) -> Path:
+    """Save the URDF of a running robot next to the scene. Raises InputError: none comes, or another file is there."""
+    from skincal.streams.ros_topics import read_robot_description
+
+    text, file = read_robot_description(address), out.with_suffix(".urdf")
+    if file.exists() and file.read_bytes() != text:
+        raise InputError(f"{file} is another robot description; move it away, or name it by --urdf.")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(text)
+    except OSError as error:
+        raise InputError(f"{file} cannot be written ({error.strerror}); choose another --out.") from None
+    return file
 
 
 def show_scene(

@@ -23,7 +23,6 @@ from skincal.model.readings import Loss, Stream
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
 from skincal.ros.types import full_type_name, read_definition
 
-PORT = 9090
 TYPE_SERVICE = "/rosapi/topic_type"
 SHOWN_MAX_CHARS = 80
 
@@ -162,7 +161,7 @@ FAMILY = Family(
             form=Form.HOST_PATH,
             transport="websocket",
             format="rosbridge",
-            port=PORT,
+            port=9090,
             options=("type", *TOPIC_OPTIONS),
             message_max=MESSAGE_MAX_BYTES,
             check=has_topics,

@@ -153,7 +153,7 @@ class Participant:
         Parameters
         ----------
         reliable : lost messages are sent again; a publisher of best effort is not read
-        latched : the last message from before is read, too; a publisher that keeps none is not read
+        latched : the last message from before is read, too; a publisher that is not latched is not read
 
         Raises InputError: DDS refuses; MessageError: the type cannot be read.
         """

@@ -13,7 +13,7 @@ from skincal.ros.dds import Participant, default_domain
 from skincal.ros.types import MessageTypes
 from skincal.simulate.board_formats import Encoder
 
-TOPICS: Mapping[Stream, tuple[str, str]] = MappingProxyType(
+TOPIC_OF_STREAM: Mapping[Stream, tuple[str, str]] = MappingProxyType(
     {
         Stream.WRENCH: ("/ft/wrench", "geometry_msgs/msg/WrenchStamped"),
         Stream.SKIN: ("/skin/taxels", "tactile_msgs/msg/TactileState"),
@@ -81,7 +81,7 @@ class RosOutlet:
     """A topic in the domain of `ROS_DOMAIN_ID`. Raises InputError: DDS is not installed, or refuses."""
 
     def __init__(self, stream: Stream) -> None:
-        domain, (topic, type_name) = default_domain(), TOPICS[stream]
+        domain, (topic, type_name) = default_domain(), TOPIC_OF_STREAM[stream]
         self._participant = Participant(domain, MessageTypes())
         self._writer = self._participant.writer(topic, type_name)
         self.address = f"ros2:{topic}?domain={domain}"

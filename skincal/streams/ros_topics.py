@@ -12,6 +12,7 @@ from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, TopicReader, default_domain
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.types import MessageError, MessageTypes
+from skincal.streams.links import parse_address
 
 LISTEN_S = 2.0
 """s. Publishers are found within some 0.2 s, and a topic of 2 Hz sends twice."""
@@ -19,6 +20,9 @@ POLL_S = 0.05
 MAX_TOPICS = 60
 """Topics that are read while they are listed."""
 WRENCH_VALUES = 6
+TEXT_TYPE = "std_msgs/msg/String"
+DESCRIPTION_MAX_S = 5.0
+"""s for a latched message to come."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,3 +126,33 @@ def propose_topics(found: Sequence[FoundTopic]) -> dict[Stream, FoundTopic]:
             best = max(sending, key=lambda pair: (len(pair[1]) if by_width else 0, pair[0].rate, pair[0].topic))
             proposed[stream] = best[0]
     return proposed
+
+
+def read_robot_description(address: str) -> bytes:
+    """Read the URDF of a robot from its latched topic, such as `ros2:/robot_description`.
+
+    Raises InputError: the address is wrong, nothing is published there, or it is no URDF.
+    """
+    found = parse_address(address)
+    if found.route.scheme != "ros2":
+        raise InputError(f"{address}: expected a topic of ROS 2, such as ros2:/robot_description.")
+    domain = found.options.get("domain")
+    types = MessageTypes()
+    participant = Participant(default_domain() if domain is None else int(domain), types)
+    try:
+        reader = participant.reader(found.path, TEXT_TYPE, latched=True)
+        participant.wait(DESCRIPTION_MAX_S)
+        messages = reader.take_messages()
+        seen = dict(participant.publishers()).get(found.path)
+    finally:
+        participant.close()
+    if not messages:
+        why = "nothing publishes it" if seen is None else f"it has {seen}, or its publisher does not latch it"
+        raise InputError(f"{address}: no robot description came ({why}); start the robot_state_publisher, or name a file.")
+    try:
+        text = str(types.decode(messages[-1].data, TEXT_TYPE).data)
+    except MessageError as error:
+        raise InputError(f"{address}: {error}.") from None
+    if "<robot" not in text:
+        raise InputError(f"{address}: its text is no URDF; expected <robot>.")
+    return text.encode()

@@ -163,14 +163,20 @@ def joints(number):
     return JointState(header(), ["wheel", "elbow", "wrist"], [9.0, 0.5, 0.001 * number])
 
 
-MAKERS = {"wrench": wrench, "skin": skin, "skin64": partial(skin, channels=64), "joints": joints}
+MAKERS = {
+    "wrench": wrench,
+    "skin": skin,
+    "skin64": partial(skin, channels=64),
+    "skin384": partial(skin, channels=384),
+    "joints": joints,
+}
 
 
 @contextmanager
 def process(*topics, hz=200, domain=DOMAIN):
     """Publish from a process of its own."""
     command = [sys.executable, "-m", "tests.skincal.ros.dds_peer", str(domain), str(hz), *topics]
-    child = subprocess.Popen(command, stdin=subprocess.PIPE)
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         yield child
     finally:
@@ -203,11 +209,15 @@ class Peer:
 def main(domain, hz, *topics):
     over = threading.Event()
     threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
-    peer, number = Peer(int(domain)), 0
-    while not over.wait(1.0 / float(hz)):
+    peer, number, begin_s = Peer(int(domain)), 0, time.monotonic()
+    while not over.wait(max(begin_s + (number + 1) / float(hz) - time.monotonic(), 0.0)):
         number += 1
         for topic, kind in (each.split("=") for each in topics):
             peer.publish(topic, MAKERS[kind](number))
+    # Ending at once could drop what is still on its way.
+    time.sleep(1.0)
+    sys.stdout.write(f"{number}\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

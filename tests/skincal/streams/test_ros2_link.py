@@ -17,9 +17,11 @@ from skincal.devices import ros2
 from skincal.devices.link import FailureKind, LinkError
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
+from skincal.model.scene import load_scene
 from skincal.ros import dds
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
+from skincal.streams.ros_topics import read_robot_description
 from tests.skincal.meanwhile import PATIENCE_S, meanwhile
 from tests.skincal.ros.dds_peer import DOMAIN, Cells, Peer, String, Vector3, joints, process, skin, wrench
 
@@ -275,3 +277,42 @@ def test_topics_are_listed_with_rate_and_values_and_proposed(monkeypatch, capsys
     kind, rate, values, *_ = words["ros2:/ft/wrench"].split(", ")
     assert (kind, values.split(":")[0]) == ("geometry_msgs/WrenchStamped", "6 values")
     assert 5.0 < float(rate.removesuffix("/s")) < 60.0
+
+
+URDF = """<robot name="r">
+<link name="base"/><link name="arm"/>
+<joint name="ft" type="fixed"><parent link="base"/><child link="arm"/><origin xyz="0 0 0.1"/></joint>
+</robot>"""
+
+
+def test_the_description_of_a_running_robot_makes_a_scene(tmp_path, capsys):
+    peer = Peer()
+    peer.publish("/robot_description", String(URDF), latched=True)
+    peer.publish("/chatter", String("hello"), latched=True)
+    (tmp_path / "part.stl").write_text(
+        "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0 0.1 0\nendloop\nendfacet\nendsolid s\n"
+    )
+    scene = tmp_path / "part" / "scene.toml"
+    words = [
+        "scene",
+        "new",
+        "--link",
+        "arm",
+        "--sensor",
+        "ft",
+        "--channels",
+        "4",
+        "--mesh",
+        str(tmp_path / "part.stl"),
+        "--unit",
+        "m",
+    ]
+    address = f"ros2:/robot_description?domain={DOMAIN}"
+    assert main([*words, "--urdf", address, "--out", str(scene), "--json"]) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    assert (tmp_path / "part" / "scene.urdf").read_text() == URDF
+    assert np.array(load_scene(scene).sensor_pose).shape == (4, 4)
+    with pytest.raises(InputError, match=r"/chatter.*no URDF"):
+        read_robot_description(f"ros2:/chatter?domain={DOMAIN}")
+    with pytest.raises(InputError, match=r"/nothing.*nothing publishes it"):
+        read_robot_description(f"ros2:/nothing?domain={DOMAIN}")
