@@ -293,22 +293,10 @@ def test_the_description_of_a_running_robot_makes_a_scene(tmp_path, capsys):
         "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0.1 0 0\nvertex 0 0.1 0\nendloop\nendfacet\nendsolid s\n"
     )
     scene = tmp_path / "part" / "scene.toml"
-    words = [
-        "scene",
-        "new",
-        "--link",
-        "arm",
-        "--sensor",
-        "ft",
-        "--channels",
-        "4",
-        "--mesh",
-        str(tmp_path / "part.stl"),
-        "--unit",
-        "m",
-    ]
+    mesh = str(tmp_path / "part.stl")
+    part = ["--link", "arm", "--sensor", "ft", "--channels", "4", "--mesh", mesh, "--unit", "m"]
     address = f"ros2:/robot_description?domain={DOMAIN}"
-    assert main([*words, "--urdf", address, "--out", str(scene), "--json"]) == 0, capsys.readouterr().err
+    assert main(["scene", "new", *part, "--urdf", address, "--out", str(scene), "--json"]) == 0, capsys.readouterr().err
     capsys.readouterr()
     assert (tmp_path / "part" / "scene.urdf").read_text() == URDF
     assert np.array(load_scene(scene).sensor_pose).shape == (4, 4)
