@@ -181,7 +181,9 @@ def process(*topics, hz=200, domain=DOMAIN):
         yield child
     finally:
         child.kill()
-        child.communicate()
+        child.wait()
+        child.stdin.close()
+        child.stdout.close()
 
 
 class Peer:
