@@ -5,9 +5,9 @@ definitions that are not standard, and the options of the address. Packets of ki
 their order: the publisher's clock and this machine's time of day at the arrival (int64, nanoseconds since 1970), then the
 message as it came (CDR). Kind 255 counts lost messages.
 
-A reading is dated by the stamp in its header; where that is 0 or stands still, by the clock of its publisher. Several topics
-are joined to one skin, their values one after the other: a frame is complete when each topic has sent a new message, and has
-the stamp of the last one. Messages that a newer one replaced before the frame was complete are counted as missing.
+A reading is dated by the stamp in its header, or by the clock of its publisher (`TopicClock`). Several topics are joined to
+one skin, their values one after the other: a frame is complete when each topic has sent a new message, and has the stamp of the
+last one. Messages that a newer one replaced before the frame was complete are counted as missing.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ HEAD_KIND, LOSS_KIND = 0, 255
 TOPICS_MAX = 100
 TIMES_STRUCT = struct.Struct("<2q")
 LOSSES_STRUCT = struct.Struct("<2I")
+PACE_TIME_S, PACE_ERROR_MAX = 4.0, 0.1
+"""Stamps are compared with the publisher's clock over this time. A delay of 0.3 s passes."""
 CLOCK_DIFFERENCE = "stamps ahead of this machine's clock, ms"
 
 
@@ -59,18 +61,32 @@ def write_losses(lost: int, dropped: int) -> bytes:
 
 
 class TopicClock:
-    """Clock of one topic: the stamps in its messages, or that of its publisher once they are missing or stand still."""
+    """Clock of one topic: the stamps in its messages, or that of its publisher once they are of no use.
+
+    Stamps are of no use if they are missing, stand still, or do not keep pace with the publisher's clock, as in a simulation
+    that runs slower than real time.
+    """
 
     def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
         self._last = math.nan
         self._has_stamps = True
 
     def time_of(self, stamp: float | None, source_s: float) -> float:
         """Return the time of a message by one clock, seconds; NaN if there is none."""
-        if stamp is None or not abs(stamp) < STAMP_MAX_S or stamp == self._last:
+        if stamp is None or not abs(stamp) < STAMP_MAX_S or stamp == self._last or not self._keeps_pace(stamp, source_s):
             self._has_stamps = False
         self._last = math.nan if stamp is None else stamp
         return stamp if stamp is not None and self._has_stamps else source_s
+
+    def _keeps_pace(self, stamp: float, source_s: float) -> bool:
+        first = self._first = self._first or (stamp, source_s)
+        passed_s = source_s - first[1]
+        # NaN fails the comparison: without a publisher's clock there is nothing to compare with.
+        if not passed_s > PACE_TIME_S:
+            return True
+        self._first = stamp, source_s
+        return abs(stamp - first[0] - passed_s) < PACE_ERROR_MAX * passed_s
 
 
 class TopicDecoder(FrameDecoder):

@@ -2,8 +2,8 @@
 
 For DDS the topic `/a/b` is named `rt/a/b`, and the type `p/msg/T` is `p::msg::dds_::T_`. `cyclonedds` takes part in the graph
 as a participant of its own; it is imported with the first one. A reader checks each message by its type's definition, and keeps
-the bytes as they came. Which network is used says `CYCLONEDDS_URI`, as for ROS itself. The domain is a number from 0 to 232;
-`ROS_DOMAIN_ID` is the default. Source: ROS 2 design article on topic and service names; Cyclone DDS 11.
+the bytes as they came. `CYCLONEDDS_URI` chooses the network, as for ROS itself; `ROS_LOCALHOST_ONLY` counts, too. The domain is
+a number from 0 to 232; `ROS_DOMAIN_ID` is the default. Source: ROS 2 design article on topic and service names; Cyclone DDS 11.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ from skincal.ros.types import MessageError, MessageTypes
 INSTALL_HINT = (
     "Topics of ROS 2 are read by the package cyclonedds, which is not installed; install it: "
     "python -m pip install 'skincal[ros2]' (or python3 start.py --ros2)"
+)
+LOOPBACK_CONFIG = (
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
+    "</Domain></CycloneDDS>"
 )
 TOPIC_PREFIX = "rt"
 DOMAIN_MAX = 232
@@ -61,6 +65,13 @@ def _module(name: str) -> Any:
         raise InputError(f"The package cyclonedds cannot be loaded ({error}); install it again.") from None
 
 
+def _stay_local() -> None:
+    """Use the loopback interface if ROS stays on this machine and no network is chosen for DDS."""
+    is_local = os.environ.get("ROS_LOCALHOST_ONLY") == "1" or os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") == "LOCALHOST"
+    if is_local and "CYCLONEDDS_URI" not in os.environ:
+        os.environ["CYCLONEDDS_URI"] = LOOPBACK_CONFIG
+
+
 def dds_type_name(type_name: str) -> str:
     """Write `package/msg/Type` as DDS names it."""
     package, kind, name = type_name.split("/")
@@ -77,6 +88,10 @@ def ros_type_name(dds_name: str) -> str:
 
 def _reliability() -> Any:
     return _module("core").Policy.Reliability.Reliable(_module("util").duration(milliseconds=WRITE_MAX_MS))
+
+
+class DdsError(InputError):
+    """DDS refuses; it may work later."""
 
 
 class _StructBuilder:
@@ -108,11 +123,11 @@ class _StructBuilder:
 
 @contextlib.contextmanager
 def _in_words(what: str) -> Generator[None]:
-    """Raise InputError for a failure of DDS."""
+    """Raise DdsError for a failure of DDS."""
     try:
         yield
     except _module("core").DDSException as error:
-        raise InputError(
+        raise DdsError(
             f"{what}: DDS refuses ({' '.join(str(error).split())}); check the network and the variable CYCLONEDDS_URI."
         ) from None
 
@@ -123,6 +138,7 @@ class Participant:
     def __init__(self, domain: int, types: MessageTypes) -> None:
         self.domain = domain
         self._types = types
+        _stay_local()
         self._open: list[TopicReader | TopicWriter] = []
         self._publishers: dict[str, tuple[int, str, str]] = {}
         """When each publisher was found, its topic and type."""
@@ -233,7 +249,7 @@ class TopicReader:
         """Return the messages that wait, at most `TAKEN_MAX`."""
         found = self._take(self._reader._ref, self._any, TAKEN_MAX)  # noqa: SLF001 - its own way would decode the bytes
         if isinstance(found, int):
-            raise InputError(f"DDS cannot read ({found}).")
+            raise DdsError(f"DDS cannot read ({found}).")
         return [Message(info.source_timestamp, data) for data, info in found if info.valid_data]
 
     def take_losses(self) -> tuple[int, int]:
@@ -266,7 +282,7 @@ class TopicWriter:
         """Write a message that is CDR. Raises InputError."""
         code = self._write(self._writer._ref, data)  # noqa: SLF001 - as in `TopicReader.take_messages`
         if code < 0:
-            raise InputError(f"DDS does not write a {self._type_name} ({code}).")
+            raise DdsError(f"DDS does not write a {self._type_name} ({code}).")
 
     @property
     def readers(self) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.ros2 import topics_of, write_head, write_losses, write_message
 from skincal.model.errors import InputError
-from skincal.ros.dds import Participant, TopicReader, default_domain
+from skincal.ros.dds import DdsError, Message, Participant, TopicReader, default_domain
 from skincal.ros.types import MessageError, MessageTypes, read_definition
 from skincal.streams.transports import Opening
 
@@ -29,7 +29,8 @@ def open_transport(opening: Opening) -> DdsLink:
     try:
         return DdsLink(opening)
     except InputError as error:
-        raise LinkError(FailureKind.ADDRESS, f"{opening.address.label}: {error}") from error
+        kind = FailureKind.OTHER if isinstance(error, DdsError) else FailureKind.ADDRESS
+        raise LinkError(kind, f"{opening.address.label}: {error}") from error
 
 
 class DdsLink:
@@ -93,7 +94,7 @@ class DdsLink:
         arrival_ns, now_s = time.time_ns(), time.monotonic()
         packets: list[bytes] = []
         for topic, reader in enumerate(self._readers):
-            messages = reader.take_messages()
+            messages = self._take_messages(reader)
             packets += [write_message(topic, message.source_ns, arrival_ns, message.data) for message in messages]
             self._last_s[topic] = now_s if messages else self._last_s[topic]
         if now_s - self._check_s >= CHECK_S:
@@ -104,6 +105,12 @@ class DdsLink:
             if not packets:
                 self._check_publishers(now_s)
         return b"".join(packets)
+
+    def _take_messages(self, reader: TopicReader) -> list[Message]:
+        try:
+            return reader.take_messages()
+        except DdsError as error:
+            raise LinkError(FailureKind.VANISHED, f"{self._label}: {error}") from error
 
     def _check_publishers(self, now_s: float) -> None:
         """Raise LinkError if a silent topic has no publisher, or a new one of another type."""
