@@ -184,7 +184,8 @@ def find_recordings(folder: Path) -> list[Path]:
     inner = (path for path in folder.iterdir() if path.is_dir())
     if found := sorted(path for path in inner if any(_is_whole_recording(path, each) for each in RECORDING_IMPORTERS)):
         return found
-    suffixes = {suffix for each in RECORDING_IMPORTERS if not each.marker for suffix in each.suffixes}
+    single = [each for each in RECORDING_IMPORTERS if not each.marker]
+    suffixes = {suffix for each in single for suffix in each.suffixes if f"*{suffix}" not in each.folder_patterns}
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file())
 
 
