@@ -73,7 +73,7 @@ class BuilderPage(QWidget):
         self.steps: tuple[Step, ...] = (PartStep(), SensorStep(), JointsStep(), SkinStep(), PlaceStep(), self.check)
         self._saved = self.history.now
         self._previewer, self._threads = PartPreviewer(), ThreadService("draft", self)
-        self._is_busy = self._must_repeat = False
+        self._is_busy = self._must_repeat = self._is_start_due = False
         self._arrange()
         self._connect()
         self.show_step(self.steps[0])
@@ -225,6 +225,8 @@ class BuilderPage(QWidget):
         self._is_busy = False
         if self._must_repeat:
             self._request()
+        elif self._is_start_due:
+            self.save_and_start()
 
     @property
     def is_settled(self) -> bool:
@@ -329,6 +331,10 @@ class BuilderPage(QWidget):
         return saved.source
 
     def save_and_start(self) -> None:
+        """Save and ask for the devices, as soon as the newest change is previewed."""
+        self._is_start_due = not self.is_settled
+        if self._is_start_due or self.preview is None or not can_start(self.preview):
+            return
         path = self.save()
         if path is not None:
             skin, joints = self.find_step(SkinStep).live, self.find_step(JointsStep).live

@@ -8,7 +8,7 @@ import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import QFormLayout, QLabel, QListWidget, QListWidgetItem, QWidget
 
-from app.builder.fields import VectorField, button, choice, number_field, quiet_label, row_of, set_silently, show_choice
+from app.builder.fields import VectorField, button, choice, number_field, quiet_label, row_of, show_choice
 from app.builder.step import NO_POINTS, Step
 from app.panels.widgets import compact_combo
 from app.scene3d.draft_view import Mode
@@ -221,7 +221,3 @@ class SensorStep(Step):
 
     def leave(self) -> None:
         self.pick.setChecked(False)
-
-    def show_depth(self, millimetres: float) -> None:
-        """Show the distance from the part's bottom to the sensor."""
-        set_silently(self.bottom_gap, millimetres)

@@ -19,7 +19,7 @@ from skincal.model.errors import InputError
 from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import Scene, load_scene, ships
 from skincal.model.skin import Anchor
-from skincal.model.tables import parse_toml, read_text
+from skincal.model.tables import parse_toml
 
 Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]
@@ -199,7 +199,7 @@ def _draft_of(scene: Scene, document: dict[str, Any], path: Path) -> PartDraft:
         mesh=None if mesh is None else folder / mesh,
         unit=surface.get("unit", "mm"),
         mesh_pose=_rows(surface.get("pose")),
-        sensor_pose=_rows(document["sensor"].get("pose", IDENTITY_POSE)) if "sensor" in document else None,
+        sensor_pose=_rows(document.get("sensor", {}).get("pose")),
         has_dh_arm="arm" in document,
         sign=document.get("wrench", {}).get("sign"),
         channels=scene.skin.channels,
@@ -243,11 +243,25 @@ _ENTRY_COMMENTS: dict[Key, str] = {
     ("skin", "anchor", "normal"): "outward",
     ("wrench", "sign"): "-1 if the sensor reports the reaction force",
 }
+_PATH_KEYS = (("robot", "urdf"), ("robot", "mesh"), ("surface", "mesh"))
 _POLARITY_ENTRY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw values fall under pressure"}
 
 
 def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
-    """List what the file in `folder` says of a draft; entries without a value are left out."""
+    """List what the file in `folder` says of a draft; entries without a value are left out.
+
+    A file that the opened text names in another way, such as `./part.stl`, keeps that name.
+    """
+    entries = _values(draft, folder)
+    if draft.source is not None and draft.source.parent.resolve() == folder.resolve():
+        for key, value in _entries_of_text(draft).items():
+            is_path = key in _PATH_KEYS or key[:2] == ("robot", "packages")
+            if is_path and key in entries and (folder / value).resolve() == (folder / entries[key]).resolve():
+                entries[key] = value
+    return entries
+
+
+def _values(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     entries: dict[Key, Any] = {("name",): draft.name, ("link",): draft.link}
     if draft.urdf is not None:
         entries |= _robot_entries(draft, draft.urdf, folder)
@@ -261,9 +275,9 @@ def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
     entries[("skin", "polarity")] = draft.polarity
     if draft.layout_text:
         entries[("skin", "modules")] = draft.layout_name or LAYOUT_FILE
-        if draft.anchor is not None:
-            for key in ("at_mm", "point_mm", "x", "normal"):
-                entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
+    if draft.anchor is not None:
+        for key in ("at_mm", "point_mm", "x", "normal"):
+            entries[("skin", "anchor", key)] = getattr(draft.anchor, key)
     entries[("wrench", "sign")] = draft.sign
     return {key: value for key, value in entries.items() if value is not None}
 
@@ -319,11 +333,10 @@ def _entries_of_text(draft: PartDraft) -> dict[Key, Any]:
         value: Any = document
         for name in key:
             value = value[name]
-        found[key] = _frozen(value)
+        if value != []:
+            found[key] = _frozen(value)
     if "skin" in document:
         found.setdefault(("skin", "polarity"), "up")  # the default
-    if document.get("sensor") == {}:
-        found[("sensor", "pose")] = IDENTITY_POSE
     return found
 
 
@@ -490,7 +503,8 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
     folder = path.parent
     made: dict[Path, bytes] = {}
     mesh = draft.mesh
-    if mesh is not None and draft.urdf is None and mesh.resolve().parent != folder.resolve():
+    is_named = is_same and mesh == open_draft(path).mesh
+    if mesh is not None and draft.urdf is None and not is_named and mesh.resolve().parent != folder.resolve():
         target = folder / mesh.name
         made[target] = read_regular(mesh, MAX_MESH_BYTES)
         draft = replace(draft, mesh=target)
@@ -513,6 +527,9 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
 def _write_all(files: dict[Path, bytes], scene: Path) -> None:
     """Write changed files; if the scene cannot be loaded then, restore the old ones."""
     old = {file: file.read_bytes() if file.exists() else None for file in files}
+    for file, before in old.items():
+        if before is not None and b"\r\n" in before:  # of Windows
+            files[file] = files[file].replace(b"\r\n", b"\n").replace(b"\n", b"\r\n")
     changed = [file for file, data in files.items() if old[file] != data]
     try:
         for file in changed:
@@ -548,8 +565,3 @@ def layout_file_of(draft: PartDraft) -> Path:
     """Give the path that sentences about the layout name."""
     folder = Path() if draft.source is None else draft.source.parent
     return folder / (draft.layout_name or LAYOUT_FILE)
-
-
-def read_source(path: Path) -> str:
-    """Read a text file with line feeds as line ends."""
-    return read_text(path).replace("\r\n", "\n")

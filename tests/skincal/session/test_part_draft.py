@@ -342,3 +342,35 @@ def test_a_package_that_is_not_found_is_named_and_its_folder_helps(tmp_path, cyl
     saved = save_draft(completed_draft(seen), tmp_path / "scenes/arm/scene.toml")
     assert dict(saved.packages)["arm_description"].resolve() == folder.parent
     assert load_part(saved.source).surface is not None
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        'mesh = "./tube.stl"\nunit = "mm"\n\n[wrench]\nsign = 1\n',
+        'mesh = "meshes/../meshes/tube.stl"\nunit = "mm"\npose = [[1,0,0,0],[0,1,0,0],[0,0,1,0.5],[0,0,0,1]]\n',
+        'mesh = "meshes/tube.stl" # here\nunit = "mm"\n[[landmarks]]\nname="a"\nplace=[0,0.0,1e-3]\n[contacts]\nforce_min=3\n',
+        "robot",
+    ],
+)
+def test_a_scene_that_was_written_by_hand_is_not_rewritten(tmp_path, cylinder, text, line_end):
+    (tmp_path / "meshes").mkdir()
+    shutil.copy(cylinder, tmp_path / "meshes/tube.stl")
+    if text == "robot":
+        (tmp_path / "r.urdf").write_text(ROBOT)
+        body = 'name="x"\nlink="frame" # f\n[robot]\nurdf = "./r.urdf"\nsensor="s"\njoints=[]\nfixed = { wrist = 20 }\n[skin]\n'
+    else:
+        body = f'name = "x"\nlink = "part"\n[surface]\n{text}\n[skin]\n'
+    body += "channels = 12\nanchor = { at_mm = [0, 0], point_mm = [40, 0, 60], x = [0, 3, 0], normal = [1, 0, 0] }\n"
+    scene = tmp_path / "scene.toml"
+    scene.write_bytes(body.replace("\n", line_end).encode())
+    draft = open_draft(scene)
+    assert save_draft(completed_draft(PartPreviewer().preview(draft, {})), scene) == draft
+    assert scene.read_bytes() == body.replace("\n", line_end).encode()
+    assert sorted(path.name for path in tmp_path.glob("*.*")) == sorted(
+        {"scene.toml", "tube.stl", *(["r.urdf"] * (text == "robot"))}
+    )
+    changed = save_draft(replace(draft, polarity="down"), scene)
+    assert scene.read_bytes().count(line_end.encode()) == scene.read_bytes().count(b"\n")
+    assert replace(changed, text=draft.text, polarity="up") == draft
