@@ -28,8 +28,12 @@ from skincal.physics.mjcf import (
 STEPS_PER_PERIOD = 4
 PERIOD_S = STEPS_PER_PERIOD * TIMESTEP_S
 """s between two commands, and two readings of the sensor."""
-NEAR_M = 0.02
+NEAR_M = 0.008
 """m. Farther from the mesh the facet is not placed in each period."""
+PERIOD_MAX_M = 0.002
+"""m, way of the tip in a period at 0.5 m/s: no arm here is faster."""
+SAME_PLACE_M = 1e-6
+"""m. A tip that moved less keeps its facet."""
 IK_STEPS, IK_DAMPING = 60, 1e-3
 IK_TOLERANCE_M = 1e-4
 """m, and 10 times as many radians."""
@@ -69,14 +73,17 @@ class Engine:
     mjcf : text of `write_mjcf`
     surface : mesh on which the taxels lie, part's frame
     start : (joints,) float, radians: actuated joints at the start
+    base_error : shift (3,), metres, and rotation (3, 3) of the tip's base in the world, about the part's origin at the start.
+        The commanded joints do not know of it
     """
 
-    def __init__(self, mjcf: str, surface: Surface, start: FloatArray) -> None:
+    def __init__(self, mjcf: str, surface: Surface, start: FloatArray, base_error: tuple[FloatArray, FloatArray]) -> None:
         self.mujoco = mujoco = load_mujoco()
         self.surface = surface
         self.model: Any = mujoco.MjModel.from_xml_string(mjcf)
         self.data: Any = mujoco.MjData(self.model)
-        self._believed: Any = mujoco.MjData(self.model)
+        self._nominal: Any = mujoco.MjModel.from_xml_string(mjcf)
+        self._believed: Any = mujoco.MjData(self._nominal)
         model = self.model
         self._part, self._tip = model.body("part").id, model.site("tip").id
         self._facet, self._wrist = model.body("facet").id, model.body("wrist").id
@@ -84,10 +91,21 @@ class Engine:
         self._angles, self._dofs = model.jnt_qposadr[self._joints], model.jnt_dofadr[self._joints]
         self.limits = model.jnt_range[self._joints]
         self._far_for = 0
+        self._facet_for = np.full(3, np.inf)
         self._set_layer_stiffness()
         self.data.qpos[self._angles] = start
         self.data.ctrl[:] = start
-        self._forward()
+        self._displace_base(*base_error)
+        mujoco.mj_forward(self.model, self.data)
+        self._place_facet()
+
+    def _displace_base(self, shift: FloatArray, turn: FloatArray) -> None:
+        self.mujoco.mj_kinematics(self.model, self.data)
+        pivot, base = self.data.xpos[self._part].copy(), self.model.body("t0").id
+        self.model.body_pos[base] = pivot + turn @ (self.model.body_pos[base] - pivot) + shift
+        turned = np.zeros(9)
+        self.mujoco.mju_quat2Mat(turned, self.model.body_quat[base])
+        self.mujoco.mju_mat2Quat(self.model.body_quat[base], (turn @ turned.reshape(3, 3)).ravel())
 
     @property
     def joint_count(self) -> int:
@@ -107,10 +125,6 @@ class Engine:
         stiffness = LAYER_STIFFNESS * (1.0 - CONTACT_IMPEDANCE) * inverse_mass
         self.model.pair_solref[0] = -stiffness, -stiffness * LAYER_DAMPING_S
 
-    def _forward(self) -> None:
-        self.mujoco.mj_forward(self.model, self.data)
-        self._place_facet()
-
     def advance(self) -> None:
         """Advance by one period."""
         if self._far_for:
@@ -122,13 +136,15 @@ class Engine:
     def _place_facet(self) -> None:
         """Place the facet tangent to the layer's outer face, under the tip."""
         centre = self.tip_in_part()[0]
+        if length_of(centre - self._facet_for) < SAME_PLACE_M:
+            return
+        self._facet_for = centre
         points, triangles = nearest_points(self.surface, centre[None])
         away = centre - points[0]
         distance, outward = length_of(away), self.surface.normals[triangles[0]]
         # The tip is outside unless it went through the layer: then the triangle's normal says where outside is.
         normal = away / distance if distance > 1e-9 and away @ outward > 0 else outward
-        # At 2.5 m/s, more than any arm here, the tip needs one period for a centimetre.
-        self._far_for = int((distance - NEAR_M) / 0.01) if distance > NEAR_M else 0
+        self._far_for = int((distance - NEAR_M) / PERIOD_MAX_M) if distance > NEAR_M else 0
         self.model.body_pos[self._facet] = points[0] + LAYER_THICKNESS_M * normal
         self.mujoco.mju_quatZ2Vec(self.model.body_quat[self._facet], normal)
 
@@ -174,7 +190,7 @@ class Engine:
     def believed_tip(self, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return position (3,), metres, and direction (3,) of the tip in the part's frame if the joints were rigid."""
         self._believed.qpos[self._angles] = angles
-        self.mujoco.mj_kinematics(self.model, self._believed)
+        self.mujoco.mj_kinematics(self._nominal, self._believed)
         return self.tip_in_part(self._believed)
 
     def solve_angles(
@@ -205,7 +221,7 @@ class Engine:
 
     def _jacobian(self, along: FloatArray) -> FloatArray:
         """Return d(position, weighted direction)/d(angles), (6, joints), part's frame; a turn about the tip is left out."""
-        data, model, mujoco = self._believed, self.model, self.mujoco
+        data, model, mujoco = self._believed, self._nominal, self.mujoco
         mujoco.mj_comPos(model, data)
         point = data.site_xpos[self._tip]
         moved, turned = np.zeros((2, 2, 3, model.nv))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from skincal.geometry import FloatArray, inverse_pose
+from skincal.geometry import FloatArray, inverse_pose, length_of, orthonormal_pair
+from skincal.mesh.lay import place_layout
 from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.model.urdf import MOVING, UrdfJoint
 from skincal.physics.effects import Effects
-from skincal.physics.mjcf import Joint, RigPlan
-from skincal.physics.rig import RigLayout, SimulatedRobot, soft_axes
+from skincal.physics.engine import IK_TOLERANCE_M, Engine
+from skincal.physics.mjcf import Joint, RigPlan, write_mjcf
+from skincal.physics.rig import RigLayout, SimulatedRobot, rotation_by, soft_axes
 
 TOOL_LENGTH_M = 0.10
 LIFT_M = 0.40
@@ -17,6 +23,19 @@ LIFT_M = 0.40
 STAND_OFF_M = 0.45
 """m, from the part's centre to the axis of the arm's base."""
 UPPER_ARM_M, FOREARM_M = 0.40, 0.40
+LINK_MASS_KG = 1.0
+"""kg of a link before the sensor. Assumed: the URDF's are not read."""
+LIGHT_LINK_KG = 0.05
+"""kg of a link between sensor and part."""
+WIDE_ANGLE = 2.0
+"""rad, largest angle of an arm pose that is tried for the tip's place."""
+TRIED_POSES, TRIED_PLACES = 24, 16
+TRIED_TILT = 0.25
+"""Slope, sd in each direction, of the pushes that are tried."""
+TRIED_HEIGHT_M = 0.03
+START_HEIGHT_M = 0.06
+"""m, from the skin to the tip at the start."""
+OTHER_STARTS = 4
 
 
 def _pose(shift: tuple[float, float, float] | FloatArray = (0.0, 0.0, 0.0), rotation: FloatArray | None = None) -> FloatArray:
@@ -65,6 +84,125 @@ def poking_arm(scene: Scene, surface: Surface, pose: str = "") -> RigLayout:
     return RigLayout(plan, start, seeds, lambda _: angles, lambda _: record)
 
 
+def moving_part(scene: Scene, surface: Surface) -> RigLayout:
+    """Lay out a robot (URDF) that carries part and sensor, and a fixed tip where most of the skin gets to.
+
+    Raises InputError: the sensor is not between the robot's root and the part.
+    """
+    spec = scene.robot
+    assert spec is not None, "the scene has a robot"
+    joints = spec.urdf.path_to_root(scene.link)[::-1]
+    names = [joint.name for joint in joints]
+    at_sensor = spec.urdf.sensor_named(spec.sensor, str(scene.path)).joint
+    if at_sensor not in names:
+        raise InputError(
+            f"{scene.path}: the sensor {spec.sensor} is not between the root of {spec.urdf.path.name} and {scene.link}; a "
+            "robot that presses its part onto a fixed tip needs it there."
+        )
+    fixed = {joint.name: angle for joint, _, angle in spec.chain.steps}
+    streamed = {joint.name for joint in spec.chain.moving}
+    behind = names.index(at_sensor)
+    chain: list[Joint] = []
+    moving: list[str] = []
+    for number, joint in enumerate(joints):
+        # A joint between sensor and part that is not streamed rests.
+        turns = joint.kind in MOVING and (joint.name in streamed or number < behind)
+        moving += [joint.name] * turns
+        chain.append(
+            Joint(
+                joint.origin if turns else joint.transform(fixed.get(joint.name, 0.0)),
+                joint.axis if turns else None,
+                joint.limits or (-np.pi, np.pi),
+                LINK_MASS_KG if number < behind else LIGHT_LINK_KG * turns,
+                sensor_pose=_sensor_in_child(scene, joints[number + 1 :], fixed) if number == behind else None,
+            )
+        )
+    columns = spec.chain.joints
+    rows = [moving.index(joint.name) for joint in spec.chain.moving]
+
+    def record(angles: FloatArray) -> FloatArray:
+        values = np.zeros(max(columns, default=-1) + 1)
+        values[list(columns)] = angles[rows]
+        return values
+
+    middle = (surface.vertices.min(axis=0) + surface.vertices.max(axis=0)) / 2.0
+    plan, start, seeds = _place_tip(scene, surface, chain, middle)
+    return RigLayout(plan, start, seeds, lambda angles: angles[rows], record)
+
+
+def _sensor_in_child(scene: Scene, after: Sequence[UrdfJoint], fixed: Mapping[str, float]) -> FloatArray:
+    """Compute the pose (4, 4) of the sensor in the child of its joint, from the joints `after` it up to the part."""
+    assert scene.robot is not None
+    pose = np.eye(4)
+    for joint in after:
+        pose = pose @ joint.transform(fixed.get(joint.name, 0.0))
+    return pose @ scene.robot.chain.link_from_sensor(np.zeros(len(scene.robot.chain.moving)))
+
+
+def _place_tip(
+    scene: Scene, surface: Surface, chain: Sequence[Joint], middle: FloatArray
+) -> tuple[RigPlan, FloatArray, FloatArray]:
+    """Place the tip over the middle of the skin, in the best of some arm poses: the one from which most of the skin gets there.
+
+    Returns
+    -------
+    The plan, the angles of that pose (joints,) and other starts (n, joints), radians.
+    """
+    places, normals = _planned_skin(scene, surface)
+    rng = np.random.default_rng(0)
+    limits = np.array([joint.limits for joint in chain if joint.axis is not None])
+    low, high = np.maximum(limits[:, 0], -WIDE_ANGLE), np.minimum(limits[:, 1], WIDE_ANGLE)
+    best: tuple[int, RigPlan, FloatArray, Engine] | None = None
+    tries = rng.choice(len(places), TRIED_PLACES)
+    tilts = TRIED_TILT * rng.standard_normal((TRIED_PLACES, 3))
+    for _ in range(TRIED_POSES):
+        angles = low + (high - low) * rng.uniform(0.15, 0.85, len(limits))
+        plan = RigPlan(chain, middle, [Joint(_tip_base(chain, angles, places, normals), None)], TOOL_LENGTH_M, True)
+        engine = Engine(write_mjcf(plan, Effects.none()), surface, angles, (np.zeros(3), np.eye(3)))
+        count = 0
+        for place, normal, tilt in zip(places[tries], normals[tries], tilts, strict=True):
+            push = tilt - normal
+            push = push / length_of(push)
+            count += engine.solve_angles(angles, place - TRIED_HEIGHT_M * push, push)[1] < IK_TOLERANCE_M
+        if best is None or count > best[0]:
+            best = count, plan, angles, engine
+    assert best is not None
+    _, plan, start, _ = best
+    seeds = np.clip(start + 0.5 * rng.standard_normal((OTHER_STARTS, len(start))), limits[:, 0], limits[:, 1])
+    return plan, start, seeds
+
+
+def _tip_base(chain: Sequence[Joint], angles: FloatArray, places: FloatArray, normals: FloatArray) -> FloatArray:
+    """Compute the pose (4, 4) of the wrist of a tip that points at the middle of the skin, if the arm has these angles."""
+    pose, left = np.eye(4), list(angles)
+    for joint in chain:
+        pose = pose @ joint.pose
+        if joint.axis is not None:
+            pose[:3, :3] = pose[:3, :3] @ rotation_by(left.pop(0) * joint.axis)
+    push = -pose[:3, :3] @ normals.mean(axis=0)
+    push = push / length_of(push)
+    middle = pose[:3, :3] @ places[((places - places.mean(axis=0)) ** 2).sum(axis=1).argmin()] + pose[:3, 3]
+    wrist = np.eye(4)
+    wrist[:3, :2] = orthonormal_pair(push[None])[0].T
+    wrist[:3, 2] = push
+    wrist[:3, 3] = middle - (TOOL_LENGTH_M + START_HEIGHT_M) * push
+    return wrist
+
+
+def _planned_skin(scene: Scene, surface: Surface) -> tuple[FloatArray, FloatArray]:
+    """Return places (n, 3) and normals (n, 3) of the taxels by the plan. Raises InputError without one."""
+    layout = scene.skin.layout
+    laid = None if layout is None else place_layout(layout, scene.skin.anchor, surface)
+    if layout is None or laid is None:
+        raise InputError(f"{scene.path}: a simulated skin needs [skin] modules and an anchor, to know where its taxels are.")
+    known = layout.channels[np.isfinite(laid.places[layout.channels]).all(axis=1)]
+    return laid.places[known], laid.normals[known]
+
+
 def make_robot(scene: Scene, surface: Surface, effects: Effects, seed: int) -> SimulatedRobot:
-    """Make the rig that fits the scene."""
-    return SimulatedRobot(scene, surface, poking_arm(scene, surface), effects, seed)
+    """Make the rig that fits the scene: the part moves if the scene has a robot (URDF), else an arm pokes it.
+
+    Raises InputError: MuJoCo is missing, or the scene does not say where its taxels or its sensor are.
+    """
+    layout = poking_arm(scene, surface) if scene.robot is None else moving_part(scene, surface)
+    return SimulatedRobot(scene, surface, layout, effects, seed)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skincal.geometry import FloatArray, crossed, inverse_pose, length_of
+from skincal.geometry import FloatArray, cross_matrix, crossed, inverse_pose, length_of
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
@@ -64,9 +64,12 @@ class SimulatedRobot:
         skin, sensor, base, tremble, self._frame_rng = np.random.default_rng(seed).spawn(5)
         self.scene, self.effects, self._layout = scene, effects, layout
         self.pads = Pads(scene, surface, skin)
-        self.engine = Engine(write_mjcf(layout.plan, effects), surface, layout.start)
+        error = effects.base * base.standard_normal(3), rotation_by(effects.base * BASE_TURN_PER_M * base.standard_normal(3))
+        self.engine = Engine(write_mjcf(layout.plan, effects), surface, layout.start, error)
         self._sensor_rng, self._tremble_rng = sensor, tremble
-        self._set_base_error(base)
+        names = [str(self.engine.model.joint(number).name) for number in range(int(self.engine.model.njnt))]
+        chosen = [name for name in names if name.startswith("mount")] or [name for name in names if name.startswith("p")]
+        self._trembling_dofs = [int(self.engine.model.joint(name).dofadr[0]) for name in chosen]
         self._angles = layout.start.copy()
         self._goal = self._aim = self._believed()
         self._speed = 0.0
@@ -74,22 +77,12 @@ class SimulatedRobot:
         self._filtered: FloatArray | None = None
         self._late: deque[FloatArray] = deque(maxlen=1 + (round(SENSOR_DELAY_S / PERIOD_S) if effects.low_pass else 0))
         self._wrench: WrenchReading | None = None
+        self._pose: tuple[FloatArray, FloatArray] | None = None
         self.reading = np.zeros(6)
         """(6,) float, N and N m, sensor frame: newest reading of the sensor, in the scene's sign."""
         self._listeners: list[Callable[[], object]] = []
         self._tremble = 0.0
         self._settle()
-
-    def _set_base_error(self, rng: np.random.Generator) -> None:
-        shift = self.effects.base * rng.standard_normal(3)
-        turn = self.effects.base * BASE_TURN_PER_M * rng.standard_normal(3)
-        angle = length_of(turn)
-        rotation = np.eye(3)
-        if angle:
-            x, y, z = turn / angle
-            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            rotation += np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-        self._base_turn, self._base_shift = rotation, shift
 
     def _settle(self) -> None:
         """Let the rig come to rest; then scale the vibration to its size."""
@@ -109,15 +102,9 @@ class SimulatedRobot:
     def _shake(self) -> None:
         model = self.engine.model
         torques: FloatArray = np.zeros(int(model.nv))
-        dofs = self._trembling_dofs(model)
+        dofs = self._trembling_dofs
         torques[dofs] = self._tremble * self._tremble_rng.standard_normal(len(dofs))
         self.engine.push_joints(torques)
-
-    def _trembling_dofs(self, model: Any) -> list[int]:
-        """Return the degrees of freedom of the mount, or of the joints that carry the part."""
-        names = [model.joint(number).name for number in range(model.njnt)]
-        chosen = [name for name in names if name.startswith("mount")] or [name for name in names if name.startswith("p")]
-        return [int(model.joint(name).dofadr[0]) for name in chosen]
 
     # ---- PokingArm
 
@@ -129,17 +116,14 @@ class SimulatedRobot:
         return self._believed()
 
     def _believed(self) -> TipPose:
-        position, direction = self.engine.believed_tip(self._angles)
-        turn = self._base_turn
-        return TipPose(turn.T @ (position - self._base_shift), turn.T @ direction)
+        return TipPose(*self.engine.believed_tip(self._angles))
 
     def read_wrench(self) -> WrenchReading | None:
         return self._wrench
 
     def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
-        true = self._base_turn @ position + self._base_shift, self._base_turn @ direction
         starts = [self._angles, self._layout.start, *self._layout.seeds]
-        return any(self.engine.solve_angles(start, *true)[1] < IK_TOLERANCE_M for start in starts)
+        return any(self.engine.solve_angles(start, position, direction)[1] < IK_TOLERANCE_M for start in starts)
 
     def command(self, position: FloatArray, direction: FloatArray, speed_m_s: float) -> None:
         if not (np.isfinite(position).all() and np.isfinite(direction).all() and length_of(direction) > 0.5):
@@ -176,11 +160,10 @@ class SimulatedRobot:
             damping = -log / np.hypot(np.pi, log)
             velocity = velocity + PERIOD_S * (SERVO_RAD_S**2 * (position - at) - 2.0 * damping * SERVO_RAD_S * velocity)
             position = at + PERIOD_S * velocity
-        if self._aim is aim and length_of(position - at) < 1e-7:
+        if self._aim is aim and length_of(position - at) < 2e-6:
             return
         self._servo = position, velocity
-        true = self._base_turn @ position + self._base_shift, self._base_turn @ self._aim.direction
-        self._angles = self.engine.solve_angles(self._angles, *true, steps=4)[0]
+        self._angles = self.engine.solve_angles(self._angles, position, self._aim.direction, steps=4)[0]
 
     def _read_sensor(self) -> None:
         true, effects = self.engine.sensor_wrench(), self.effects
@@ -200,7 +183,12 @@ class SimulatedRobot:
     def link_from_sensor(self) -> FloatArray:
         """Return link_from_sensor (4, 4) as the joints report it."""
         arm = self.scene.arm
-        return self.scene.sensor_pose if arm is None else arm.arm.link_from_sensor(self._layout.reported(self._angles))
+        if arm is None:
+            return self.scene.sensor_pose
+        angles = self._layout.reported(self._angles)
+        if self._pose is None or not np.array_equal(self._pose[0], angles):
+            self._pose = angles, arm.arm.link_from_sensor(angles)
+        return self._pose[1]
 
     def joint_record(self) -> FloatArray:
         """Return a record of the joint stream, radians; empty without an arm."""
@@ -240,6 +228,15 @@ def _moved_towards(aim: TipPose, goal: TipPose, most: float) -> TipPose:
     else:
         direction = np.cos(share * angle) * aim.direction + np.sin(share * angle) * across / size
     return TipPose(aim.position + share * way, direction)
+
+
+def rotation_by(vector: FloatArray) -> FloatArray:
+    """Make the rotation (3, 3) by a rotation vector, radians (Rodrigues)."""
+    angle = length_of(vector)
+    if not angle:
+        return np.eye(3)
+    cross = cross_matrix(vector / angle)
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
 
 
 def soft_axes(scene: Scene, angles: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
