@@ -25,7 +25,7 @@ DEFAULT_FOLDER = Path("studies")
 FIGURE_DOTS_PER_INCH = 130
 FIGURE_INCHES = (12.0, 7.0)
 """Width and height, unless a study sets its own."""
-Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that ends within 45 s (robot: 90 s).")]
 Out = Annotated[
     Path | None,
     typer.Option(

@@ -19,6 +19,10 @@ STUDIES: Mapping[str, tuple[str, str]] = {
         "runtime",
         "Error against run time: the program's methods, the paper's solvers, brute force and general solvers.",
     ),
+    "robot": (
+        "robot",
+        "A robot pokes without a hand, in the physics engine MuJoCo: an ideal rig, and one with the imperfections of a real one.",
+    ),
     "unmodelled": ("unmodelled", "Rigs with errors that the program does not model, from an independent simulator."),
 }
 """By the study's name: its module in this package, and its purpose for the help."""
@@ -28,7 +32,7 @@ class Study(Protocol):
     """Functions of a study's module."""
 
     def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-        """Measure, within 45 s if `quick`. Return JSON without NaN; `progress` gets a sentence now and then."""
+        """Measure, within 45 s if `quick` (the robot: 90 s). Return JSON without NaN; `progress` gets a sentence now and then."""
         ...
 
     def summary(self, result: dict[str, Any]) -> list[str]:

@@ -1,0 +1,219 @@
+"""A simulated robot calibrates a part without a hand: sessions in MuJoCo, without and with the imperfections of a real rig.
+
+The guide asks, the robot's client pokes, and the bytes of its devices go through the pipeline, all in simulated time. There are
+two rigs: an arm that pokes the forearm, and an arm that carries the forearm and presses it onto a fixed tip. Each is tried
+without imperfections, with each of them alone, and with all. The guide follows the modules method.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby, starmap
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from skincal.mesh.load import load_surface
+from skincal.model.scene import Scene, load_scene, resource
+from skincal.palette import BLUE, VERMILION
+from skincal.physics.effects import EFFECT_NAMES, Effects
+from skincal.physics.engine import load_mujoco
+from skincal.physics.layouts import make_robot
+from skincal.physics.poking_client import PokingClient
+from skincal.physics.session import RobotSession
+from skincal.plotting import Axes, Figure
+from skincal.robot.target_lines import Judged
+from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
+from skincal.studies.unmodelled import error_numbers
+from skincal.taxels.result import Method
+
+RIGS: Mapping[str, str] = {"arm": "an arm pokes the part", "moving part": "the part is pressed onto a fixed tip"}
+CASES = ("none", *EFFECT_NAMES, "all")
+"""Imperfections: none, each alone, all."""
+SEEDS_OF_CASE = {"none": 4, "all": 8}
+"""Sessions of these cases; two of the others."""
+OTHER_SEEDS = 2
+QUICK_CASES, QUICK_POKES = ("none", "all"), 40
+"""Cases of the quick study, and its pokes in each session at most."""
+MAX_POKES = 252
+"""Pokes of a session at most: three for each taxel."""
+MAX_MINUTES = 30.0
+"""Simulated minutes of a session at most."""
+MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN = 1.0, 0.90, 0.85
+PREDICTED_RANGE = (0.7, 1.5)
+"""Allowed ratio of predicted to true error, rms over the sessions with all imperfections."""
+Row: TypeAlias = dict[str, Any]
+
+
+class Task(NamedTuple):
+    """One session."""
+
+    rig: str
+    case: str
+    seed: int
+    max_pokes: int
+
+
+def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Measure; quick with two cases, one session each, which end early.
+
+    Returns
+    -------
+    JSON: `robot`, a row for each rig and case (`rig`, `case`, `sessions`, `taxels`, `pokes`, `accepted` as a share, simulated
+    `minutes`, and by method `mean_mm`, `inside`, `predicted_mm`, `true_rms_mm` and `missing` taxels: means over the sessions,
+    the last but one root mean squares), and `bars`
+
+    Raises
+    ------
+    InputError
+        MuJoCo is missing.
+    """
+    load_mujoco()
+    rows: list[Row] = []
+    with processes() as pool:
+        tasks = list(_tasks(quick))
+        found = zip(tasks, pool.map(run_session, tasks), strict=True)
+        for (rig, case), group in groupby(found, key=lambda pair: (pair[0].rig, pair[0].case)):
+            rows.append(_mean_row(rig, case, [session for _, session in group]))
+            progress(_row_text(rows[-1]))
+    return {"study": "robot", "quick": quick, "robot": rows, "bars": check_limits(robot_limits(rows, quick=quick))}
+
+
+def _tasks(quick: bool) -> list[Task]:
+    cases = QUICK_CASES if quick else CASES
+    seeds = {case: 1 if quick else SEEDS_OF_CASE.get(case, OTHER_SEEDS) for case in cases}
+    most = QUICK_POKES if quick else MAX_POKES
+    return [Task(rig, case, seed, most) for rig in RIGS for case in cases for seed in range(1, seeds[case] + 1)]
+
+
+def scene_of(rig: str, folder: Path) -> Scene:
+    """Load the scene of a rig; that of the moving part is made in `folder` from the shipped forearm and arm."""
+    shipped = resource("scenes/icub-forearm/scene.toml")
+    if rig == "arm":
+        return load_scene(shipped)
+    for name in ("forearm.obj", "modules.toml"):
+        shutil.copy(shipped.with_name(name), folder / name)
+    shutil.copy(resource("examples/carrying_arm.urdf"), folder / "arm.urdf")
+    text = shipped.read_text(encoding="utf-8")
+    before, after = text[: text.index("[arm]")], text[text.index("[contacts]") :]
+    # The robot moves while it presses, by up to 2 degrees.
+    robot = '[robot]\nurdf = "arm.urdf"\nsensor = "wrist_ft"\njoints = ["bend", "twist"]\ntolerance_deg = 3.0\n\n'
+    made = folder / "scene.toml"
+    made.write_text(before + robot + after, encoding="utf-8")
+    return load_scene(made)
+
+
+def run_session(task: Task) -> Row:
+    """Let a robot calibrate a part; give the numbers of a row for one session."""
+    effects = {"none": Effects.none(), "all": Effects()}.get(task.case) or Effects.only(task.case)
+    with tempfile.TemporaryDirectory() as folder:
+        scene = scene_of(task.rig, Path(folder))
+        assert scene.surface is not None
+        surface = load_surface(scene.surface)[0]
+    robot = make_robot(scene, surface, effects, task.seed)
+    session = RobotSession(scene, surface, robot, method=Method.MODULES)
+    client = PokingClient(robot, surface, session.targets.answer)
+    session.targets.answer(client.pace)
+    judged: list[Judged] = []
+    while not session.is_enough and len(judged) < task.max_pokes and robot.time_s < 60.0 * MAX_MINUTES:
+        while (line := session.targets.poll()) is not None:
+            judged += [line] * isinstance(line, Judged)
+            client.receive_line(line)
+        client.run_period()
+    snapshot = session.pipeline.snapshot()
+    methods: dict[str, dict[str, Any]] = {}
+    for method, estimates in snapshot.estimates.items():
+        own = {estimate.channel: estimate for estimate in estimates}
+        numbers = error_numbers([own[channel] for channel in robot.pads.channels.tolist()], robot.pads.places)
+        methods[method.value] = {
+            "mean_mm": numbers["mean"], "inside": numbers["inside"], "predicted_mm": numbers["predicted"],
+            "true_rms_mm": numbers["true_rms"], "missing": numbers["missing"],
+        }  # fmt: skip
+    return {
+        "taxels": len(robot.pads.channels),
+        "pokes": len(judged),
+        "accepted": sum(not each.reason for each in judged) / max(len(judged), 1),
+        "enough": session.is_enough,
+        "minutes": robot.time_s / 60.0,
+        "methods": methods,
+    }
+
+
+def _mean_row(rig: str, case: str, sessions: Sequence[Row]) -> Row:
+    numbers = {name: float(np.mean([each[name] for each in sessions])) for name in ("pokes", "accepted", "enough", "minutes")}
+    methods = {
+        method: {name: _mean(name, [each["methods"][method][name] for each in sessions]) for name in first}
+        for method, first in sessions[0]["methods"].items()
+    }
+    return {
+        "rig": rig, "case": case, "sessions": len(sessions), "taxels": sessions[0]["taxels"], **numbers, "methods": methods,
+    }  # fmt: skip
+
+
+def _mean(name: str, values: Sequence[float]) -> float | None:
+    own = np.array(values, dtype=float)
+    # A session without an estimate has no errors (NaN).
+    own = own[np.isfinite(own)]
+    if not len(own):
+        return None
+    return finite(np.sqrt(np.mean(own**2)) if name in ("predicted_mm", "true_rms_mm") else own.mean())
+
+
+def robot_limits(rows: Sequence[Mapping[str, Any]], *, quick: bool = False) -> dict[str, tuple[float, str, float]]:
+    """Return by name the worst value of the rows, ">=" or "<=", and its limit; errors only of whole sessions."""
+    limits = {"robot_accepted": (min(row["accepted"] for row in rows if row["case"] in ("none", "all")), ">=", ACCEPTED_MIN)}
+    lead = [(row["case"], row["methods"][Method.MODULES.value]) for row in rows]
+    limits["robot_inside_all"] = (min(own["inside"] for case, own in lead if case == "all"), ">=", COVERAGE_MIN)
+    if quick:
+        return limits
+    limits["robot_mean_mm"] = (max(own["mean_mm"] for case, own in lead if case in ("none", "all")), "<=", MEAN_MAX_MM)
+    ratios = [own["predicted_mm"] / own["true_rms_mm"] for case, own in lead if case == "all"]
+    limits["robot_predicted_over_true_least"] = (min(ratios), ">=", PREDICTED_RANGE[0])
+    limits["robot_predicted_over_true_most"] = (max(ratios), "<=", PREDICTED_RANGE[1])
+    return limits
+
+
+def summary(result: Mapping[str, Any]) -> list[str]:
+    """Describe each rig and case, and each limit."""
+    lines: list[str] = []
+    for rig, group in groupby(result["robot"], key=lambda row: row["rig"]):
+        lines += [f"{rig} ({RIGS[rig]}):", *(f"  {_row_text(row)}" for row in group)]
+    return [*lines, *limit_lines(result["bars"])]
+
+
+def _row_text(row: Mapping[str, Any]) -> str:
+    methods = "; ".join(starmap(_method_text, row["methods"].items()))
+    return f"{row['case']}: {row['pokes']:.0f} pokes in {row['minutes']:.1f} min, {row['accepted']:.0%} accepted; {methods}"
+
+
+def _method_text(method: str, own: Mapping[str, Any]) -> str:
+    if own["mean_mm"] is None:
+        return f"{method}: no estimate"
+    size = (
+        f"{own['mean_mm']:.2f} mm, inside {own['inside']:.2f}, predicted {own['predicted_mm']:.2f} of {own['true_rms_mm']:.2f}"
+    )
+    return f"{method}: {size} mm rms" + (f", {own['missing']:.0f} missing" if own["missing"] else "")
+
+
+def draw(result: Mapping[str, Any], figure: Figure) -> None:
+    """Draw the predicted and the true error of each case by the modules method, for both rigs."""
+    rows: Sequence[Mapping[str, Any]] = result["robot"]
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    figure.set_size_inches(9.0, 5.0)
+    axes: Axes = figure.subplots()
+    for (rig, colour), shift in zip(zip(RIGS, (BLUE, VERMILION), strict=True), (0.12, -0.12), strict=True):
+        own = [row for row in rows if row["rig"] == rig]
+        places = [shift - cases.index(row["case"]) for row in own]
+        lead = [row["methods"][Method.MODULES.value] for row in own]
+        true, predicted = ([each[name] for each in lead] for name in ("true_rms_mm", "predicted_mm"))
+        axes.hlines(places, predicted, true, color=colour, linewidth=1.0)
+        axes.scatter(true, places, color=colour, zorder=3, label=f"{rig}: true")
+        axes.scatter(predicted, places, color="white", edgecolors=colour, zorder=3, label=f"{rig}: predicted")
+    axes.set_yticks([-place for place in range(len(cases))], cases)
+    axes.set(xlabel="error of the taxels (mm rms), modules method", title="A robot that pokes, in MuJoCo")
+    axes.set_xlim(left=0.0)
+    axes.grid(visible=True)
+    axes.legend(loc="best")
