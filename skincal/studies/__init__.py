@@ -21,7 +21,7 @@ STUDIES: Mapping[str, tuple[str, str]] = {
     ),
     "robot": (
         "robot",
-        "A robot pokes without a hand, in the physics engine MuJoCo: an ideal rig, and one with the imperfections of a real one.",
+        "A robot pokes without a hand, in MuJoCo: an ideal rig, and one with real imperfections.",
     ),
     "unmodelled": ("unmodelled", "Rigs with errors that the program does not model, from an independent simulator."),
 }
@@ -32,7 +32,7 @@ class Study(Protocol):
     """Functions of a study's module."""
 
     def run(self, quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
-        """Measure, within 45 s if `quick` (the robot: 90 s). Return JSON without NaN; `progress` gets a sentence now and then."""
+        """Measure, within 45 s if `quick` (the robot: 90 s). Return JSON without NaN; `progress` gets sentences."""
         ...
 
     def summary(self, result: dict[str, Any]) -> list[str]:
