@@ -21,7 +21,7 @@ from skincal.session.snapshot import Snapshot
 from skincal.taxels.result import Estimate, Method, State
 from skincal.taxels.shared_errors import predicted_error
 from skincal.words.link_words import link_name, link_verdict_words
-from skincal.words.poke_words import REASON_WORDS, REJECTION_ADVICE, rejection_words
+from skincal.words.poke_words import REASON_WORDS, rejection_advice, rejection_words
 from skincal.words.taxel_words import predicted_words, state_sentence
 from skincal.words.units import ChannelNames, age, count, grouped, millimetres, newtons, rate
 
@@ -81,7 +81,7 @@ def verdict_detail(outcome: Outcome, snapshot: Snapshot, method: Method, names: 
     if isinstance(outcome, Rejection):
         words = rejection_words(outcome)
         left = "" if _headline_reason(outcome) == words else f"{words.removeprefix(REASON_WORDS[outcome.reason]).strip(': ')}. "
-        return left + REJECTION_ADVICE[outcome.reason]
+        return left + rejection_advice(outcome)
     peak = peak_channel(outcome)
     parts = [f"{count(len(outcome.channels), 'taxel')} answered"]
     estimate = find_estimate(snapshot, method, peak)

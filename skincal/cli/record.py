@@ -339,8 +339,10 @@ def finish(
     """
     from skincal.cli import output
     from skincal.session.importing import KeptError
+    from skincal.session.results import SessionResults
     from skincal.words.link_words import silent_links
     from skincal.words.poke_words import no_poke_sentence
+    from skincal.words.setup_words import setup_sentences
 
     snapshot = pipeline.snapshot()
     counts = output.poke_counts(snapshot)
@@ -350,7 +352,9 @@ def finish(
     silent = silent_links(live.links)
     unpoked = [no_poke_sentence(pipeline.before_pokes, snapshot.decisions.thresholds)] if not (snapshot.pokes or silent) else []
     found = [*unpoked, *findings, *output.link_notes(live.links)]
+    setup = setup_sentences(SessionResults(pipeline).setup)
     text = [*found, *output.poke_lines(counts), *(output.method_line(name, summary) for name, summary in methods.items())]
+    text += setup
     # Without a byte of one of its devices no poke can ever be found in a recording.
     useless = silent and not snapshot.pokes and (imported or not all(link.last_host_ns for link in live.links))
     kept = (bool(pipeline.journal_failure) or not useless) and out.exists()

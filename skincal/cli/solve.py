@@ -92,6 +92,7 @@ def solve(
     """
     from skincal.cli import output
     from skincal.files.reference import read_reference
+    from skincal.words.setup_words import setup_sentences
 
     if part is not None and out is None:
         raise InputError("--part names the skin part in the iCub files; expected --out FOLDER to write them to.")
@@ -104,6 +105,7 @@ def solve(
     if per_pose:
         methods |= output.method_summaries(_averages_over_poses(results), known, planned, "-per-pose")
     rig, rig_lines = _rig_result(results)
+    setup = setup_sentences(results.setup)
     if (found := _estimates_if_corrected(results)) is not None:
         methods |= output.method_summaries(found, known, planned, "-corrected")
     leads = None if results.leading is None else results.leading.value
@@ -121,6 +123,7 @@ def solve(
         "methods": methods,
         "leads": leads,
         "verdict": verdict,
+        "setup": setup,
         **({"rig": rig} if rig else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
         "distances": [_distance(tried) for tried in snapshot.tried_distances],
@@ -130,7 +133,7 @@ def solve(
         "files": files,
         "findings": findings,
     }
-    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *rig_lines]
+    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *setup, *rig_lines]
     text += [
         *output.unchecked_lines(results, unchecked),
         *_session_lines(results),

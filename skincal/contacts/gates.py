@@ -132,11 +132,14 @@ def answer_limit(contacts: ContactSettings, noise: FloatArray) -> FloatArray:
 
 
 def _closest_to_limit(response: FloatArray, limit: FloatArray) -> tuple[float, float]:
-    """Find the channel closest to its limit, of (c,) raw units each: its response and limit, NaN if all are unknown."""
-    share = np.where(np.isfinite(response), response / limit, -np.inf)
-    if not np.isfinite(share).any():
+    """Find the channel closest to its limit, of (c,) raw units each: its response and limit, NaN if all are unknown.
+
+    If one fell by more than its limit, it is the one that fell most: the skin's polarity may be wrong.
+    """
+    share = np.where(np.isfinite(response), response / limit, np.nan)
+    if np.isnan(share).all():
         return math.nan, math.nan
-    nearest = int(share.argmax())
+    nearest = int(np.nanargmin(share) if np.nanmin(share) < -1.0 else np.nanargmax(share))
     return float(response[nearest]), float(limit[nearest])
 
 

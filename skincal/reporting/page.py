@@ -28,6 +28,7 @@ from skincal.words.layout_words import distance_sentences, left_sentences, misfi
 from skincal.words.link_words import beside_words
 from skincal.words.poke_words import REASON_WORDS
 from skincal.words.rig_words import correction_sentence, frame_sentence, rig_sentences
+from skincal.words.setup_words import setup_sentences
 from skincal.words.taxel_words import state_sentence, unchecked_sentence
 from skincal.words.verdict_words import agreement_words, check_words, closing_words, figures, left_words, verdict_sentence
 
@@ -173,6 +174,8 @@ def _evidence(facts: SessionFacts) -> Iterator[tuple[str, str, str]]:
         yield "Sensor's frame", "not checked: it needs pokes at landmarks", OPEN
     else:
         yield "Sensor's frame", frame_sentence(frame), AGREES if frame.right else AGAINST
+    if setup := setup_sentences(facts.results.setup):
+        yield "Scene and pokes", " ".join(setup), AGAINST
     yield "Modules as planned", *_module_evidence(facts)
     yield (
         "Exported file",

@@ -24,6 +24,7 @@ from skincal.session.error_history import ErrorFollower, ModulesCheck, Run
 from skincal.session.guiding import SessionGuide, asked_poke
 from skincal.session.part import Part, lay_part
 from skincal.session.robot_dialogue import RobotDialogue
+from skincal.session.setup_follower import SetupFollower
 from skincal.session.solving import methods_of
 from skincal.taxels.result import Method
 
@@ -82,6 +83,7 @@ class GuidedSession:
         self.method = first_method(methods_of(part.scene, part.surface), part)
         """Method that is shown, whose needs the guide follows."""
         self.errors, self.modules = ErrorFollower(part, run), ModulesCheck(part, run)
+        self.setup = SetupFollower(part, run)
         self.shows_errors: Callable[[], bool] = lambda: False
         self.shows_modules: Callable[[], bool] = lambda: False
         """Say whether anybody sees them; else they do no work."""
@@ -162,6 +164,7 @@ class GuidedSession:
         self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)
+        self.setup.check_snapshot(snapshot)
         if self.shows_modules():
             self.modules.check_snapshot(snapshot)
         if self.shows_errors():

@@ -14,6 +14,7 @@ from skincal.modules.health import LayoutRepair, count_judged_modules, repair_la
 from skincal.rig.correction import FRAME
 from skincal.rig.correction_fit import RigAnswer
 from skincal.rig.frame_check import FrameDiagnosis
+from skincal.rig.setup_check import SetupDiagnosis, check_setup
 from skincal.session.corrections import offered
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import Part, lay_part
@@ -76,6 +77,11 @@ class SessionResults:
     def rig(self) -> RigAnswer | None:
         """Fitted rig correction; `None` without landmark pokes."""
         return self._rig_diagnosis[1]
+
+    @cached_property
+    def setup(self) -> SetupDiagnosis | None:
+        """Mistakes of the scene that pokes on the skin show; `None` without a laid layout or with too few pokes."""
+        return check_setup(self.snapshot.contacts, self.session.scene, self.part.laid, self.session.surface)
 
     @cached_property
     def leading(self) -> Method | None:

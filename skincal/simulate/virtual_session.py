@@ -42,6 +42,7 @@ def simulate_session(
     settings: DeviceSettings | None = None,
     progress: Callable[[int], None] | None = None,
     go_on: Callable[[], bool] = lambda: True,
+    seen_as: Scene | None = None,
 ) -> Pipeline:
     """Record a session of pokes on a simulated rig. Return its pipeline; the journal is closed.
 
@@ -52,6 +53,7 @@ def simulate_session(
     seed : equal seeds give equal bytes
     progress : called with the new number of begun pokes
     go_on : the session ends early when it returns False
+    seen_as : scene of the session if it differs from that of the rig: mistakes are made so
 
     Raises
     ------
@@ -65,7 +67,8 @@ def simulate_session(
     operator = AutoOperator(rig, habits or Habits(), operator_rng, pokes, poses, channels)
     line = DeviceTimeline(rig, operator, device_rng, settings)
     links = [LinkSpec(name, f"simulated:{name}", (stream,)) for name, stream in line.links.items()]
-    pipeline = Pipeline(scene, links, surface, create_session(folder, scene, links))
+    seen = seen_as or scene
+    pipeline = Pipeline(seen, links, surface, create_session(folder, seen, links))
     try:
         write_atomically(folder / TRUTH_NAME, json.dumps(rig.truth(), indent=1).encode() + b"\n")
     except InputError:

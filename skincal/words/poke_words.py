@@ -43,6 +43,10 @@ REJECTION_ADVICE: Mapping[Reason, str] = {
     Reason.NO_POSE: "Choose the arm pose, or connect its joints.",
     Reason.ARM_MOVED: "Keep the arm still during a poke.",
 }
+POLARITY_ADVICE = (
+    "Keep hands off for half a second before each poke. If you did, the polarity is wrong: change it in [skin] of the scene, "
+    'to "up" if values rise under pressure, to "down" if they fall.'
+)
 MISSED_ADVICE = "Press the landmark itself. If you did, its position in the scene may be wrong; N skips it."
 """Advice after a poke too far from the requested landmark."""
 _SHORT_REASONS: Mapping[Reason, str] = {
@@ -60,6 +64,8 @@ def rejection_words(rejection: Rejection) -> str:
     """Say why a poke was rejected, with number and limit: `"tip slid 2.1 mm (limit 1.5 mm)"`."""
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
     words = REASON_WORDS[reason]
+    if answered_inversely(rejection):
+        return f"{words}; taxels changed against the polarity"
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
@@ -71,6 +77,21 @@ def rejection_words(rejection: Rejection) -> str:
     if rejection.unit == "1":
         return f"{words}{colon} {number(100.0 * value, 1)} % ({bound} {number(100.0 * limit, 1)} %)"
     return f"{words}{colon} {quantity(value, rejection.unit)} ({bound} {quantity(limit, rejection.unit)})"
+
+
+def answered_inversely(rejection: Rejection) -> bool:
+    """Whether taxels changed by more than their threshold in the other direction, and none answered.
+
+    Before the first answer of a session this looks like a zero that was taken while something pressed (`ContactDetector`).
+    """
+    if rejection.reason is Reason.NO_TARE:
+        return rejection.value == 0.0
+    return rejection.reason is Reason.NO_TAXEL and rejection.unit == RAW_UNIT and rejection.value < -rejection.limit
+
+
+def rejection_advice(rejection: Rejection) -> str:
+    """Say what to do after a rejected poke."""
+    return POLARITY_ADVICE if answered_inversely(rejection) else REJECTION_ADVICE[rejection.reason]
 
 
 def short_rejection(rejection: Rejection) -> str:

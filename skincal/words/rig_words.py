@@ -119,21 +119,21 @@ def _mistake_words(found: FrameCorrection) -> str:
             f"the sensor is mounted about {angle:.0f} degrees and {shift:.0f} mm from where the scene says, or its calibration "
             "matrix is far off"
         )
-    return "; ".join(filter(None, (_axes_words(found.axes), _unit_words(found))))
+    return "; ".join(filter(None, (axes_words(found.axes), moment_unit_words(found.moment_scale / found.force_scale))))
 
 
-def _unit_words(found: FrameCorrection) -> str:
-    if found.force_scale == STANDARD_GRAVITY:
-        return "forces are in kilogram-force, moments in newton metres"
+def moment_unit_words(moment_scale: float) -> str:
+    """Name the unit of moments by the factor from reported to right ones, for right forces; empty for newton metres."""
     return {
         1.0: "",
         1e-3: "moments are in newton millimetres, not newton metres",
         1e-2: "moments are in newton centimetres, not newton metres",
         STANDARD_GRAVITY: "moments are in kilogram-force metres, forces in newtons",
-    }[found.moment_scale]
+        1.0 / STANDARD_GRAVITY: "forces are in kilogram-force, moments in newton metres",
+    }[moment_scale]
 
 
-def _axes_words(axes: np.ndarray) -> str:
+def axes_words(axes: np.ndarray) -> str:
     """Name a wrong order of the axes or their signs; empty if they are as reported."""
     # A row holds a single entry, 1 or -1: its sum is the sign.
     order, signs = np.abs(axes).argmax(axis=1).tolist(), axes.sum(axis=1).tolist()

@@ -1,0 +1,415 @@
+"""Setup check: mistakes in a scene that the first pokes on the skin show, without any landmark.
+
+The layout says where the taxels are, within a few millimetres. So the force axis of a poke passes the taxels that answer it,
+and pushes from outside. If the pokes miss, each of the usual mistakes is tried: the sensor's axes, signs and units, a turned
+flange, exchanged or inverted joints, the angle of a fixed joint, the other arm, a mirrored or turned layout, exchanged modules,
+a shifted mesh. A mistake is named if it explains the pokes far better than the scene does.
+
+The cost of a hypothesis is minus twice its log likelihood, after the best common shift of the skin. The miss of a poke has
+Student's t distribution, so that slips count little. A push from inside costs as much as a large miss.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from itertools import combinations, permutations, product
+from typing import TypeAlias
+
+import numpy as np
+
+from skincal.contacts.outcome import Contact
+from skincal.geometry import Arm, FloatArray
+from skincal.mesh.lay import PlacedLayout, place_layout
+from skincal.mesh.surface import Surface
+from skincal.model.errors import InputError
+from skincal.model.robot import RobotSpec
+from skincal.model.scene import ArmSpec, Scene
+from skincal.model.skin import Anchor, Layout
+from skincal.model.urdf import UrdfChain
+from skincal.modules.pose import rotations
+from skincal.rig.frame_check import STANDARD_GRAVITY
+
+MIN_POKES = 6
+MAX_POKES = 40
+"""Pokes of a check: of more an even selection is used."""
+MISS_SCALE_M = 0.007
+"""m, scale of a poke's miss in each direction: hand, sensor, an ordinary rig's errors."""
+STUDENT_DOF = 3.0
+MOUNT_SHIFT_SD_M = 0.008
+"""m, sd of the skin's shift from its plan, each direction: laid by hand, with an ordinary rig's errors."""
+MESH_SHIFT_SD_M = 0.150
+"""m, the same of a mesh with a wrong origin."""
+INSIDE_PUSH_COST = 6.0
+"""Cost of a push from inside the part: one poke in twenty at an edge."""
+NAME_IF_COST_FALLS_BY = 12.0
+"""A mistake is named if it is 400 times likelier than the scene. In 40 right sessions of a simulated iCub none was likelier at
+all, at any number of pokes (6 to 40); half of the sessions had the errors of the paper's rig."""
+RIVAL_WITHIN = 6.0
+"""Other mistakes that are at most 20 times less likely are named, too."""
+NORMAL_COST_PER_POKE = 0.7
+"""Pokes that cost less fit the scene: nothing is tried."""
+MOMENT_SCALES = (1.0, 1e-3, 1e-2, STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
+"""Right moments over reported ones: none wrong, in N mm, in N cm, in kgf m, forces in kgf."""
+ANGLE_STEP, ANGLE_STEPS = 1e-4, 4
+"""rad, of the numeric slopes; Gauss-Newton steps."""
+MIN_TURN_DEG, TURN_STEP_DEG = 30, 15
+"""Of a turned flange. Smaller turns look like the errors of an ordinary rig."""
+SHIFT_STEPS = 10
+FIXED_ANGLE_STEP_DEG = 10
+
+
+class MistakeKind(Enum):
+    """Kinds of mistakes of a scene."""
+
+    AXES = "axes"
+    """The sensor's axes, their signs, or all of them (the reaction)."""
+    UNITS = "units"
+    FLANGE = "flange"
+    """The sensor is turned about one of its axes."""
+    MESH_ORIGIN = "mesh origin"
+    JOINTS_EXCHANGED = "joints exchanged"
+    JOINT_UNIT = "joint unit"
+    JOINT_SIGN = "joint sign"
+    JOINT_ANGLE = "joint angle"
+    """A joint that the scene fixes has another angle."""
+    OTHER_ARM = "other arm"
+    LAYOUT = "layout"
+    """The whole layout is mirrored or turned."""
+    MODULES = "modules"
+    """Two modules are exchanged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mistake:
+    """A likely mistake of the scene."""
+
+    kind: MistakeKind
+    miss: float
+    """m, median distance of the pokes from the taxels that answered, if it is put right."""
+    axes: FloatArray = field(default_factory=lambda: np.eye(3))
+    """(3, 3) float: right axes = axes @ reported ones."""
+    scale: float = 1.0
+    """Right moments over reported ones."""
+    names: tuple[str, ...] = ()
+    """Joints, sensor and link of the other arm, or ids of modules."""
+    degrees: float = 0.0
+    mirrored: bool = False
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) float, m, link frame: from where the mesh is to where it belongs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SetupDiagnosis:
+    """Result of the setup check."""
+
+    pokes: int
+    miss: float
+    """m, median distance of the pokes from the taxels that answered, as the scene says."""
+    mistakes: tuple[Mistake, ...]
+    """Likely mistakes, the likeliest first; empty if the pokes fit the scene."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pokes:
+    """n pokes under a hypothesis."""
+
+    force: FloatArray
+    """(n, 3) float, N, sensor frame."""
+    moment: FloatArray
+    """(n, 3) float, N m."""
+    poses: FloatArray
+    """(n, 4, 4) float: link_from_sensor."""
+    places: FloatArray
+    """(n, 3) float, m: planned centre of the taxels that answered."""
+    normals: FloatArray
+    """(n, 3) float, unit, outward."""
+    shift_sd: float = MOUNT_SHIFT_SD_M
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    cost: float
+    reported: FloatArray
+    """(n,) float, m: misses without a shift of the skin."""
+    misses: FloatArray
+    """(n,) float, m: misses with the best shift."""
+    shift: FloatArray
+    """(3,) float, m."""
+
+
+def check_setup(
+    contacts: Sequence[Contact], scene: Scene, laid: PlacedLayout | None, surface: Surface | None
+) -> SetupDiagnosis | None:
+    """Look for mistakes of a scene; `None` with too few pokes at planned taxels, or without a plan.
+
+    Parameters
+    ----------
+    contacts : as the rig reported them
+    laid : the scene's layout on the part
+    """
+    layout = scene.skin.layout
+    planned = [] if laid is None else [each for each in contacts if np.isfinite(laid.places[each.strongest_channel]).all()]
+    if laid is None or layout is None or len(planned) < MIN_POKES:
+        return None
+    count = min(len(planned), MAX_POKES)
+    used = [planned[len(planned) * i // count] for i in range(count)]
+    asked = _as_described(used, laid)
+    (described,) = _judge([asked])
+    limit = described.cost - NAME_IF_COST_FALLS_BY
+    found: list[tuple[float, Mistake]] = []
+    if described.cost > NORMAL_COST_PER_POKE * count:
+        priors, mistakes, pokes = zip(*_hypotheses(asked, used, scene, laid, surface), strict=True)
+        found = [
+            (prior + judged.cost, replace(mistake, miss=float(np.median(judged.misses)), shift=judged.shift))
+            for prior, mistake, judged in zip(priors, mistakes, _judge(pokes), strict=True)
+        ]
+    best = min((cost for cost, _ in found), default=np.inf)
+    likely = sorted((each for each in found if each[0] <= min(limit, best + RIVAL_WITHIN)), key=lambda each: each[0])
+    by_kind = {mistake.kind: mistake for _, mistake in reversed(likely)}
+    kinds = dict.fromkeys(mistake.kind for _, mistake in likely)
+    return SetupDiagnosis(count, float(np.median(described.reported)), tuple(by_kind[kind] for kind in kinds))
+
+
+def _as_described(used: Sequence[Contact], laid: PlacedLayout) -> _Pokes:
+    places, normals = _planned(used, laid)
+    return _Pokes(
+        np.array([each.force for each in used]),
+        np.array([each.moment for each in used]),
+        np.array([each.link_from_sensor for each in used]),
+        places,
+        normals,
+    )
+
+
+def _planned(used: Sequence[Contact], laid: PlacedLayout) -> tuple[FloatArray, FloatArray]:
+    """Compute the planned centre (n, 3) of the taxels that answered each poke, and the normal (n, 3) of the strongest one."""
+    places: list[FloatArray] = []
+    for each in used:
+        known = np.isfinite(laid.places[each.channels]).all(axis=1)
+        places.append(np.average(laid.places[each.channels[known]], axis=0, weights=each.responses[known]))
+    return np.array(places), np.array([laid.normals[each.strongest_channel] for each in used])
+
+
+def _judge(every: Sequence[_Pokes]) -> list[_Judged]:
+    """Compute the cost of h hypotheses, each with the best common shift of the skin."""
+    poses = np.array([pokes.poses for pokes in every])
+    force, moment = (
+        np.einsum("hnij,hnj->hni", poses[..., :3, :3], np.array([getattr(pokes, name) for pokes in every]))
+        for name in ("force", "moment")
+    )
+    squares = np.sum(force * force, axis=2, keepdims=True)
+    push = force / np.sqrt(squares)
+    axis_points = poses[..., :3, 3] + np.cross(force, moment) / squares
+    across = np.eye(3) - push[..., :, None] * push[..., None, :]
+    misses = np.einsum("hnij,hnj->hni", across, np.array([pokes.places for pokes in every]) - axis_points)
+    shift_sds = np.array([pokes.shift_sd for pokes in every])
+    outward = np.sum(push * np.array([pokes.normals for pokes in every]), axis=2) > 0
+    best = np.full(len(every), np.inf)
+    sizes, shifts = np.zeros(misses.shape[:2]), np.zeros((len(every), 3))
+    # A large shift and some slips make two minima: one is found from no shift, the other from that of least squares.
+    for by_least_squares in (False, True):
+        weights = np.full(misses.shape[:2], 1.0 / MISS_SCALE_M**2)
+        shift = np.zeros((len(every), 3))
+        for step in range(SHIFT_STEPS):
+            if step or not by_least_squares:
+                off = misses + np.einsum("hnij,hj->hni", across, shift)
+                squared = np.sum(off * off, axis=2)
+                weights = np.asarray((STUDENT_DOF + 2.0) / (STUDENT_DOF * MISS_SCALE_M**2 + squared), dtype=np.float64)
+            matrix = np.einsum("hn,hnij->hij", weights, across) + np.eye(3) / shift_sds[:, None, None] ** 2
+            steps = np.asarray(np.linalg.solve(matrix, np.einsum("hn,hni->hi", weights, misses)[..., None]), dtype=np.float64)
+            shift = -steps[..., 0]
+        off = misses + np.einsum("hnij,hj->hni", across, shift)
+        squared = np.sum(off * off, axis=2)
+        cost = (STUDENT_DOF + 2.0) * np.sum(np.log1p(squared / (STUDENT_DOF * MISS_SCALE_M**2)), axis=1)
+        cost += np.sum(shift * shift, axis=1) / shift_sds**2 + 6.0 * np.log(shift_sds / MOUNT_SHIFT_SD_M)
+        cost += INSIDE_PUSH_COST * np.sum(outward, axis=1)
+        better = cost < best
+        best = np.where(better, cost, best)
+        sizes, shifts = np.where(better[:, None], np.sqrt(squared), sizes), np.where(better[:, None], shift, shifts)
+    reported = np.linalg.norm(misses, axis=2)
+    return [_Judged(*row) for row in zip(best.tolist(), reported, sizes, shifts, strict=True)]
+
+
+_Hypotheses: TypeAlias = Iterator[tuple[float, Mistake, _Pokes]]
+"""Prior cost, mistake, and the pokes if it is put right."""
+
+
+def _prior(choices: int) -> float:
+    """Cost of one of so many equally likely mistakes."""
+    return 2.0 * math.log(choices)
+
+
+def _hypotheses(
+    asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: PlacedLayout, surface: Surface | None
+) -> _Hypotheses:
+    assert scene.skin.layout is not None
+    yield from _sensors(asked)
+    yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=MESH_SHIFT_SD_M)
+    if scene.arm is not None and (angles := _angles(used, scene.arm)) is not None:
+        yield from _joints(asked, angles, scene.arm.arm)
+        if scene.robot is not None:
+            yield from _robots(asked, angles, scene.robot, scene.link)
+    yield from _modules(asked, used, scene.skin.layout, laid)
+    yield from _layouts(asked, used, scene.skin.layout, scene.skin.anchor, surface)
+
+
+def _sensors(asked: _Pokes) -> _Hypotheses:
+    """Try other axes and units of the sensor, and a turned flange."""
+    for order, signs, scale in product(permutations(range(3)), product((1.0, -1.0), repeat=3), MOMENT_SCALES):
+        axes = np.array(signs)[:, None] * np.eye(3)[list(order)]
+        is_same = np.array_equal(axes, np.eye(3))
+        if is_same and scale == 1.0:
+            continue
+        prior = (0.0 if scale == 1.0 else _prior(4)) + (0.0 if is_same else _prior(2 if (axes == -np.eye(3)).all() else 47))
+        kind = MistakeKind.UNITS if is_same else MistakeKind.AXES
+        yield (
+            prior,
+            Mistake(kind, 0.0, axes=axes, scale=scale),
+            replace(asked, force=asked.force @ axes.T, moment=scale * asked.moment @ axes.T),
+        )
+    for axis, degrees in product(range(3), range(MIN_TURN_DEG, 361 - MIN_TURN_DEG, TURN_STEP_DEG)):
+        if degrees % 90:
+            turn = rotations(np.radians(degrees) * np.eye(3)[axis][None])[0]
+            wrench = replace(asked, force=asked.force @ turn.T, moment=asked.moment @ turn.T)
+            signed = float(degrees if degrees < 180 else degrees - 360)
+            yield _prior(60), Mistake(MistakeKind.FLANGE, 0.0, names=("xyz"[axis],), degrees=signed), wrench
+
+
+def _angles(used: Sequence[Contact], arm: ArmSpec) -> FloatArray | None:
+    """Recover the reported angles (n, joints), rad, from the arm pose of each poke; `None` if its name does not hold them.
+
+    A streamed pose's name has whole degrees, and stands for nearly equal ones: Gauss-Newton steps make them exact.
+    """
+    rows: list[FloatArray] = []
+    for each in used:
+        words = re.findall(r"(-?\d+) deg", each.pose)
+        if each.pose not in arm.poses and len(words) != len(arm.arm.joints):
+            return None
+        angles = arm.poses[each.pose] if each.pose in arm.poses else np.radians(np.array(words, dtype=float))
+        rows.append(_refined(angles, each.link_from_sensor, arm.arm))
+    return np.array(rows)
+
+
+def _refined(angles: FloatArray, pose: FloatArray, arm: Arm | UrdfChain) -> FloatArray:
+    for _ in range(ANGLE_STEPS):
+        now = arm.link_from_sensor(angles)
+        steps = ANGLE_STEP * np.eye(len(angles))
+        slopes = np.array([(arm.link_from_sensor(angles + step) - now).ravel() for step in steps]).T / ANGLE_STEP
+        angles = angles + np.linalg.lstsq(slopes, (pose - now).ravel(), rcond=1e-6)[0]
+    return angles
+
+
+def _with_angles(asked: _Pokes, arm: Arm | UrdfChain, angles: FloatArray) -> _Pokes:
+    return replace(asked, poses=np.array([arm.link_from_sensor(row) for row in angles]))
+
+
+def _joints(asked: _Pokes, angles: FloatArray, arm: Arm | UrdfChain) -> _Hypotheses:
+    """Try exchanged columns of the joint stream, other units, and inverted joints."""
+    names = [joint.name for joint in arm.moving] if isinstance(arm, UrdfChain) else [f"column {each}" for each in arm.joints]
+    count = len(names)
+    for one, other in combinations(range(count), 2):
+        swapped = angles.copy()
+        swapped[:, [one, other]] = angles[:, [other, one]]
+        mistake = Mistake(MistakeKind.JOINTS_EXCHANGED, 0.0, names=(names[one], names[other]))
+        yield _prior(count * (count - 1)), mistake, _with_angles(asked, arm, swapped)
+    for name, right in (("radians", np.degrees(angles)), ("degrees", np.radians(angles))):
+        yield _prior(2), Mistake(MistakeKind.JOINT_UNIT, 0.0, names=(name,)), _with_angles(asked, arm, right)
+    for column, name in enumerate(names):
+        signs = np.where(np.arange(count) == column, -1.0, 1.0)
+        yield _prior(8 * count), Mistake(MistakeKind.JOINT_SIGN, 0.0, names=(name,)), _with_angles(asked, arm, signs * angles)
+
+
+def _robots(asked: _Pokes, angles: FloatArray, robot: RobotSpec, link: str) -> _Hypotheses:
+    """Try other angles of the fixed joints, and the other arm."""
+    chain = robot.chain
+    fixed = [joint.name for joint, _, _ in chain.steps if joint.kind != "fixed" and joint not in chain.moving]
+    for name, degrees in product(fixed, range(-180, 180, FIXED_ANGLE_STEP_DEG)):
+        steps = tuple((joint, up, math.radians(degrees) if joint.name == name else angle) for joint, up, angle in chain.steps)
+        mistake = Mistake(MistakeKind.JOINT_ANGLE, 0.0, names=(name,), degrees=float(degrees))
+        yield _prior(36 * len(fixed)), mistake, _with_angles(asked, replace(chain, steps=steps), angles)
+    named = [other_side(name) for name in (robot.sensor, link)]
+    try:
+        columns = [other_side(name) or name for name in robot.columns]
+        angle_of = {joint.name: angle for joint, _, angle in chain.steps}
+        held = {other: angle_of[name] for name in fixed if (other := other_side(name))}
+        other, _ = robot.urdf.chain(named[1] or link, named[0] or robot.sensor, columns, held, "")
+    except InputError:
+        return
+    if not any(named) or other.joints != chain.joints:
+        return
+    moved = _with_angles(asked, other, angles)
+    names = (named[0] or robot.sensor, named[1] or link)
+    # The frames of both arms are mirrored in some way: by the signs of their axes.
+    for signs in product((1.0, -1.0), repeat=3):
+        mirrored = replace(moved, places=asked.places * signs, normals=asked.normals * signs)
+        yield _prior(8), Mistake(MistakeKind.OTHER_ARM, 0.0, names=names), mirrored
+
+
+_SIDE = re.compile(r"(?<![a-zA-Z])(left|right|l|r)(?![a-zA-Z])", re.IGNORECASE)
+_OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
+
+
+def other_side(name: str) -> str:
+    """Exchange left and right in a name, such as `l_arm_ft`; empty if it names no side."""
+
+    def exchange(match: re.Match[str]) -> str:
+        word = match[0]
+        other = _OTHER_SIDE[word.lower()]
+        return other.upper() if word.isupper() else other.title() if word.istitle() else other
+
+    other = _SIDE.sub(exchange, name)
+    return "" if other == name else other
+
+
+def _modules(asked: _Pokes, used: Sequence[Contact], layout: Layout, laid: PlacedLayout) -> _Hypotheses:
+    """Try to exchange two modules with the same taxels, both of them touched."""
+    touched = {int(layout.module_of[each.strongest_channel]) for each in used}
+    pairs = [
+        (one, other)
+        for one, other in combinations(sorted(touched), 2)
+        if np.array_equal(layout.modules[one].kind.pads, layout.modules[other].kind.pads, equal_nan=True)
+    ]
+    for one, other in pairs:
+        first, second = (layout.modules[index] for index in (one, other))
+        places, normals = laid.places.copy(), laid.normals.copy()
+        for here, there in ((first, second), (second, first)):
+            places[here.channels], normals[here.channels] = laid.places[there.channels], laid.normals[there.channels]
+        centres, sides = _planned(used, replace(laid, places=places, normals=normals))
+        mistake = Mistake(MistakeKind.MODULES, 0.0, names=(str(first.id), str(second.id)))
+        yield _prior(len(pairs)), mistake, replace(asked, places=centres, normals=sides)
+
+
+def _layouts(
+    asked: _Pokes, used: Sequence[Contact], layout: Layout, anchor: Anchor | None, surface: Surface | None
+) -> _Hypotheses:
+    """Try the layout mirrored, and turned by quarters, about its anchor."""
+    if anchor is None:
+        return
+    y = np.cross(anchor.normal, anchor.x)
+    for mirrored, quarters in product((False, True), range(4)):
+        if not mirrored and not quarters:
+            continue
+        angle = quarters * math.pi / 2.0
+        turned = replace(anchor, x=math.cos(angle) * anchor.x + math.sin(angle) * y)
+        try:
+            laid = place_layout(mirrored_layout(layout, anchor.at) if mirrored else layout, turned, surface)
+        except InputError:
+            continue
+        if laid is None or not np.isfinite([laid.places[each.strongest_channel] for each in used]).all():
+            continue
+        centres, normals = _planned(used, laid)
+        mistake = Mistake(MistakeKind.LAYOUT, 0.0, mirrored=mirrored, degrees=90.0 * (quarters if quarters < 3 else -1))
+        yield _prior(7), mistake, replace(asked, places=centres, normals=normals)
+
+
+def mirrored_layout(layout: Layout, at: FloatArray) -> Layout:
+    """Mirror a layout at the line through `at` (2,), m, along y: x becomes -x."""
+    flip = np.array([-1.0, 1.0])
+    modules = tuple(
+        replace(each, place=at + flip * (each.place - at), angle=-each.angle, mirror=not each.mirror) for each in layout.modules
+    )
+    return Layout(modules, layout.width)

@@ -1,0 +1,56 @@
+"""The setup check of an open session: made after a few pokes, and again as they grow in number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+from skincal.rig.setup_check import MistakeKind, SetupDiagnosis, check_setup
+from skincal.session.part import Part
+from skincal.session.snapshot import Snapshot
+from skincal.words.setup_words import setup_sentences
+
+Run: TypeAlias = Callable[[Callable[[], object], Callable[[object], None]], None]
+CHECK_AT_POKES = (6, 8, 10, 13, 16, 20, 26, 32, 40)
+"""Numbers of accepted pokes on the skin."""
+
+
+class SetupFollower:
+    """Looks for mistakes of the scene in the newest snapshot. Without a laid layout it does nothing."""
+
+    def __init__(self, part: Part, run: Run) -> None:
+        self._part, self._run = part, run
+        self._next = 0
+        """Index in `CHECK_AT_POKES`."""
+        self._busy = False
+        self._news: list[str] = []
+        self._named: tuple[MistakeKind, tuple[str, ...]] | None = None
+        """Mistake that the last check named first."""
+        self.sentences: tuple[str, ...] = ()
+        """Of the last check."""
+
+    def check_snapshot(self, snapshot: Snapshot) -> None:
+        """Check a snapshot if enough pokes were added since the last check."""
+        part, count = self._part, len(snapshot.contacts)
+        if part.laid is None or self._busy or self._next >= len(CHECK_AT_POKES) or count < CHECK_AT_POKES[self._next]:
+            return
+        while self._next < len(CHECK_AT_POKES) and count >= CHECK_AT_POKES[self._next]:
+            self._next += 1
+        contacts = snapshot.contacts
+        self._busy = True
+        self._run(lambda: check_setup(contacts, part.scene, part.laid, part.surface), self._finish)
+
+    def _finish(self, found: object) -> None:
+        self._busy = False
+        diagnosis = found if isinstance(found, SetupDiagnosis) else None
+        first = diagnosis.mistakes[0] if diagnosis is not None and diagnosis.mistakes else None
+        named = None if first is None else (first.kind, first.names)
+        sentences = setup_sentences(diagnosis)
+        if named != self._named:
+            self._news += sentences
+        self.sentences, self._named = sentences, named
+
+    def take_news(self) -> list[str]:
+        """Return new sentences for the operator, once."""
+        news, self._news = self._news, []
+        return news

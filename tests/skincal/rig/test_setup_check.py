@@ -1,0 +1,226 @@
+"""Each usual mistake of a scene, made on purpose with the public iCub: it is named, with its remedy, within 20 pokes."""
+
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from skincal.cli import main
+from skincal.contacts.gates import _closest_to_limit
+from skincal.contacts.outcome import Reason, Rejection
+from skincal.mesh.lay import PlacedLayout, place_layout
+from skincal.model.scene import load_scene, resource
+from skincal.rig.setup_check import MIN_POKES, check_setup, mirrored_layout, other_side
+from skincal.session.part import load_part
+from skincal.session.scene_draft import SceneDraft, write_scene
+from skincal.session.setup_follower import SetupFollower
+from skincal.simulate.operator import Habits
+from skincal.simulate.rig_errors import RigErrors
+from skincal.simulate.virtual_session import simulate_session
+from skincal.words.poke_words import POLARITY_ADVICE, rejection_advice, rejection_words
+from skincal.words.setup_words import setup_sentences
+
+POSES = "[robot.poses]\na = [94.0, 0.0]\nb = [60.0, -40.0]\nc = [30.0, 30.0]\n[contacts]\npitch_max = 0.025\n"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """The part, and 20 contacts of a session with the errors of the paper's rig, its arm poses in turn."""
+    try:
+        files = metadata.files("icub-models")
+    except metadata.PackageNotFoundError:
+        pytest.skip("icub-models is not installed here")
+    urdf = Path(next(file for file in files if str(file).endswith("iCubGenova02/model.urdf")).locate())
+    folder = tmp_path_factory.mktemp("icub")
+    layout = resource("scenes/icub-forearm/modules.toml")
+    out = folder / "scene.toml"
+    at = np.array([0.0, -75.0, 46.0])
+    write_scene(SceneDraft(out, urdf, "l_forearm_dh_frame", "l_arm_ft", layout=layout, polarity="down", anchor_mm=at))
+    out.write_text(out.read_text() + POSES)
+    part = load_part(out)
+    habits = Habits.careful().at_pace(4.0)
+    errors = RigErrors.paper()
+    pipeline = simulate_session(part.scene, part.surface, folder / "s", 30, 1, errors, poses=("a", "b", "c"), habits=habits)
+    third = len(pipeline.session.contacts) // 3
+    contacts = [
+        contact for row in zip(*(pipeline.session.contacts[k * third :] for k in range(3)), strict=False) for contact in row
+    ]
+    assert len(contacts) >= 20
+    return part, contacts[:20]
+
+
+def wrenches(change):
+    """Contacts with their wrenches changed by (3, 3)."""
+    return lambda part, contacts: (part.scene, part.laid, [
+        replace(each, force=change @ each.force, moment=change @ each.moment) for each in contacts
+    ])  # fmt: skip
+
+
+def turned(axis, degrees):
+    return wrenches(Rotation.from_euler(axis, degrees, degrees=True).as_matrix())
+
+
+def angles(change):
+    """Contacts as the joint stream with changed angles gives them."""
+
+    def apply(part, contacts):
+        return part.scene, part.laid, [posed(part.scene, part.scene.arm.arm, change, each) for each in contacts]
+
+    return apply
+
+
+def posed(scene, arm, change, contact):
+    new = change(scene.arm.poses[contact.pose])
+    name = ", ".join(f"{angle:.0f} deg" for angle in np.degrees(new))
+    return replace(contact, link_from_sensor=arm.link_from_sensor(new), pose=name)
+
+
+def fixed_joint(part, contacts):
+    """The scene holds the elbow at 60 degrees, and it is at 94."""
+    scene, robot = part.scene, part.scene.robot
+    chain, _ = robot.urdf.chain(scene.link, robot.sensor, ["l_wrist_prosup"], {"l_elbow": np.radians(60.0)}, "test")
+    columns, arm = ("l_wrist_prosup",), replace(scene.arm, arm=chain, poses={})
+    wrong = replace(scene, robot=replace(robot, chain=chain, columns=columns), arm=arm)
+    bent = [each for each in contacts if each.pose == "a"]
+    return wrong, part.laid, [posed(scene, chain, lambda angles: angles[1:], each) for each in bent]
+
+
+def other_arm(part, contacts):
+    """The scene names the right arm. In the iCub's frames its skin lies at (x, -y, -z)."""
+    scene, robot = part.scene, part.scene.robot
+    columns = ["r_elbow", "r_wrist_prosup"]
+    chain, _ = robot.urdf.chain("r_forearm_dh_frame", "r_arm_ft", columns, {}, "test")
+    wrong = replace(
+        scene,
+        link="r_forearm_dh_frame",
+        robot=replace(robot, chain=chain, columns=tuple(columns), sensor="r_arm_ft"),
+        arm=replace(scene.arm, arm=chain, poses={}),
+    )
+    flip = np.array([1.0, -1.0, -1.0])
+    laid = PlacedLayout(part.laid.places * flip, part.laid.normals * flip, ())
+    return wrong, laid, [posed(scene, chain, lambda angles: angles, each) for each in contacts]
+
+
+def layout(change):
+    """The scene's layout and anchor are changed; the skin is not."""
+
+    def apply(part, contacts):
+        planned, anchor = change(part.scene.skin.layout, part.scene.skin.anchor)
+        skin = replace(part.scene.skin, layout=planned, anchor=anchor)
+        return replace(part.scene, skin=skin), place_layout(planned, anchor, part.surface), contacts
+
+    return apply
+
+
+def exchanged(part, contacts):
+    """The cables of modules 24 and 26 are exchanged."""
+    modules = {module.id: module for module in part.scene.skin.layout.modules}
+    new = np.arange(part.scene.skin.channels)
+    for one, other in ((24, 26), (26, 24)):
+        new[modules[one].channels] = modules[other].channels
+    return part.scene, part.laid, [replace(each, channels=new[each.channels]) for each in contacts]
+
+
+def moved(part, contacts):
+    shift = np.array([0.1, 0.0, 0.0])
+    return part.scene, PlacedLayout(part.laid.places + shift, part.laid.normals, ()), contacts
+
+
+def quarter(planned, anchor):
+    return planned, replace(anchor, x=np.cross(anchor.normal, anchor.x))
+
+
+def mirror(planned, anchor):
+    return mirrored_layout(planned, anchor.at), anchor
+
+
+MISTAKES = {
+    "sensor turned by 90": (turned("z", 90), "turned by -90 degrees about its z axis", "press three landmarks"),
+    "sensor turned by 180": (turned("x", 180), "turned by 180 degrees about its x axis", "origin in the URDF"),
+    "sensor turned by 45": (turned("z", 45), "turned by about -45 degrees about its z axis", "correct the sensor's pose"),
+    "sign of the wrench": (wrenches(-np.eye(3)), "reports the reaction force", "change [wrench] sign"),
+    "mesh origin": (moved, "mesh and layout belong (-1", "correct the origin of the mesh"),
+    "joint columns": (angles(lambda a: a[::-1]), "columns of l_elbow and l_wrist_prosup are exchanged", "exchange them"),
+    "radians": (angles(np.radians), "joint angles are in radians", "send degrees"),
+    "joint missing": (fixed_joint, "joint l_elbow, which the scene holds fixed, is at about", "[robot.fixed]"),
+    "layout mirrored": (layout(mirror), "layout of the skin is mirrored", "change mirror"),
+    "layout turned": (layout(quarter), "layout of the skin is turned by -90", "turn x of [skin.anchor]"),
+    "modules": (exchanged, "modules 24 and 26 are exchanged", "exchange their first_channel"),
+    "other arm": (other_arm, "arm on the other side, with the sensor l_arm_ft", "link l_forearm_dh_frame"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("make", "what", "remedy"), MISTAKES.values(), ids=MISTAKES)
+def test_a_mistake_is_named_with_its_remedy_within_20_pokes(rig, make, what, remedy):
+    part, contacts = rig
+    scene, laid, seen = make(part, contacts)
+    sentences = setup_sentences(check_setup(seen, scene, laid, part.surface))
+    assert what in sentences[0]
+    assert remedy in sentences[0]
+
+
+def test_a_right_scene_is_not_doubted(rig):
+    part, contacts = rig
+    for count in range(MIN_POKES, len(contacts) + 1):
+        assert setup_sentences(check_setup(contacts[:count], part.scene, part.laid, part.surface)) == ()
+    assert check_setup(contacts[: MIN_POKES - 1], part.scene, part.laid, part.surface) is None
+    assert check_setup(contacts, part.scene, None, part.surface) is None
+
+
+def test_an_open_session_says_it_once(rig):
+    part, contacts = rig
+    _, _, wrong = turned("z", 90)(part, contacts)
+    follower = SetupFollower(part, lambda work, done: done(work()))
+    said = []
+    for count in range(len(wrong) + 1):
+        follower.check_snapshot(type("Snapshot", (), {"contacts": wrong[:count]})())
+        said.append(follower.take_news())
+    assert [count for count, news in enumerate(said) if news] == [MIN_POKES]
+    assert "about its z axis" in follower.sentences[0]
+
+
+def test_a_wrong_polarity_is_named_at_the_first_poke(rig, tmp_path):
+    part, _ = rig
+    wrong = replace(part.scene, skin=replace(part.scene.skin, polarity=1))
+    pipeline = simulate_session(part.scene, part.surface, tmp_path / "s", 3, 1, RigErrors.noise(), seen_as=wrong)
+    outcomes = [poke.outcome for poke in pipeline.snapshot().pokes]
+    assert rejection_advice(outcomes[0]) == POLARITY_ADVICE
+    assert "against the polarity" in rejection_words(outcomes[0])
+
+
+def test_a_press_that_turns_the_skin_the_other_way_is_named():
+    """Later in a session: the channel that fell most is the one of the rejection."""
+    response, limit = np.array([2.0, -40.0, np.nan, -80.0]), np.full(4, 10.0)
+    assert _closest_to_limit(response, limit) == (-80.0, 10.0)
+    assert _closest_to_limit(np.array([2.0, -9.0]), limit[:2]) == (2.0, 10.0)
+    slip = Rejection(1, 0.0, 1.0, Reason.NO_TAXEL, -80.0, 10.0, "raw", np.empty(0, dtype=np.int64), True)
+    assert rejection_advice(slip) == POLARITY_ADVICE
+    assert rejection_advice(replace(slip, value=2.0)) != POLARITY_ADVICE
+
+
+def test_solve_says_what_is_wrong_with_a_scene(tmp_path, capsys):
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    (tmp_path / "wrong").mkdir()
+    for file in scene.path.parent.iterdir():
+        (tmp_path / "wrong" / file.name).write_bytes(file.read_bytes())
+    path = tmp_path / "wrong/scene.toml"
+    path.write_text(path.read_text().replace("joints = [3, 4]", "joints = [4, 3]"))
+    part = load_part(scene.path)
+    habits = Habits.careful().at_pace(4.0)
+    simulate_session(
+        scene, part.surface, tmp_path / "s", 16, 1, RigErrors.noise(), poses=("2", "3"), habits=habits, seen_as=load_scene(path)
+    )
+    capsys.readouterr()
+    assert main(["solve", str(tmp_path / "s")]) == 0
+    assert "the columns of column 4 and column 3 are exchanged" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [("l_arm_ft", "r_arm_ft"), ("Left_Wrist", "Right_Wrist"), ("ft_R", "ft_L"), ("left2right", "right2left"), ("elbow", "")],
+)
+def test_names_of_the_other_side(name, other):
+    assert other_side(name) == other
