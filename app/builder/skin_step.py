@@ -141,7 +141,7 @@ class SkinStep(Step):
         set_silently(self.channels, draft.channels or 0)
         show_choice(self.polarity, draft.polarity)
         if not draft.layout_text:
-            self._kind = "none" if self._kind != "file" or self.file.text() else self._kind
+            self._kind = "file" if self._kind == "file" else "none"
         elif self._kind == "none":
             self._kind = "file"
             self.file.setText(draft.layout_name)
@@ -164,7 +164,10 @@ class SkinStep(Step):
     def _choose_kind(self) -> None:
         self._kind = str(self.layout_kind.currentData())
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
-        {"none": self._use_none, "file": self.choose_file, "grid": self._use_grid, "modules": self._use_modules}[self._kind]()
+        # A file is asked for by its button: the arrow keys pass through this entry.
+        use = {"none": self._use_none, "grid": self._use_grid, "modules": self._use_modules}.get(self._kind)
+        if use is not None:
+            use()
 
     def _use_none(self) -> None:
         self.change(replace(self.draft, layout_text="", layout_name="", anchor=None))
