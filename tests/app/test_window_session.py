@@ -166,7 +166,8 @@ def first_look(keys: Keys) -> None:
     keys.tap(Key.Key_Backspace)
     assert last not in [contact.poke for contact in bench.accepted()]
     assert len(bench.accepted()) == counted - 1
-    assert changed(shown, pixels(keys.workspace.map)) > 20
+    now = pixels(keys.workspace.map)
+    assert now.shape != shown.shape or changed(shown, now) > 20, "with fewer kinds of taxels its legend takes a line less"
 
     method = keys.guidance.method
     keys.tap(Key.Key_V)

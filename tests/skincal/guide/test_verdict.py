@@ -168,6 +168,9 @@ def test_the_chance_is_that_of_a_binomial():
     for checked_, inside in ((40, 40), (40, 38), (40, 33), (12, 9), (0, 0)):
         expected = stats.binom.sf(checked_ - inside - 1, checked_, 0.05) if checked_ else 1.0
         assert Check(checked_, inside).chance == pytest.approx(expected, abs=1e-12)
+    # 0.0152 and 0.102 of 11, 0.0002 of 14: hardly, well, and not at all.
+    judged = [(check_.agrees, check_.believed) for check_ in (Check(11, 8), Check(11, 9), Check(14, 7))]
+    assert judged == [(False, True), (True, True), (False, False)]
 
 
 # ---- the verdict ----
