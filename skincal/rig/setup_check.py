@@ -46,8 +46,8 @@ MESH_SHIFT_SD_M = 0.150
 INSIDE_PUSH_COST = 6.0
 """Cost of a push from inside the part: one poke in twenty at an edge."""
 NAME_IF_COST_FALLS_BY = 12.0
-"""A mistake is named if it is 400 times likelier than the scene. In 40 right sessions of a simulated iCub none was likelier at
-all, at any number of pokes (6 to 40); half of the sessions had the errors of the paper's rig."""
+"""A mistake is named if it is 400 times likelier than the scene. In 40 right sessions of a simulated iCub no mistake was
+likelier at any number of pokes (6 to 40); half of the sessions had the errors of the paper's rig."""
 RIVAL_WITHIN = 6.0
 """Other mistakes that are at most 20 times less likely are named, too."""
 NORMAL_COST_PER_POKE = 0.7
@@ -239,7 +239,7 @@ _Hypotheses: TypeAlias = Iterator[tuple[float, Mistake, _Pokes]]
 
 
 def _prior(choices: int) -> float:
-    """Cost of one of so many equally likely mistakes."""
+    """Cost of one of some equally likely mistakes."""
     return 2.0 * math.log(choices)
 
 
@@ -349,7 +349,7 @@ def _robots(asked: _Pokes, angles: FloatArray, robot: RobotSpec, link: str) -> _
         yield _prior(8), Mistake(MistakeKind.OTHER_ARM, 0.0, names=names), mirrored
 
 
-_SIDE = re.compile(r"(?<![a-zA-Z])(left|right|l|r)(?![a-zA-Z])", re.IGNORECASE)
+_SIDE_RE = re.compile(r"(?<![a-zA-Z])(left|right|l|r)(?![a-zA-Z])", re.IGNORECASE)
 _OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 
@@ -361,7 +361,7 @@ def other_side(name: str) -> str:
         other = _OTHER_SIDE[word.lower()]
         return other.upper() if word.isupper() else other.title() if word.istitle() else other
 
-    other = _SIDE.sub(exchange, name)
+    other = _SIDE_RE.sub(exchange, name)
     return "" if other == name else other
 
 

@@ -38,7 +38,7 @@ def _is_reaction(mistake: Mistake) -> bool:
     return mistake.kind is MistakeKind.AXES and np.array_equal(mistake.axes, -np.eye(3))
 
 
-_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
+_MISTAKE_WORDS: Mapping[MistakeKind, tuple[str, str]] = {
     MistakeKind.FLANGE: ("the sensor is turned by about {degrees:.0f} degrees about its {names[0]} axis", CORRECT_SENSOR),
     MistakeKind.JOINTS_EXCHANGED: (
         "the columns of {names[0]} and {names[1]} are exchanged",
@@ -75,7 +75,7 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
             f"mesh and layout belong ({shift}) mm farther along the link's axes",
             "correct the origin of the mesh, or the position of the sensor or of [skin.anchor]",
         )
-    what, remedy = _WORDS[mistake.kind]
+    what, remedy = _MISTAKE_WORDS[mistake.kind]
     return what.format(names=mistake.names, degrees=mistake.degrees), remedy.format(names=mistake.names)
 
 
