@@ -106,9 +106,9 @@ def find_topics(path: Path, named: Mapping[Stream, str], scene: Scene, pose: str
 def _import(
     importer: Importer, places: Mapping[Stream, RecordedPlace], scene: Scene, pose: str | None, out: Path, as_json: bool
 ) -> None:
-    from skincal.session.importing import joint_columns, new_session, play_recording, reading_share
+    from skincal.session.importing import joint_columns, new_session, play_recording
 
-    read_share = reading_share(importer)
+    read_share = importer.reading_share
     with _progress() as go_on:
         recording = importer.open_recording(places, joint_columns(scene), lambda share: go_on(read_share * share))
         # Modules live as long as the command: looking through them for garbage takes a tenth of the time.

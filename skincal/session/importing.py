@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skincal.contacts.outcome import Contact
 from skincal.files.importers.preview import RecordingFiles
-from skincal.files.importers.registry import Importer, StoppedError
+from skincal.files.importers.registry import StoppedError
 from skincal.files.importers.timeline import START_NS, OpenRecording
 from skincal.journal import writer
 from skincal.journal.lock import LOCK_NAME, describe_lock_holder
@@ -25,8 +25,6 @@ from skincal.words.poke_words import no_poke_sentence
 
 CHUNKS_PER_PROGRESS_REPORT = 20
 """Chunks between two progress reports: a second of a recording, some 0.01 s of work."""
-READING_SHARE_OF_TOPICS = 0.4
-"""Share of the time in which a recording with all streams in one file is read, before it is played."""
 
 
 class KeptError(InputError):
@@ -112,11 +110,6 @@ def play_recording(
         pipeline.close()
 
 
-def reading_share(importer: Importer) -> float:
-    """Share of the time of an import that passes before its session begins."""
-    return 0.0 if importer.one_stream else READING_SHARE_OF_TOPICS
-
-
 def joint_columns(scene: Scene) -> tuple[str, ...]:
     """Name the columns of the scene's joint stream, empty for one that the arm does not need; empty if it names none."""
     robot = scene.robot
@@ -156,7 +149,7 @@ def import_recording(request: ImportRequest, go_on: Callable[[float], bool] = la
         The recording or the scene cannot be read, the folder cannot be written, or a file has no usable reading. No file is
         left.
     """
-    scene, read_share = load_scene(request.scene), reading_share(request.files.importer)
+    scene, read_share = load_scene(request.scene), request.files.importer.reading_share
     recording = request.files.open(joint_columns(scene), lambda share: go_on(read_share * share))
     with new_session(request.folder, scene, recording.links, copy=True) as pipeline:
         play_recording(pipeline, recording, request.pose or None, lambda share: go_on(read_share + (1 - read_share) * share))

@@ -82,6 +82,8 @@ class Importer:
     """Patterns of the files that make a folder a whole recording with several streams."""
     example: str = ""
     """Arguments of the command in its help, if a file holds several streams."""
+    reading_share: float = 0.0
+    """Share of the time of an import in which `open_recording` reads, before the session begins."""
     one_stream: bool = True
     """Whether a file or folder holds one stream, so that those beside it belong to the same recording."""
 
@@ -141,6 +143,20 @@ RECORDING_IMPORTERS = (
         },
         folder_patterns=("metadata.yaml", "*.mcap", "*.db3"),
         example="monday_bag --wrench /ft/wrench --skin /skin/taxels",
+        reading_share=0.7,
+        one_stream=False,
+    ),
+    Importer(
+        "robometry",
+        "Logs of robometry",
+        (".mat",),
+        "robometry",
+        {
+            Stream.WRENCH: "Channel of the force/torque sensor, such as FTs::l_arm_ft_sensor. Default: a likely one.",
+            Stream.SKIN: "Channel of the skin. Default: a likely one.",
+            Stream.JOINTS: "Channel of the joint angles. Default: joints_state::positions; none with --pose.",
+        },
+        example="robot_logger_device.mat --wrench FTs::l_arm_ft_sensor --skin skins::l_forearm",
         one_stream=False,
     ),
     Importer(

@@ -1,0 +1,262 @@
+"""Logs of robometry, the logger of today's iCub robots, as the chunks of a session; read by `h5py` (the extra `robometry`).
+
+A log is a MATLAB file of version 7.3, which is HDF5. One group, such as `robot_logger_device`, holds all channels, nested by
+`::` in their names: `FTs::l_arm_ft_sensor`, `joints_state::positions`. A channel has `data` and `timestamps` (s), in newer logs
+also `elements_names` and `units_of_measure`. Text is an array of UTF-16 units; lists of texts are arrays of references to them.
+Source: robotology/robometry `src/librobometry/src/BufferManager.cpp` and `src/telemetryDeviceDumper`; the reader of
+ami-iit/robot-log-visualizer (`matfile_signal_provider.py`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skincal.devices.decoding import WRENCH_VALUES
+from skincal.files.importers.registry import RecordedPlace, StreamGuess
+from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
+from skincal.geometry import FloatArray
+from skincal.model.errors import InputError, plural
+from skincal.model.given import open_regular
+from skincal.model.readings import Stream
+from skincal.streams.decoders.records import pack_records
+from skincal.streams.links import LinkSpec
+
+SEPARATOR_TEXT = "::"
+"""Between the names of nested channels."""
+MAX_DEPTH_OF_CHANNELS = 8
+MAX_CHANNELS_OF_LOG = 5000
+BLOCK_ROWS_OF_LOG = 4096
+RADIANS_ROOT = "robot_logger_device"
+"""Group of YarpRobotLoggerDevice, whose angles are radians; telemetryDeviceDumper logs degrees."""
+SHOWN_CHANNELS = 8
+_SKIN_RE = re.compile(r"skin|tactile|taxel|touch", re.IGNORECASE)
+_WRENCH_RE = re.compile(r"(?:^|::)(?:FTs?|force_?torque)", re.IGNORECASE)
+_POSITIONS_RE = re.compile(r"(?:^|::)joints?_state::(?:joint_)?positions$")
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """A channel of a log."""
+
+    name: str
+    group: str
+    """Path of its group in the file."""
+    stamps: FloatArray
+    """(rows,) seconds."""
+    width: int
+    has_rows_first: bool
+    """The first axis of the data is time, as the loggers write it; else the last one is."""
+    elements: tuple[str, ...]
+    """Names of its values; empty in older logs."""
+    unit: str
+    """Empty in older logs."""
+
+
+def guess_streams(path: Path) -> list[StreamGuess]:
+    """Guess the streams of the channels of a log by their names.
+
+    Raises InputError: it cannot be read as a log of robometry.
+    """
+    channels, _ = _read_channels(path)
+    guesses = [
+        StreamGuess(RecordedPlace(path, name), stream, channel.width)
+        for name, channel in channels.items()
+        if (stream := _stream_of(channel)) is not None
+    ]
+    if not guesses:
+        raise InputError(f"{path}: no channel of a force/torque sensor, skin or joints; it has {_list_names(channels)}.")
+    return guesses
+
+
+def _stream_of(channel: _Channel) -> Stream | None:
+    if _SKIN_RE.search(channel.name):
+        return Stream.SKIN
+    if _POSITIONS_RE.search(channel.name):
+        return Stream.JOINTS
+    return Stream.WRENCH if channel.width == WRENCH_VALUES and _WRENCH_RE.search(channel.name) else None
+
+
+def _list_names(channels: Mapping[str, _Channel]) -> str:
+    more = len(channels) - SHOWN_CHANNELS
+    return (", ".join(list(channels)[:SHOWN_CHANNELS]) + (f" and {more} more" if more > 0 else "")) or "no channels"
+
+
+def open_recording(
+    places: Mapping[Stream, RecordedPlace], joints: Sequence[str] = (), go_on: Callable[[float], bool] = lambda _: True
+) -> OpenRecording:
+    """Read the times of the channels of a log.
+
+    Parameters
+    ----------
+    joints : names of the columns of the joint stream, empty for an unused column; without them all joints of the log
+    go_on : not called, since the times of hours are read in a moment
+
+    Raises InputError: the log or a channel cannot be read, or does not fit the stream.
+    """
+    del go_on
+    paths = {place.path for place in places.values()}
+    if len(paths) > 1:
+        raise InputError(f"The channels are of {len(paths)} logs; expected one log with all of them.")
+    path = paths.pop()
+    channels, root = _read_channels(path)
+    links: list[LinkSpec] = []
+    timelines: list[Timeline] = []
+    sources: list[Callable[[], Iterator[Sequence[bytes]]]] = []
+    findings: list[str] = []
+    for stream, place in places.items():
+        channel = _find_channel(path, channels, stream, place.topic)
+        timeline = Timeline(stream.value, [channel.stamps])
+        columns, names = _columns(path, channel, stream, joints)
+        factor, unit_finding = _factor(channel, stream, root)
+        findings += [f"{stream.value}: channel {channel.name}.", *timeline.sentences()]
+        findings += [f"{stream.value}: {sentence}" for sentence in (names, unit_finding) if sentence]
+        links.append(LinkSpec(stream.value, f"file:{path}::{channel.name}", (stream,), "records"))
+        timelines.append(timeline)
+        sources.append(lambda channel=channel, columns=columns, factor=factor: _lines(path, channel, columns, factor))
+    check_overlap(timelines)
+    return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
+
+
+def _find_channel(path: Path, channels: Mapping[str, _Channel], stream: Stream, name: str) -> _Channel:
+    if not name and stream is Stream.SKIN:
+        raise InputError(
+            f"{path}: the log has no channel of a skin; it has {_list_names(channels)}. Record the skin's port with "
+            "yarpdatadumper, and the sensor as well, or name a channel that holds it."
+        )
+    if not name:
+        raise InputError(f"{path}: the channel of the {stream.value} is not named; it has {_list_names(channels)}.")
+    channel = channels.get(name)
+    if channel is None:
+        raise InputError(f"{path}: has no channel {name}; it has {_list_names(channels)}.")
+    if stream is Stream.WRENCH and channel.width != WRENCH_VALUES:
+        raise InputError(f"{path}: channel {name} has {plural(channel.width, 'value')}; expected six, fx fy fz mx my mz.")
+    return channel
+
+
+def _columns(path: Path, channel: _Channel, stream: Stream, joints: Sequence[str]) -> tuple[list[int], str]:
+    """Choose the columns of a channel, -1 for an unused joint, and describe them."""
+    if stream is not Stream.JOINTS:
+        return list(range(channel.width)), ""
+    known = channel.elements if len(channel.elements) == channel.width else ()
+    if not joints or not known:
+        names = f"the order of the joints is {', '.join(known)}." if known else "its joints have no names: kept in their order."
+        return list(range(channel.width)), names
+    missing = [name for name in joints if name and name not in known]
+    if missing:
+        raise InputError(
+            f"{path}: channel {channel.name} has no joint {', '.join(missing)}; it has {', '.join(known[:SHOWN_CHANNELS])}. "
+            "Check the joint names of the scene."
+        )
+    return [known.index(name) if name else -1 for name in joints], ""
+
+
+def _factor(channel: _Channel, stream: Stream, root: str) -> tuple[float, str]:
+    """Return the factor from the unit of the channel to that of the records, and a sentence if the unit is assumed."""
+    if stream is not Stream.JOINTS:
+        return 1.0, ""
+    unit = channel.unit.lower()
+    is_radians = unit.startswith("rad") if unit else root == RADIANS_ROOT
+    assumed = "" if unit else f"the log names no unit of the angles; {'radians' if is_radians else 'degrees'} were assumed."
+    return float(np.degrees(1.0)) if is_radians else 1.0, assumed
+
+
+def _lines(path: Path, channel: _Channel, columns: Sequence[int], factor: float) -> Iterator[Sequence[bytes]]:
+    """Yield blocks of records."""
+    with _open(path) as file:
+        data, rows = file[channel.group]["data"], len(channel.stamps)
+        for begin in range(0, rows, BLOCK_ROWS_OF_LOG):
+            end = min(begin + BLOCK_ROWS_OF_LOG, rows)
+            try:
+                block = data[begin:end] if channel.has_rows_first else np.moveaxis(data[..., begin:end], -1, 0)
+            except (OSError, RuntimeError) as error:
+                raise InputError(f"{path}: channel {channel.name} cannot be read ({error}); the file is damaged.") from None
+            values = np.asarray(block, np.float64).reshape(end - begin, channel.width) * factor
+            values = np.column_stack([values, np.zeros(end - begin)])[:, list(columns)]
+            yield pack_records(np.arange(begin, end), channel.stamps[begin:end], values)
+
+
+# ------------------------------------------------------------------ file
+
+
+def _open(path: Path) -> Any:
+    """Open the file by `h5py`. Raises InputError: it is none of its files, or `h5py` is missing."""
+    with open_regular(path, what="log") as file:
+        head = file.read(32)
+    try:
+        import h5py  # pyright: ignore[reportMissingTypeStubs]
+    except ImportError:
+        raise InputError(
+            "Logs of robometry are read by the package h5py, which is not installed; install it: "
+            "python -m pip install 'skincal[robometry]'"
+        ) from None
+    if head.startswith(b"MATLAB 5.0"):
+        raise InputError(
+            f"{path}: is a MATLAB file of version 5; expected version 7.3: set mat_file_version to v7_3 in the logger, or in "
+            "MATLAB: s = load('FILE'); save('NEW', '-struct', 's', '-v7.3')"
+        )
+    try:
+        return h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        why = " ".join(str(error).split()).rstrip(".")
+        raise InputError(f"{path}: is no log of robometry, or is cut off ({why}); expected a .mat file, version 7.3.") from None
+
+
+def _read_channels(path: Path) -> tuple[dict[str, _Channel], str]:
+    """Read names, times and shapes of all channels, and the name of the group that holds them."""
+    with _open(path) as file:
+        try:
+            roots = [name for name in file if name != "#refs#" and hasattr(file[name], "items")]
+            root = RADIANS_ROOT if RADIANS_ROOT in roots else roots[0] if roots else ""
+            channels = {channel.name: channel for channel in _walk(file, file[root], "", 0)} if root else {}
+            description = _texts(file, file[root].get("description_list")) if root else ()
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+            raise InputError(f"{path}: its channels cannot be read ({error}); the file is damaged.") from None
+    if not channels:
+        raise InputError(f"{path}: has no channel with data and timestamps; expected a log of robometry.")
+    for name, channel in channels.items():
+        if _POSITIONS_RE.search(name) and not channel.elements:
+            # Older logs have the names of the joints once for all channels.
+            channels[name] = _Channel(
+                name, channel.group, channel.stamps, channel.width, channel.has_rows_first, description, channel.unit
+            )
+    return channels, root
+
+
+def _walk(file: Any, group: Any, prefix: str, depth: int) -> Iterator[_Channel]:
+    """Yield the channels of a group, at most `MAX_CHANNELS_OF_LOG`."""
+    for index, name in enumerate(group):
+        each = group[name]
+        if index >= MAX_CHANNELS_OF_LOG or not hasattr(each, "items"):
+            continue
+        full = f"{prefix}{SEPARATOR_TEXT}{name}" if prefix else name
+        if "data" in each and "timestamps" in each:
+            channel = _channel(file, full, each)
+            if channel is not None:
+                yield channel
+        elif depth < MAX_DEPTH_OF_CHANNELS:
+            yield from _walk(file, each, full, depth + 1)
+
+
+def _channel(file: Any, name: str, group: Any) -> _Channel | None:
+    """Describe a channel; `None` if it holds no numbers, or not as many rows as times."""
+    data, stamps = group["data"], np.asarray(group["timestamps"], np.float64).ravel()
+    if not hasattr(data, "shape") or data.dtype.kind not in "iuf" or not len(stamps) or not np.isfinite(stamps).all():
+        return None
+    has_rows_first = bool(data.shape) and data.shape[0] == len(stamps)
+    if not has_rows_first and (not data.shape or data.shape[-1] != len(stamps)):
+        return None
+    names, units = _texts(file, group.get("elements_names")), _texts(file, group.get("units_of_measure"))
+    return _Channel(name, group.name, stamps, data.size // len(stamps), has_rows_first, names, units[0] if units else "")
+
+
+def _texts(file: Any, dataset: Any) -> tuple[str, ...]:
+    """Read a list of texts, which are references; empty if there is none."""
+    if dataset is None or not hasattr(dataset, "dtype") or dataset.dtype.kind != "O":
+        return ()
+    return tuple("".join(map(chr, np.asarray(file[reference]).ravel().tolist())) for reference in np.asarray(dataset).ravel())
