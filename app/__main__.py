@@ -13,7 +13,7 @@ if __name__ == "__main__" and not sys.flags.safe_path:
     sys.path[:] = [*sys.path[1:], os.path.dirname(os.path.dirname(__file__))]  # noqa: PTH120 - a pathlib.py may lie there
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -23,6 +23,9 @@ from app.session.opening import PART_FILES
 from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
+DEMO = "demo"
+ROBOT_DEMO = "robot"
+"""`skincal demo robot`: the window with a simulated robot that pokes."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,6 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(PART_FILES):
         # For example a file that is dropped onto the program.
         arguments.insert(0, "--scene")
+    if arguments[:1] == [DEMO]:
+        return _exit_code(lambda: _run_demo(arguments[1:]))
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         return _command(arguments)
     try:
@@ -42,8 +47,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as end:
         # argparse ends the program itself, after --help and after errors.
         return int(end.code or 0)
+    return _exit_code(lambda: _run(options))
+
+
+def _exit_code(run: Callable[[], int]) -> int:
+    """Run the window; report wrong input in one sentence."""
     try:
-        return _run(options)
+        return run()
     except InputError as error:
         sys.stderr.write(f"skincal: {error}\n")
         return 2
@@ -65,6 +75,19 @@ def _command(arguments: list[str]) -> int:
     if arguments[0] in HELP[:2]:
         sys.stdout.write(f"\nThe window, without a command:\n\n{_parser().format_help()}")
     return code
+
+
+def _run_demo(words: Sequence[str]) -> int:
+    """Open the window with a simulated robot that pokes."""
+    if list(words) != [ROBOT_DEMO]:
+        raise InputError(f"{DEMO} {' '.join(words)}".strip() + f" is no demonstration; expected {DEMO} {ROBOT_DEMO}.")
+    reason = no_display() or objection()
+    if reason:
+        sys.stderr.write(reason + "\n")
+        return 2
+    from app.run import robot_demo, run_window
+
+    return run_window(robot_demo())
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -112,7 +135,11 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser("skincal", description="Open the window: on a simulated forearm, if no option says otherwise.")
+    parser = _Parser(
+        "skincal",
+        description="Open the window: on a simulated forearm, if no option says otherwise. "
+        f"`skincal {DEMO} {ROBOT_DEMO}`: a simulated robot arm calibrates it by itself.",
+    )
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, a mesh or a URDF")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")
     parser.add_argument("--wrench", default="", help="device of the force/torque sensor")

@@ -107,6 +107,8 @@ COMMANDS = (
             may(lambda m: m.pause)),
     Command("another", "Poke", "Another target", "N", "Ask for another poke; a direction that is skipped twice is left out",
             view(lambda v: v.skip_target()), may(lambda m: m.another)),
+    Command("stop robot", "Poke", "Stop the robot", "S", "Stop the robot that pokes, at once; S again lets it go on",
+            lambda w: w.controller.stop_robot(), lambda w: w.controller.stop_words),
     Command("no landmarks", "Poke", "No landmarks in this pose", "Shift+N",
             "Continue with the skin, or end the final check; N skips one",
             view(lambda v: v.skip_landmarks()), may(lambda m: m.skip_landmarks)),

@@ -101,6 +101,14 @@ def _part_request(options: argparse.Namespace) -> OpenRequest:
     return OpenRequest(part=options.scene)
 
 
+def robot_demo() -> OpenRequest:
+    """Make the request for the demonstration with a robot. Raises InputError: the physics engine is missing."""
+    from skincal.physics.engine import load_mujoco
+
+    load_mujoco()
+    return OpenRequest(server=server_command(None, robot=True), demo=True, robot=True)
+
+
 class Faults(QObject):
     """Shows uncaught exceptions of any thread to the operator; the program continues."""
 

@@ -172,7 +172,7 @@ class Workspace(QWidget):
         is_changed = before is None or (before.revision, before.method) != (state.revision, state.method)
         self.card.show_state(state, is_changed=is_changed)
         room = 0.0 if state.guidance is None else max_angle_error(state.guidance)
-        self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room)
+        self.view.show_moment(state.snapshot, state.live, state.method, state.selected, state.target, room, state.tip)
         self._show_tab()
 
     def current_panel(self) -> Panel | None:
@@ -345,6 +345,8 @@ class SessionView(QObject):
             review=self._rig.in_use(snapshot),
             offers=self._rig.offers(snapshot),
             unsolved=tick.unsolved,
+            tip=self.guided.tip,
+            robot_halted=self.guided.is_halted,
             simulated=simulated_words(controller.pace, controller.running) if controller.simulated else "",
             costs=self.guided.guide.costs,
             eye=self.workspace.view.eye(),

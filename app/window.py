@@ -287,7 +287,7 @@ class Window(QMainWindow):
             self.stack.setCurrentWidget(view.workspace)
             view.begin()
             if self.controller.demo and not self._settings.value("window/told", False, type=bool):
-                self._first_minute = FirstMinute()
+                self._first_minute = FirstMinute(robot=not self.controller.pace)
                 view.workspace.show_card(self._first_minute)
                 # Now: a window that is closed within the minute has shown it, too.
                 self._settings.setValue("window/told", True)

@@ -7,7 +7,7 @@ from PySide6.QtGui import QMouseEvent
 from PySide6.QtWidgets import QFrame, QLabel, QVBoxLayout
 
 from app.panels.widgets import secondary_label, set_bold
-from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END
+from app.text.demo_text import FIRST_MINUTE, FIRST_MINUTE_END, FIRST_MINUTE_ROBOT
 from app.text_size import scaled
 from app.theme import WIDGET_GAP_PX
 
@@ -19,7 +19,7 @@ TITLE_FONT_SIZE_PT = 10.5
 class FirstMinute(QFrame):
     """Explains the demonstration in a few points."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, robot: bool = False) -> None:
         super().__init__()
         self.setObjectName("card")
         self.setAccessibleName("first minute")
@@ -27,7 +27,7 @@ class FirstMinute(QFrame):
         column = QVBoxLayout(self)
         column.setContentsMargins(2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX, 2 * WIDGET_GAP_PX)
         column.setSpacing(WIDGET_GAP_PX // 2)
-        for number, (title, more) in enumerate(FIRST_MINUTE, 1):
+        for number, (title, more) in enumerate(FIRST_MINUTE_ROBOT if robot else FIRST_MINUTE, 1):
             head = QLabel(f"{number}  {title}")
             head.setWordWrap(True)
             set_bold(head, TITLE_FONT_SIZE_PT)

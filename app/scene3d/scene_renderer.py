@@ -21,6 +21,7 @@ from app.scene3d.labels import Labels
 from app.scene3d.landmarks import LandmarksLayer
 from app.scene3d.mesh_actors import FRONT, PART, Layer, window_of
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
+from app.scene3d.robot_tip import RobotTipLayer
 from app.scene3d.scene_state import DEFAULT_VIEW_HALF_HEIGHT_M, SceneColours, StaticScene, View3DState
 from app.scene3d.target import TargetLayer
 from skincal.geometry import FloatArray
@@ -77,7 +78,7 @@ class SceneRenderer:
         if layout is not None and static.laid is not None and np.isfinite(static.places[:, 0]).any():
             layers.append(ModulesLayer(plotter, static, layout, static.laid))
         others = (self.estimates, AxesLayer(plotter, static), UncertaintyLayer(plotter, static), self.target, self.landmarks)
-        return (*layers, *others, self.compare, HintsLayer(plotter, static))
+        return (*layers, *others, self.compare, HintsLayer(plotter, static), RobotTipLayer(plotter, static))
 
     def list_layers(self) -> tuple[str, ...]:
         """Return the names of the layers that this scene has."""

@@ -23,6 +23,7 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.scene import Scene
 from skincal.model.skin import Layout
+from skincal.robot.target_lines import TipPose
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method
 
@@ -111,6 +112,8 @@ class View3DState:
     """rad, accepted deviation of its push; 0 to draw no cone."""
     comparison: Comparison | None = None
     """`None` while nothing is compared."""
+    tip: TipPose | None = None
+    """Tip of the robot that pokes; `None` without one."""
 
     def estimates(self) -> tuple[Estimate, ...]:
         """Return the chosen method's estimates; empty if the scene has no such method."""

@@ -25,6 +25,7 @@ from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.model.scene import Scene
+from skincal.robot.target_lines import TipPose
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Method
 
@@ -223,13 +224,16 @@ class View3D(QWidget):
         selected: int | None,
         target: Target | None = None,
         max_angle_error: float = 0.0,
+        tip: TipPose | None = None,
     ) -> bool:
         """Show a moment of a session; return whether the picture changes.
 
         Asks for one picture at most, and for none when nothing changed. While the view is not built or not visible, the
         moment is kept, and shown later.
         """
-        self._state = View3DState(snapshot, live, method, selected, self._difference, target, max_angle_error, self._comparison)
+        self._state = View3DState(
+            snapshot, live, method, selected, self._difference, target, max_angle_error, self._comparison, tip
+        )
         return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:

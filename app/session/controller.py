@@ -158,7 +158,7 @@ class Controller(QObject):
         self.prepare: Callable[[], object] = lambda: None
         """Imports the session's views; called in the background before a part is loaded."""
         self.pace = 1
-        """Of the simulated operator, one of `PACES`."""
+        """Of the simulated operator, one of `PACES`; 0 if a simulated robot pokes."""
         self.demo = False
         self._reset()
         self._timer = QTimer(self)
@@ -193,7 +193,7 @@ class Controller(QObject):
         self._release()
         self._set_running(Running.OPENING)
         self._storage = storage = SessionFolder(request, self._documents)
-        self.demo, self.pace = request.demo, DEMO_SPEED_FACTOR if request.demo else 1
+        self.demo, self.pace = request.demo, 0 if request.robot else DEMO_SPEED_FACTOR if request.demo else 1
         self._timer.start()
         if request.session is not None:
             self._serve_targets(request.targets)
@@ -300,7 +300,7 @@ class Controller(QObject):
     def _take_links(self, links: tuple[LinkSpec, ...]) -> None:
         self._pending_links = links
         self.simulated = True
-        if self.pace != 1:
+        if self.pace > 1:
             self.set_pace(self.pace)
         self._start_recording()
 
@@ -314,7 +314,25 @@ class Controller(QObject):
 
     @property
     def has_simulator(self) -> bool:
-        return self._server is not None
+        """Whether a simulated operator pokes, whose pace can be chosen."""
+        return self._server is not None and self.pace > 0
+
+    def stop_robot(self) -> None:
+        """Stop the robot that pokes, at once; let a stopped one go on."""
+        if self.guided is None or self._targets is None:
+            return
+        if self.guided.is_halted:
+            self.guided.let_robot_go_on()
+        else:
+            self.guided.halt_robot(self._targets)
+        self.publish_again()
+
+    @property
+    def stop_words(self) -> str:
+        """Text of the command that stops the robot, or lets it go on; empty if no robot can poke."""
+        if self._targets is None or self.guided is None:
+            return ""
+        return "Let the robot go on" if self.guided.is_halted else "Stop the robot"
 
     def _take_robot_answers(self, recording: Recording) -> None:
         """Handle the answers of robots; a skip has to wait as long as an action."""

@@ -53,6 +53,8 @@ class OpenRequest:
     """Port that sends poke targets to a robot, `[HOST:]PORT`; empty for none."""
     demo: bool = False
     """Demonstration: fast simulated operator, card for newcomers, and the verdict opens without a key."""
+    robot: bool = False
+    """The device process simulates a robot that pokes, which has no pace."""
     pose: str = ""
     """Arm pose at the start of a new session; empty if not chosen."""
     read_only: bool = False
@@ -73,15 +75,16 @@ def find_scene(scene: Path | None) -> Path:
     return scene_file(Path(DEFAULT_SCENE) if scene is None else scene)
 
 
-def server_command(scene: Path | None) -> tuple[str, ...]:
+def server_command(scene: Path | None, *, robot: bool = False) -> tuple[str, ...]:
     """Make the command that simulates a scene's devices over TCP; `None` for the default scene.
 
-    The window appends the port that sends poke targets to its operator.
+    The window appends the port that sends poke targets to its operator, or to a simulated `robot` in its place.
     """
     name = DEFAULT_SCENE if scene is None else str(scene)
     # A frozen program runs the commands itself. -P: no file of the working folder is imported.
     program = () if getattr(sys, "frozen", False) else ("-P", "-m", "skincal.cli")
-    return (sys.executable, *program, "simulate", "--serve", "--tcp", "--operator", "guided", "--scene", name, "--json")
+    pokes = ("--physics", "mujoco") if robot else ("--operator", "guided")
+    return (sys.executable, *program, "simulate", "--serve", "--tcp", *pokes, "--scene", name, "--json")
 
 
 def check_addresses(addresses: Addresses) -> None:

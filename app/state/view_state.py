@@ -14,6 +14,7 @@ from skincal.guide.press_coaching import PokeError
 from skincal.guide.progress import AxisDiversity
 from skincal.model.readings import LinkAnswer, LinkHealth, LinkState, is_silent
 from skincal.model.scene import Scene
+from skincal.robot.target_lines import TipPose
 from skincal.session.review import Review
 from skincal.session.snapshot import LiveView, Snapshot
 from skincal.taxels.result import Estimate, Method
@@ -99,6 +100,10 @@ class ViewState:
     """Available corrections of sensor and arm."""
     unsolved: int = 0
     """Taxels that are being solved for longer than a moment; the estimates shown are older."""
+    tip: TipPose | None = None
+    """Tip of the robot that pokes; `None` without one."""
+    robot_halted: bool = False
+    """The operator has stopped the robot."""
     simulated: str = ""
     """Label shown for a simulated robot; empty for real devices."""
     costs: Mapping[Method, int] = field(default_factory=dict[Method, int])

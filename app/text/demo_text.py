@@ -24,11 +24,20 @@ FIRST_MINUTE = (
     ),
 )
 """Titles and texts of the first minute."""
+FIRST_MINUTE_ROBOT = (
+    ("This robot is simulated.", "Nothing is connected. An arm in the physics engine MuJoCo presses a simulated skin."),
+    ("The arm pokes by itself.", "The guide sends it one target after the other. The ball in the 3D view is its tip."),
+    ("S stops the arm at once.", "S again: it goes on. N: another target. P: pause."),
+    ("It needs about five minutes.", "Then you can write the calibration file. docs/robot.md: your own robot."),
+)
+"""The same for the demonstration with a robot that pokes."""
 FIRST_MINUTE_END = "Esc or a click closes this card."
 
 
 def simulated_words(pace: int, running: Running) -> str:
-    """Label of a simulated robot: `"SIMULATED  2x"`, with the pace of its operator."""
+    """Label of a simulated robot: `"SIMULATED  2x"`, with the pace of its operator; 0 without an operator."""
+    if not pace:
+        return "SIMULATED ROBOT"
     return f"SIMULATED  {pace}\N{MULTIPLICATION SIGN}" if running is Running.STREAMING else "SIMULATED"
 
 

@@ -217,6 +217,8 @@ def _trouble(at: ViewState) -> Now | None:
         return Now(Tone.CALM, "Paused", "Not recording. Space: continue")
     if at.running is Running.OFFLINE:
         return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
+    if at.robot_halted:
+        return Now(Tone.WAIT, "Robot stopped", "S: let it go on. Its own emergency stop still has to be at hand")
     fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.record import MAX_REQUESTED_POKES, SceneOption, find_scene, finish, stopping
+from skincal.cli.simulated_robot import serve_robot
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
@@ -49,6 +50,12 @@ class OperatorKind(Enum):
     AUTO = "auto"
     TOLD = "told"
     GUIDED = "guided"
+
+
+class Physics(Enum):
+    """Physics engine that simulates a robot."""
+
+    MUJOCO = "mujoco"
 
 
 def add_to(app: typer.Typer) -> None:
@@ -98,7 +105,13 @@ def simulate(
     ] = False,
     targets: Annotated[
         str | None,
-        typer.Option(metavar="[HOST:]PORT", help="With --operator guided: who asks, as `record --targets` or the window does."),
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="With --operator guided or --physics: who asks, as `record --targets` or the window does.",
+        ),
+    ] = None,
+    physics: Annotated[
+        Physics | None, typer.Option(help="With --serve: a robot arm in this engine pokes, in place of an operator.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -117,6 +130,11 @@ def simulate(
     from skincal.simulate.virtual_session import simulate_session
 
     loaded = find_scene(scene)
+    if physics is not None:
+        if not serve or operator is not OperatorKind.AUTO:
+            raise InputError("--physics goes with --serve and --targets, and has no --operator: a robot pokes.")
+        serve_robot(loaded, targets, seed, tcp=tcp, as_json=as_json)
+        return
     serve, speak_as = serve or ros2, f"{speak_as},ros2".strip(",") if ros2 else speak_as
     _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "")
     surface, wrong = load_scene_surface(loaded)[0], getattr(RigErrors, errors.value)()
@@ -135,7 +153,7 @@ def simulate(
     settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_MOMENT_NOISE_NM)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
-        _print_links(server, known if as_json else {})
+        print_links(server, known if as_json else {})
         with _target_client(hand, targets):
             _run(server, hand, operator, pokes)
 
@@ -252,7 +270,7 @@ SERVING_NOTICE = "The devices are served until it ends ({key}) or Ctrl-C."
 STDIN_ENDED = "Standard input ended, and so did the devices."
 
 
-def _print_links(server: Server, known: dict[str, Any]) -> None:
+def print_links(server: Server, known: dict[str, Any]) -> None:
     """Say on one line where the links are; for a program (--json) also where the taxels really are."""
     links = [
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
@@ -274,14 +292,14 @@ def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: Operat
     ended = threading.Event()
     with stopping() as stop:
         # A daemon: it waits in a read that nothing can interrupt.
-        threading.Thread(target=_listen, args=(listener, ended, stop), name="orders", daemon=True).start()
+        threading.Thread(target=wait_for_input, args=(listener, ended, stop), name="orders", daemon=True).start()
         server.run(stop, (lambda: progress(hand.begun)) if terminal else lambda: None)
     progress.close()
     if terminal and ended.is_set():
         say(STDIN_ENDED, err=True)
 
 
-def _listen(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
+def wait_for_input(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.operator import read_order
 

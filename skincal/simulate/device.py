@@ -143,6 +143,21 @@ class DeviceTimeline:
         self._blocks = 0
 
     @property
+    def block_s(self) -> float:
+        """Seconds that are computed together."""
+        return self.settings.block_s
+
+    @property
+    def emulated(self) -> Mapping[Stream, str]:
+        """Makers' devices that send a stream."""
+        return self.settings.emulated
+
+    @property
+    def channels(self) -> int:
+        """Channels of the skin."""
+        return self.rig.scene.skin.channels
+
+    @property
     def links(self) -> dict[str, Stream]:
         """Name of each link and its stream."""
         return {board.link: board.stream for board in self._boards}

@@ -496,7 +496,7 @@ class GuidedOperator(AutoOperator):
         self._seen, number, self._unanswered = self._newest, self._unanswered, 0
         if number and self.answered is not None:
             self.answered(Answer(AnswerKind.REACHED, number))
-        if self._seen in (NoTarget.WAIT, NoTarget.ENOUGH):
+        if self._seen in (NoTarget.WAIT, NoTarget.STOP, NoTarget.ENOUGH):
             self._touch = None
             return None
         return super().next(now)

@@ -7,15 +7,51 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Protocol
 
-from skincal.simulate.device import DeviceTimeline
+from skincal.model.readings import Stream
 from skincal.simulate.emulated_transports import MakerOutlets
 from skincal.simulate.outlets import Outlet, PtyOutlet, TcpOutlet
 from skincal.streams.links import LinkSpec
 
 MAX_CATCH_UP_TIME_S = 1.0
 """s. After a longer sleep of the machine the boards continue from now and skip the missed time."""
+
+
+class DeviceSource(Protocol):
+    """Devices whose readings are computed block by block."""
+
+    now: float
+    """s, end of the computed time."""
+
+    @property
+    def block_s(self) -> float:
+        """Seconds of a block."""
+        ...
+
+    @property
+    def emulated(self) -> Mapping[Stream, str]:
+        """Makers' devices that send a stream, by their names."""
+        ...
+
+    @property
+    def channels(self) -> int:
+        """Channels of the skin."""
+        ...
+
+    @property
+    def links(self) -> dict[str, Stream]:
+        """Name of each link and its stream."""
+        ...
+
+    def greeting(self, link: str) -> bytes:
+        """Return the header that a board sends when a host connects or asks."""
+        ...
+
+    def advance(self) -> list[tuple[int, str, bytes]]:
+        """Compute one block: (nanoseconds, link, bytes), sorted by time."""
+        ...
 
 
 class Server:
@@ -25,11 +61,11 @@ class Server:
     Raises InputError without `tcp` on a platform without pseudo-terminals.
     """
 
-    def __init__(self, line: DeviceTimeline, *, tcp: bool) -> None:
+    def __init__(self, line: DeviceSource, *, tcp: bool) -> None:
         self._line = line
         self._outlets: dict[str, Outlet] = {}
         self._paused: set[str] = set()
-        emulated, makers = line.settings.emulated, MakerOutlets(line.rig.scene.skin.channels)
+        emulated, makers = line.emulated, MakerOutlets(line.channels)
         try:
             for name, stream in line.links.items():
                 if stream in emulated:
@@ -52,8 +88,8 @@ class Server:
             late = time.monotonic() - start - self._line.now
             if late > MAX_CATCH_UP_TIME_S:
                 start += late
-            elif late < self._line.settings.block_s:
-                stop.wait(self._line.settings.block_s - late)
+            elif late < self._line.block_s:
+                stop.wait(self._line.block_s - late)
                 continue
             self._handle_commands()
             for _, link, data in self._line.advance():

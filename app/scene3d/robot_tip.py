@@ -1,0 +1,41 @@
+"""The tip of a robot that pokes, where the robot reports it: a ball, and a line along the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista as pv
+
+from app.scene3d.mesh_actors import NO_POINTS, PART, Dots, Layer, Segments
+from app.scene3d.scene_state import StaticScene, View3DState
+from skincal.robot.target_lines import TipPose
+
+TOOL_DRAWN_M = 0.08
+"""m of the tool that are drawn."""
+BALL_PX, LINE_PX = 18.0, 5.0
+BALL_LIFT_M = 0.003
+"""m, of the ball along the tool: otherwise the part hides half of a ball that touches it."""
+
+
+class RobotTipLayer(Layer):
+    """Ball and line; nothing without a robot. The part hides a tip behind it."""
+
+    name = "robot"
+
+    def __init__(self, plotter: pv.BasePlotter, static: StaticScene) -> None:
+        super().__init__(plotter, static)
+        self.ball, self.tool = Dots(plotter, PART, BALL_PX), Segments(plotter, PART, LINE_PX)
+        self._tip: TipPose | None = None
+
+    def show(self, state: View3DState) -> bool:
+        if state.tip is self._tip:
+            return False
+        self._tip = state.tip
+        self.draw()
+        return True
+
+    def draw(self) -> None:
+        tip = self._tip
+        ends = NO_POINTS if tip is None else np.stack([tip.place, tip.place - TOOL_DRAWN_M * tip.push])
+        ball = NO_POINTS if tip is None else tip.place - BALL_LIFT_M * tip.push
+        self.ball.show(ball, self.colours.tints["to"])
+        self.tool.show(ends, self.colours.ink)

@@ -1,0 +1,34 @@
+"""A simulated robot that is asked over a port for targets, and its devices as a source for `skincal.simulate.serve.Server`."""
+
+from __future__ import annotations
+
+from skincal.mesh.surface import Surface
+from skincal.physics.devices import PERIODS_PER_BLOCK, RobotDevices
+from skincal.physics.poking_client import PokingClient
+from skincal.physics.rig import SimulatedRobot
+from skincal.robot.target_client import TargetClient
+
+
+class PokingDevices(RobotDevices):
+    """Devices of a robot that pokes the targets of a port.
+
+    Parameters
+    ----------
+    surface : mesh of the part, for the way around it
+    host, port : of the target server; the robot connects again and again until `close`
+    """
+
+    def __init__(self, robot: SimulatedRobot, surface: Surface, host: str, port: int) -> None:
+        super().__init__(robot)
+        self.client = PokingClient(robot, surface, lambda line: self._connection.say(line))
+        self._connection = TargetClient(host, port, self.client.receive_line, (self.client.pace,), self.client.lose_connection)
+
+    def advance(self) -> list[tuple[int, str, bytes]]:
+        """Let the robot poke for one block, and encode its readings."""
+        for _ in range(PERIODS_PER_BLOCK):
+            self.client.run_period()
+        return super().advance()
+
+    def close(self) -> None:
+        """Disconnect from the target server."""
+        self._connection.close()
