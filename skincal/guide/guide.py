@@ -43,7 +43,7 @@ from skincal.guide.progress import (
     improvable_error,
     poke_interval,
 )
-from skincal.guide.robot_order import RobotPace, nearest_open_module, nearest_open_taxel, travel_seconds
+from skincal.guide.robot_order import RobotPace, nearest_open_taxel, travel_seconds
 from skincal.guide.taxel_statistics import TaxelStatistics
 from skincal.model.scene import NoiseSettings
 from skincal.taxels.contact_table import Evidence
@@ -403,15 +403,10 @@ class Guide:
 
     def _next_in_turn(self, rows: IntArray, seconds: FloatArray) -> int:
         """Choose the taxel in turn; a module that never answers, or is skipped, has had its turn too."""
-        own, settings = self._statistics.own, self.settings
+        own = self._statistics.own
         if self.method is not Method.MODULES:
-            if self.robot is not None:
-                return nearest_open_taxel(rows, seconds, self._tried(), own, settings.own_pokes)
             return next_taxel(rows, seconds, self._pokes.asked, own)
-        others = self.plan.modules, self._places
-        if self.robot is not None:
-            return nearest_open_module(rows, seconds, self._tried(), own, settings.module_pokes, *others)
-        return next_module_taxel(rows, seconds, self._tried(), own, *others)
+        return next_module_taxel(rows, seconds, self._tried(), own, self.plan.modules, self._places)
 
     def _aim(self, row: int, push: FloatArray, missing: Sequence[Need]) -> FloatArray:
         """Choose where to press, (3,) metres: on the taxel, or off it if nothing but balance is missing.

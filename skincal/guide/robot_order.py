@@ -1,8 +1,8 @@
-"""Order of the targets of a robot: by travel, and all pokes of a place in a row.
+"""Order of the targets of a robot by the free method: several tilts at one place in a row, then the nearest place.
 
-A hand visits all taxels in turn. A robot makes the first pokes of a taxel or a module in one visit, each with another
-tilt where tilt helps. Then it goes to the nearest one that is open. Further pokes are later visits, when the neighbours are
-better known. A taxel that never answers is visited last.
+A hand aims for each poke, and goes where a poke is worth most. A robot loses time by travel. Once the sweep is over it makes
+the first own pokes of a taxel in one visit. Further pokes are later visits, when the neighbours are better known. A taxel that
+never answers is visited last. The other methods need no tilts, and their rounds have short ways already.
 """
 
 from __future__ import annotations
@@ -43,35 +43,6 @@ def nearest_open_taxel(rows: IntArray, seconds: FloatArray, asked: IntArray, own
     """
     first = _fewest(_visits(asked, own, in_a_row)[rows])
     return int(rows[first[seconds[first].argmin()]])
-
-
-def nearest_open_module(
-    rows: IntArray,
-    seconds: FloatArray,
-    asked: IntArray,
-    own: IntArray,
-    in_a_row: int,
-    modules: IntArray,
-    places: FloatArray,
-) -> int:
-    """Choose a taxel of the nearest module with the fewest visits: the one farthest from the poked ones of its module.
-
-    Parameters
-    ----------
-    seconds, asked, own, in_a_row : as for `nearest_open_taxel`; the visits are those of a module
-    modules : (n,) index of each taxel's module, from 0
-    places : (n, 3) float, metres, believed; NaN if unknown
-    """
-    of_module = _visits(np.bincount(modules, asked), np.bincount(modules, own), in_a_row)
-    first = _fewest(of_module[modules[rows]])
-    module = modules[rows[first[seconds[first].argmin()]]]
-    here = first[modules[rows[first]] == module]
-    here = here[_fewest(np.maximum(own, asked - 1)[rows[here]])]
-    poked = (modules == module) & (own > own[rows[here[0]]]) & np.isfinite(places).all(axis=1)
-    if not poked.any():
-        return int(rows[here[seconds[here].argmin()]])
-    off = places[rows[here], None] - places[poked]
-    return int(rows[here[np.sum(off * off, axis=2).min(axis=1).argmax()]])
 
 
 def _visits(asked: IntArray | FloatArray, own: IntArray | FloatArray, in_a_row: int) -> IntArray:

@@ -168,7 +168,7 @@ class PokingClient:
 
     @property
     def pace(self) -> RobotPace:
-        """Pace to greet skincal with, on every connection: then the guide orders the targets by travel."""
+        """Pace to greet skincal with, on every connection: then the guide asks for several tilts in a row."""
         own = self.settings
         poke_s = own.tare_s + own.clearance / own.enter_speed + own.standoff / own.approach_speed + 2.0
         return RobotPace(own.travel_speed, poke_s)

@@ -61,7 +61,7 @@ class SessionGuide:
         self._guides: dict[Method, Guide] = {}
         """One for each method that was shown."""
         self.robot: RobotPace | None = None
-        """Pace of the robot that pokes: it is guided by travel. `None` for a hand."""
+        """Pace of the robot that pokes; `None` for a hand."""
         self._skipped: Counter[Method] = Counter()
         """Number of the session's skips that each guide knows."""
         self._followed: tuple[Snapshot, Method] | None = None

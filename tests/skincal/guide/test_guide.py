@@ -1,14 +1,16 @@
 """The guide over a session: its targets, its needs, and what skips, exclusions and repeated reports do to them."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from guided_bench import PART, GuidedBench, after, make_guide
+from guided_bench import PART, STEADY, GuidedBench, after, make_guide
 
 from skincal.guide.guidance import GuidePhase
 from skincal.guide.guide import MAX_SKIPS_PER_TAXEL_SIDE
 from skincal.guide.progress import GuideSettings
+from skincal.guide.robot_order import RobotPace
 from skincal.model.actions import Exclude, MarkDead, Restore
 from skincal.session.guiding import SessionGuide
 from skincal.session.part import lay_part
@@ -300,3 +302,37 @@ def test_a_flat_patch_without_a_mesh_is_finished_by_about_the_predicted_number_o
     done = np.array([not needs for needs in guidance.needs])
     assert done.mean() > 0.9
     assert np.max(errors_of(session.snapshot().estimates[Method.MODULES], rig)[done]) < 0.003
+
+
+def test_an_impossible_side_is_left_out_after_one_skip():
+    bench = GuidedBench(seed=5)
+    first = bench.guidance.target
+    bench.guide.skip(first, is_impossible=True)
+    worth = bench.diversity(row_of(first.channel))
+    np.testing.assert_array_equal(worth.worth == 0.0, worth.tried @ first.push > np.cos(np.radians(25.0)))
+
+
+def course_of(method, robot, pokes, sweep):
+    bench = GuidedBench(method, conditions=STEADY)
+    bench.guide.settings = replace(bench.guide.settings, sweep=sweep)
+    bench.guide.robot, bench.guide._kept = robot, None
+    bench.look()
+    return [(bench.guidance.target, bench.poke())[0] for _ in range(pokes)]
+
+
+def test_a_robot_makes_the_first_own_pokes_of_a_taxel_in_a_row_with_several_tilts():
+    """From the start; by the free method a hand goes elsewhere after each poke."""
+    robot, hand = (course_of(Method.FREE, pace, 30, sweep=0.0) for pace in (RobotPace(0.1, 3.0), None))
+    stays = [[a.channel == b.channel for a, b in pairwise(course)] for course in (robot, hand)]
+    assert np.mean(stays[0]) > 0.5 > np.mean(stays[1])
+    turned = [a.push @ b.push for a, b in pairwise(robot) if a.channel == b.channel]
+    assert np.median(turned) < np.cos(np.radians(15.0))
+
+
+@pytest.mark.parametrize("method", [Method.SURFACE, Method.MODULES])
+def test_by_the_other_methods_a_robot_gets_the_targets_of_a_hand_to_the_last_bit(method):
+    robot, hand = (course_of(method, pace, 25, sweep=1.5) for pace in (RobotPace(0.1, 3.0), None))
+    for a, b in zip(robot, hand, strict=True):
+        assert a.channel == b.channel
+        np.testing.assert_array_equal(a.place, b.place)
+        np.testing.assert_array_equal(a.push, b.push)

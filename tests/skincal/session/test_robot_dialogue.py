@@ -9,7 +9,7 @@ import pytest
 from skincal.contacts.outcome import Contact, Reason, Rejection
 from skincal.guide.guidance import Guidance, GuidePhase, Target
 from skincal.model.scene import load_scene, resource
-from skincal.robot.target_lines import Answer, AnswerKind, Judged, NoTarget, PokeTarget
+from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
 from skincal.session.decisions import Decisions
 from skincal.session.robot_dialogue import POKE_DETECTION_TIMEOUT_S, RobotDialogue
 from skincal.session.snapshot import PokeRecord
@@ -48,10 +48,10 @@ class Course:
         self.robot, self.thresholds = RobotDialogue(scene), scene.contacts
         self.pokes, self.missed, self.landmarks = list(pokes), {}, {}
 
-    def at(self, now_s, guidance, *, measuring=True):
+    def at(self, now_s, guidance, *, measuring=True, held=False):
         decisions = Decisions(thresholds=self.thresholds, missed_landmarks=self.missed)
         snapshot = SimpleNamespace(pokes=tuple(self.pokes), at_landmarks=self.landmarks, decisions=decisions)
-        return self.robot.lines_to_send(guidance, snapshot, "", now_s, measuring=measuring)
+        return self.robot.lines_to_send(guidance, snapshot, "", now_s, measuring=measuring, held=held)
 
     def asked(self, now_s, guidance):
         """The one target that is said now."""
@@ -175,3 +175,35 @@ def test_a_number_that_was_never_asked_for_is_a_lie(number):
     assert course.robot.handle_answer(Answer(REACHED, 1), 0.5).protocol_error, "before anything was asked for"
     course.asked(1.0, wants(3))
     assert approved("targets.was_asked", most=1) in course.robot.handle_answer(Answer(REACHED, number), 1.1).protocol_error
+
+
+def test_held_is_said_once_for_the_target_that_is_open():
+    course = Course()
+    assert course.at(0.9, None, held=True) == [NoTarget.ANY]
+    course.asked(1.0, wants(3))
+    assert course.at(1.5, wants(3), held=True) == [Held(1)]
+    assert course.at(1.6, wants(3), held=True) == []
+    (line,) = course.at(1.7, wants(4), held=False)
+    assert course.at(1.8, wants(4), held=True) == [Held(line.number)]
+
+
+def test_a_halted_robot_gets_verdicts_and_no_target_until_it_may_go_on():
+    course = Course()
+    course.asked(1.0, wants(3))
+    assert course.robot.halt() == [NoTarget.WAIT, NoTarget.STOP]
+    course.pokes.append(poke(1, 2.0))
+    assert course.at(2.6, wants(4)) == [Judged(1)]
+    for guidance in (wants(5), None, wants(None)):
+        assert course.at(2.7, guidance) == []
+    course.robot.go_on()
+    assert course.asked(3.0, wants(4)).number == 2
+
+
+def test_an_impossible_target_is_told_to_the_operator_once_for_each_reason():
+    course, meanings = Course(), []
+    for number, reason in enumerate(["out of reach", "out of reach", "", "the part is in the way"], 1):
+        course.asked(float(number), wants(number))
+        meanings.append(course.robot.handle_answer(Answer(SKIP, number, reason), number + 0.5))
+    assert all(meaning.wants_other_target for meaning in meanings)
+    assert [meaning.impossible for meaning in meanings] == ["out of reach", "out of reach", "", "the part is in the way"]
+    assert [bool(meaning.warning) for meaning in meanings] == [True, False, False, True]

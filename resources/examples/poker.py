@@ -1,0 +1,199 @@
+"""A robot that pokes what skincal asks for: a template for a real arm, in the standard library alone.
+
+    skincal record --targets 7010 ...            # or the window: skincal --targets 7010 ...
+    python3 poker.py --port 7010
+
+Fill in the three functions of `Arm`; docs/robot.md has those for UR by RTDE and for ROS 2. All places are metres in the frame
+of the part: convert with the measured pose of the part in the robot's base. Try it first on a soft part, with a low
+`FORCE_LIMIT`, and a hand on the emergency stop.
+
+Between two places with other directions the tip goes back by `CLEAR`, which must be more than the part is wide. To the far side
+of the part this arm does not go: it answers `skip N out of reach`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import socket
+import time
+
+Vector = tuple[float, float, float]
+
+STANDOFF, SEARCH, CLEAR = 0.03, 0.012, 0.15
+"""m: before the place, where a poke begins and ends; behind it, where the search ends; back before another direction."""
+SAME_SIDE, NEAR_SIDE = 0.9, -0.3
+"""Cosines of the angle between two pushes: no need to go back; the part is not in the way."""
+TRAVEL, APPROACH, PRESS = 0.10, 0.015, 0.005
+"""m/s."""
+TOUCH, FORCE_LIMIT = 1.0, 20.0
+"""N above the tare: the part is felt; the tip goes back."""
+FRESH_S, PERIOD_S, TARE_S, SETTLE_S = 0.1, 0.02, 0.3, 5.0
+"""s: oldest force that allows a motion towards the part; time of a step; of taring; to reach the force."""
+
+
+class Arm:
+    """Your robot."""
+
+    def read(self) -> tuple[Vector, float, float]:
+        """Return the place of the tip's end; the force along the push, N, not tared; and its age, s."""
+        raise NotImplementedError
+
+    def move_tip(self, place: Vector, push: Vector) -> None:
+        """Set the place of the tip's end and the direction of the tool, for the next period; a set point, not a path."""
+        raise NotImplementedError
+
+    def can_reach(self, place: Vector, push: Vector) -> bool:
+        """Whether the robot gets there: the answer of its inverse kinematics, with its limits."""
+        raise NotImplementedError
+
+
+class Stop(Exception):  # noqa: N818 - it ends a poke, it is no error
+    """The poke ends: another target, `wait`, `stop`, or skincal is gone."""
+
+
+class Poker:
+    """One connection to skincal and the pokes that it asks for."""
+
+    def __init__(self, arm: Arm, host: str, port: int) -> None:
+        self.arm, self.target, self.held, self.side = arm, None, False, None
+        self._socket = socket.create_connection((host, port), 5.0)
+        self._socket.setblocking(False)
+        self._rest, self._reported_s = b"", 0.0
+        self.say(f"robot {TRAVEL} 6")
+
+    def say(self, line: str) -> None:
+        """Send a line."""
+        self._socket.sendall(f"{line}\n".encode())
+
+    def run(self) -> None:
+        """Poke until skincal has enough; ConnectionError if it hangs up."""
+        while True:
+            try:
+                while self.target is None:
+                    self._wait()
+                number, place, push, force, hold = self.target
+                self.target, self.held = None, False
+                turn = 1.0 if self.side is None else sum(a * b for a, b in zip(self.side, push, strict=True))
+                ends = [_moved(place, push, way) for way in (-CLEAR, -STANDOFF, 0.0)]
+                if turn < NEAR_SIDE or not all(self.arm.can_reach(end, push) for end in ends):
+                    self.say(f"skip {number} out of reach")
+                    continue
+                if turn < SAME_SIDE:
+                    self._go(_moved(self.arm.read()[0], self.side, -CLEAR), self.side)
+                    self._go(ends[0], push)
+                self._go(ends[1], push)
+                self.side = push
+                self.say(f"{'reached' if self._poke(place, push, force, hold) else 'skip'} {number}")
+            except Stop:
+                if self.target == ():
+                    return
+
+    def _poke(self, place: Vector, push: Vector, force: float, hold: float) -> bool:
+        """Poke once; whether something was felt. However it ends, the tip goes back."""
+        depth = -STANDOFF
+        try:
+            tare = self._tare(place, push)
+            until_s, pressed_s = math.inf, math.inf
+            while depth < SEARCH and time.monotonic() < until_s and not self.held:
+                _, felt, age_s = self.arm.read()
+                felt -= tare
+                if felt > FORCE_LIMIT:
+                    return False
+                if felt > TOUCH and until_s == math.inf:
+                    until_s = time.monotonic() + SETTLE_S
+                if abs(felt - force) < 0.06 * force and pressed_s == math.inf:
+                    pressed_s = time.monotonic()
+                    until_s = pressed_s + hold + 1.5
+                # Never towards the part without a fresh force; slower and slower towards the wished one.
+                speed = APPROACH if felt < TOUCH else max(-PRESS, min(PRESS, (force - felt) * PRESS / force * 2.0))
+                if age_s > FRESH_S:
+                    speed = min(speed, 0.0)
+                if pressed_s == math.inf or abs(felt - force) > 0.06 * force:
+                    depth += speed * PERIOD_S
+                self._move(place, push, depth)
+            return depth < SEARCH
+        finally:
+            while depth > -STANDOFF:
+                depth -= TRAVEL * PERIOD_S
+                self.arm.move_tip(_moved(place, push, depth), push)
+                time.sleep(PERIOD_S)
+
+    def _go(self, place: Vector, push: Vector) -> None:
+        """Move the tip straight, without a touch."""
+        start = self.arm.read()[0]
+        steps = max(1, math.ceil(math.dist(start, place) / (TRAVEL * PERIOD_S)))
+        way = tuple(b - a for a, b in zip(start, place, strict=True))
+        for step in range(1, steps + 1):
+            self._move(_moved(start, way, step / steps), push, 0.0)
+
+    def _tare(self, place: Vector, push: Vector) -> float:
+        """Return the mean force without contact, N."""
+        read: list[float] = []
+        end_s = time.monotonic() + TARE_S
+        while time.monotonic() < end_s or not read:
+            _, force, age_s = self.arm.read()
+            read += [force] if age_s <= FRESH_S else []
+            self._move(place, push, -STANDOFF)
+        return sum(read) / len(read)
+
+    def _move(self, place: Vector, push: Vector, depth: float) -> None:
+        tip = _moved(place, push, depth)
+        self.arm.move_tip(tip, push)
+        if time.monotonic() - self._reported_s > 0.1:
+            self._reported_s = time.monotonic()
+            self.say("tip " + " ".join(f"{value:.6f}" for value in (*tip, *push)))
+        self._wait()
+
+    def _wait(self) -> None:
+        """Wait one period and read skincal's lines."""
+        time.sleep(PERIOD_S)
+        try:
+            data = self._socket.recv(4096)
+        except BlockingIOError:
+            return
+        if not data:
+            raise ConnectionError("skincal hung up")
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        ends = [self._ends_poke(line.decode()) for line in lines]
+        if any(ends):
+            raise Stop
+
+    def _ends_poke(self, line: str) -> bool:
+        """Follow a line; whether it ends the present poke."""
+        word, *rest = line.split() or [""]
+        if word == "target":
+            x, y, z, px, py, pz, force, hold = map(float, rest[4:])
+            self.target = int(rest[0]), (x, y, z), (px, py, pz), force, hold
+            return True
+        if word in ("wait", "stop", "any", "enough"):
+            self.target = () if word == "enough" else None
+            return True
+        if word == "refused":
+            raise ConnectionError(line)
+        self.held |= word == "held"
+        return False
+
+
+def _moved(place: Vector, push: Vector, way: float) -> Vector:
+    return tuple(p + way * d for p, d in zip(place, push, strict=True))
+
+
+def main() -> None:
+    """Poke; connect again if skincal is gone."""
+    options = argparse.ArgumentParser()
+    options.add_argument("--host", default="127.0.0.1")
+    options.add_argument("--port", type=int, default=7010)
+    given = options.parse_args()
+    while True:
+        try:
+            Poker(Arm(), given.host, given.port).run()
+        except OSError as error:
+            print(f"{error}; trying again")  # noqa: T201
+            time.sleep(1.0)
+        else:
+            return
+
+
+if __name__ == "__main__":
+    main()
