@@ -135,6 +135,15 @@ def draw_rig() -> None:
     wrong.window.leave()
 
 
+def draw_robot() -> None:
+    """Write the picture of the window while a simulated robot pokes."""
+    robot = WindowPhotographer(OpenRequest(server=server_command(None, robot=True), robot=True), Choice.LIGHT, "Readings")
+    robot.until(lambda: robot.view.state is not None and len(robot.view.state.snapshot.contacts) >= 14)
+    robot.until_text("Hold still", "", 0)
+    robot.grab("robot")
+    robot.window.leave()
+
+
 def draw_part() -> None:
     """Write the pictures of the tutorial on a part of one's own."""
     from tools.first_part import find_icub, walk_tutorial
@@ -196,7 +205,7 @@ def draw_studies(measured: Path) -> None:
 def main() -> None:
     """Write the chosen pictures."""
     parser = argparse.ArgumentParser(description="Make the pictures of README and docs again.")
-    parser.add_argument("which", nargs="*", help="window, rig, part, headless, studies; without any: all")
+    parser.add_argument("which", nargs="*", help="window, rig, robot, part, headless, studies; without any: all")
     parser.add_argument("--measured", type=Path, default=Path("studies"), help="folder of the studies' numbers")
     options = parser.parse_args()
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
@@ -204,6 +213,7 @@ def main() -> None:
     makers = {
         "window": draw_window,
         "rig": draw_rig,
+        "robot": draw_robot,
         "part": draw_part,
         "headless": draw_headless,
         "studies": lambda: draw_studies(measured),

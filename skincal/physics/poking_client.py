@@ -4,8 +4,8 @@ A poke: travel outside the clearance hull, tare before the part, approach along 
 press with force control until skincal says `held`, let go, and answer. `run_period` does one control period. It needs no port
 and no clock of its own, so a study may run it in virtual time.
 
-Safety: a force above the limit makes it let go. It moves towards the part only while force readings are fresh. A new target,
-`wait`, `stop` and a lost connection end every motion; a tip on the part lets go first.
+Safety: a force above the limit makes it let go. Without a fresh force reading it moves nowhere but away from the part. A new
+target, `wait`, `stop` and a lost connection end every motion; a tip on the part lets go first.
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ class PokingClient:
         if self._excess > self.settings.force_limit and self._is_tared and self.phase is not Phase.RELEASE:
             self._fail(TOO_STRONG)
             return False
-        if self.phase not in AT_PART or self._is_fresh:
+        if self._is_fresh or self.phase in (Phase.IDLE, Phase.TARE, Phase.RELEASE):
             return True
         if self.phase in (Phase.PRESS, Phase.HOLD) or self.arm.time_s - self._fresh_s > self.settings.silence_s:
             self._fail(NO_FRESH_READING)

@@ -150,7 +150,7 @@ def test_a_stop_ends_every_motion_and_lets_go_of_the_part(phase, line):
     assert bench.answers == [Answer(AnswerKind.REACHED, 2)]
 
 
-@pytest.mark.parametrize("phase", [Phase.ENTER, Phase.APPROACH, Phase.PRESS, Phase.HOLD])
+@pytest.mark.parametrize("phase", [Phase.TRAVEL, Phase.ENTER, Phase.APPROACH, Phase.PRESS, Phase.HOLD])
 def test_without_a_fresh_reading_nothing_moves_towards_the_part(phase):
     bench = Bench().ask(target(1)).until_phase(phase).rest(0.02)
     bench.arm.is_silent = True
