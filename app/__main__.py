@@ -23,7 +23,7 @@ from app.session.opening import PART_FILES
 from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
 
 HELP = ("-h", "--help", "--version")
-DEMO = "demo"
+DEMO_COMMAND = "demo"
 ROBOT_DEMO = "robot"
 """`skincal demo robot`: the window with a simulated robot that pokes."""
 
@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments and not arguments[0].startswith("-") and arguments[0].lower().endswith(PART_FILES):
         # For example a file that is dropped onto the program.
         arguments.insert(0, "--scene")
-    if arguments[:1] == [DEMO]:
+    if arguments[:1] == [DEMO_COMMAND]:
         return _exit_code(lambda: _run_demo(arguments[1:]))
     if arguments and (arguments[0] in HELP or not arguments[0].startswith("-")):
         return _command(arguments)
@@ -80,7 +80,7 @@ def _command(arguments: list[str]) -> int:
 def _run_demo(words: Sequence[str]) -> int:
     """Open the window with a simulated robot that pokes."""
     if list(words) != [ROBOT_DEMO]:
-        raise InputError(f"{DEMO} {' '.join(words)}".strip() + f" is no demonstration; expected {DEMO} {ROBOT_DEMO}.")
+        raise InputError(f"{DEMO_COMMAND} {' '.join(words)}".strip() + f" is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}.")
     reason = no_display() or objection()
     if reason:
         sys.stderr.write(reason + "\n")
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         "skincal",
         description="Open the window: on a simulated forearm, if no option says otherwise. "
-        f"`skincal {DEMO} {ROBOT_DEMO}`: a simulated robot arm calibrates it by itself.",
+        f"`skincal {DEMO_COMMAND} {ROBOT_DEMO}`: a simulated robot arm calibrates it.",
     )
     parser.add_argument("--scene", type=Path, help="scene file (*.toml), the name of one that ships, a mesh or a URDF")
     parser.add_argument("--session", type=Path, help="folder of a recorded session to go on with")

@@ -26,7 +26,7 @@ FIRST_MINUTE = (
 """Titles and texts of the first minute."""
 FIRST_MINUTE_ROBOT = (
     ("This robot is simulated.", "Nothing is connected. An arm in the physics engine MuJoCo presses a simulated skin."),
-    ("The arm pokes by itself.", "The guide sends it one target after the other. The ball in the 3D view is its tip."),
+    ("The arm pokes alone.", "The guide sends it one target after the other. The ball in the 3D view is its tip."),
     ("S stops the arm at once.", "S again: it goes on. N: another target. P: pause."),
     ("It needs about five minutes.", "Then you can write the calibration file. docs/robot.md: your own robot."),
 )
