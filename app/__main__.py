@@ -80,7 +80,8 @@ def _command(arguments: list[str]) -> int:
 def _run_demo(words: Sequence[str]) -> int:
     """Open the window with a simulated robot that pokes."""
     if list(words) != [ROBOT_DEMO]:
-        raise InputError(f"{DEMO_COMMAND} {' '.join(words)}".strip() + f" is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}.")
+        named = " ".join([DEMO_COMMAND, *words])
+        raise InputError(f"{named} is no demonstration; expected {DEMO_COMMAND} {ROBOT_DEMO}.")
     reason = no_display() or objection()
     if reason:
         sys.stderr.write(reason + "\n")
