@@ -62,7 +62,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     from skincal.journal.reader import find_segments
     from skincal.model.scene import load_scene
 
-    addresses = Addresses(options.wrench, options.skin, options.joints)
+    addresses = Addresses(options.wrench, options.skin, options.joints, options.tip)
     check_addresses(addresses)
     if options.targets:
         from skincal.robot.targets import check_targets
@@ -90,7 +90,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
 
 def _part_request(options: argparse.Namespace) -> OpenRequest:
     """Make the request for a mesh or a URDF in place of a scene; `InputError` if devices or a folder are named with it."""
-    seen = [f"--{name}" for name in ("wrench", "skin", "joints", "targets", "new") if getattr(options, name)]
+    seen = [f"--{name}" for name in ("wrench", "skin", "joints", "tip", "targets", "new") if getattr(options, name)]
     if seen:
         raise InputError(
             f"{options.scene}: is a mesh or a URDF, given together with {' and '.join(seen)}; expected a scene. Open the file "

@@ -26,6 +26,7 @@ from skincal.contacts.outcome import Contact
 from skincal.model.actions import SetPose, Uncorrect
 from skincal.model.readings import Stream
 from skincal.model.scene import ArmSpec
+from skincal.words.tip_words import tip_sentence
 from skincal.words.units import cell
 
 HEADINGS = ("Landmark", "Here", "All", "Off by, mm")
@@ -111,6 +112,7 @@ class RigPanel(Panel):
         self.points.header().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.points.header().setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         self.asked = secondary_label(wrap=True)
+        self.tip = secondary_label(wrap=True)
         self.said = secondary_label(wrap=True)
         self.said.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.offer = QPushButton()
@@ -132,6 +134,7 @@ class RigPanel(Panel):
         column.setContentsMargins(WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX, WIDGET_GAP_PX)
         column.addWidget(self.asked)
         column.addWidget(self.said)
+        column.addWidget(self.tip)
         row = QHBoxLayout()
         row.addWidget(self.offer)
         row.addWidget(self.drop)
@@ -162,6 +165,9 @@ class RigPanel(Panel):
         self.asked.setText("; ".join(filter(None, asked)))
         self.asked.setVisible(bool(asked))
         self.said.setText(_words(state))
+        frame = state.snapshot.tip_frame
+        self.tip.setVisible(frame is not None)
+        self.tip.setText("" if frame is None else tip_sentence(frame))
         offer = f"{offer_text(state.offers[0])}  (C)" if state.offers else ""
         drop = "Remove this correction" if state.snapshot.decisions.corrections else ""
         for button, text in ((self.offer, offer), (self.drop, drop)):

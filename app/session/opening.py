@@ -30,10 +30,11 @@ class Addresses:
     wrench: str = ""
     skin: str = ""
     joints: str = ""
+    tip: str = ""
 
     def __bool__(self) -> bool:
         """Return whether any device is named."""
-        return bool(self.wrench or self.skin or self.joints)
+        return bool(self.wrench or self.skin or self.joints or self.tip)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +102,7 @@ def link_specs(addresses: Addresses) -> tuple[LinkSpec, ...]:
     from skincal.model.readings import Stream
     from skincal.streams.links import describe_links
 
-    named = {Stream.WRENCH: addresses.wrench, Stream.SKIN: addresses.skin, Stream.JOINTS: addresses.joints}
+    named = {stream: getattr(addresses, stream.value) for stream in Stream}
     return describe_links({stream: address for stream, address in named.items() if address})
 
 

@@ -79,6 +79,9 @@ def record(
     scene: SceneOption,
     out: OutOption,
     joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
+    tip: Annotated[
+        str | None, typer.Option(help="Link of the tip's position: lines x y z in m, in a fixed frame (docs/robot.md).")
+    ] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
     pokes: Annotated[int | None, typer.Option(min=1, max=MAX_REQUESTED_POKES, help="Stop after this many pokes.")] = None,
@@ -109,7 +112,7 @@ def record(
     check_pose(loaded, pose, streamed=joints is not None)
     if method is not None and targets is None:
         raise InputError("--method says whose needs a robot is asked to meet; expected --targets PORT with it.")
-    links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints})
+    links = describe_links({Stream.WRENCH: wrench, Stream.SKIN: skin, Stream.JOINTS: joints, Stream.TIP: tip})
     items = ChunkQueue()
     with stopping() as stop, _asking(targets) as server, new_session(out, loaded, links, warn) as pipeline:
         if orders:

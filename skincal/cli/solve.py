@@ -5,6 +5,7 @@ Slow imports are inside the functions that need them: `--help` must answer at on
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
@@ -17,6 +18,7 @@ from skincal.taxels.result import Method
 
 if TYPE_CHECKING:
     from skincal.modules.distances import TriedDistance
+    from skincal.rig.tip_frame import TipFrame
     from skincal.session.results import SessionResults
     from skincal.taxels.result import Estimate
 
@@ -106,6 +108,7 @@ def solve(
         methods |= output.method_summaries(_averages_over_poses(results), known, planned, "-per-pose")
     rig, rig_lines = _rig_result(results)
     setup = setup_sentences(results.setup)
+    tip, tip_lines = _tip_result(snapshot.tip_frame)
     if (found := _estimates_if_corrected(results)) is not None:
         methods |= output.method_summaries(found, known, planned, "-corrected")
     leads = None if results.leading is None else results.leading.value
@@ -125,6 +128,7 @@ def solve(
         "verdict": verdict,
         "setup": setup,
         **({"rig": rig} if rig else {}),
+        **({"tip": tip} if tip else {}),
         "unchecked_rig_mm": None if unchecked is None else unchecked * 1e3,
         "distances": [_distance(tried) for tried in snapshot.tried_distances],
         "dead": {str(channel): why for channel, why in snapshot.dead.items()},
@@ -133,7 +137,7 @@ def solve(
         "files": files,
         "findings": findings,
     }
-    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *setup, *rig_lines]
+    text = [*output.poke_lines(counts), *output.method_lines(methods, leads), *setup, *rig_lines, *tip_lines]
     text += [
         *output.unchecked_lines(results, unchecked),
         *_session_lines(results),
@@ -218,6 +222,21 @@ def _session_lines(results: SessionResults) -> list[str]:
     closings = closings_of(results.snapshot, results.session.scene.noise)
     final = [closing_sentence(closings[-1]), *earlier_closings(closings)] if closings else []
     return [*distance_sentences(results.snapshot.tried_distances), *final]
+
+
+def _tip_result(frame: TipFrame | None) -> tuple[dict[str, Any], list[str]]:
+    """Summarise the use of the tip's positions, as JSON and in lines; both empty without them."""
+    if frame is None:
+        return {}, []
+    from skincal.rig.tip_frame import TipState
+    from skincal.words.tip_words import tip_sentence
+
+    words = tip_sentence(frame)
+    summary: dict[str, Any] = {"used": frame.state is TipState.USED, "state": frame.state.value, "pokes": frame.pokes}
+    if summary["used"]:
+        summary |= {"tip_sd_mm": frame.tip_sd * 1e3, "base_sd_mm": frame.shift_sd * 1e3}
+        summary["base_sd_deg"] = math.degrees(frame.turn_sd)
+    return summary | {"words": words}, [words]
 
 
 def _rig_result(results: SessionResults) -> tuple[dict[str, Any], list[str]]:

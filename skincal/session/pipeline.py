@@ -201,7 +201,9 @@ class Pipeline:
     def can_measure(self, now_ns: int) -> bool:
         """Whether a poke would be measured now: samples come from working links, in a known arm pose."""
         # A chosen pose needs no joints.
-        unneeded = {Stream.JOINTS} if self.session.decisions.pose or self.scene.arm is None else set[Stream]()
+        unneeded = {Stream.TIP}
+        if self.session.decisions.pose or self.scene.arm is None:
+            unneeded.add(Stream.JOINTS)
         needed = {link.name for link in self.links if set(link.carries) - unneeded}
         _, link_from_sensor = self.poses.current
         return self._has_samples(now_ns) and not needed & self._intake.down and link_from_sensor is not None

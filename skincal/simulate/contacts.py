@@ -5,10 +5,13 @@ Gates are not applied. For slides, clocks and losses use `device`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from skincal.contacts.outcome import Contact
-from skincal.geometry import FloatArray, IntArray
+from skincal.geometry import FloatArray, IntArray, inverse_pose
 from skincal.model.scene import Landmark
 from skincal.rig.correction_fit import LandmarkPoke
 from skincal.session.landmark_pokes import landmark_normals
@@ -171,3 +174,26 @@ def _aimed(rig: Rig, wanted: list[Landmark], off: FloatArray, rng: np.random.Gen
         np.full(count, -1, dtype=np.int64), places + beside[:, :1] * e1 + beside[:, 1:] * e2, normals,
         push_directions(normals, tilts, azimuths), rng.uniform(*habits.force, count), np.zeros(count),
     )  # fmt: skip
+
+
+def add_tips(
+    contacts: Sequence[Contact],
+    pokes: PressedPlaces,
+    arm_pose: SimulatedArmPose,
+    fixed_from_sensor: FloatArray,
+    sd: float,
+    rng: np.random.Generator,
+    first_poke: int = 1,
+) -> list[Contact]:
+    """Add the position of the tip to contacts of `simulate_contacts`, as a robot or a tracker reports it.
+
+    Parameters
+    ----------
+    fixed_from_sensor : (4, 4) float, metres: the sensor in the fixed frame
+    sd : m, noise of each coordinate
+    """
+    fixed_from_link = fixed_from_sensor @ inverse_pose(arm_pose.true)
+    rows = [contact.poke - first_poke for contact in contacts]
+    tips = pokes.points[rows] @ fixed_from_link[:3, :3].T + fixed_from_link[:3, 3]
+    tips = tips + sd * rng.standard_normal(tips.shape)
+    return [replace(contact, tip=tip) for contact, tip in zip(contacts, tips, strict=True)]

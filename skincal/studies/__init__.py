@@ -23,6 +23,7 @@ STUDIES: Mapping[str, tuple[str, str]] = {
         "robot",
         "A robot pokes without a hand, in MuJoCo: an ideal rig, and one with real imperfections.",
     ),
+    "tip": ("tip_study", "Positions of the tip from a robot or a tracker, together with the force axes."),
     "unmodelled": ("unmodelled", "Rigs with errors that the program does not model, from an independent simulator."),
 }
 """By the study's name: its module in this package, and its purpose for the help."""
