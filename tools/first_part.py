@@ -25,7 +25,7 @@ from skincal.files.formats import ExportFormat
 LINK, FRAME, SENSOR, ELBOW = "l_forearm", "l_forearm_dh_frame", "l_arm_ft", "l_elbow"
 ELBOW_DEG = 70.0
 LAYOUT_AT = (-60, -30)  # Pixels from the middle of the picture, right and down
-LANDMARK_CLICKS = {"elbow side": (-150, -100), "wrist": (150, 60), "below": (-100, 120), "above": (60, -120)}
+LANDMARK_CLICKS = {"elbow side": (-280, -20), "wrist": (200, 80), "below": (-60, 190), "above": (-120, -195)}
 POKE_COUNT = 24
 Until = Callable[[Callable[[], bool]], None]
 AnyStep = TypeVar("AnyStep", bound=Step)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtWidgets import QFileDialog, QFormLayout, QLabel, QLineEdit, QStackedWidget, QWidget
+from PySide6.QtWidgets import QFileDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QStackedWidget, QWidget
 
 from app.builder.fields import button, choice, count_field, number_field, quiet_label, row_of, set_silently, show_choice
 from app.builder.live_row import LiveRow
@@ -101,9 +101,10 @@ class SkinStep(Step):
         self.file.setAccessibleName("layout file")
         choose = button("Choose\N{HORIZONTAL ELLIPSIS}", "choose: layout file")
         choose.clicked.connect(self.choose_file)
-        row = row_of(self.file, choose)
-        row.setStretch(0, 1)
+        row = QHBoxLayout()
         row.setContentsMargins(0, 0, 0, 0)
+        row.addWidget(self.file, 1)
+        row.addWidget(choose)
         page.setLayout(row)
         return page
 
@@ -164,7 +165,7 @@ class SkinStep(Step):
     def _choose_kind(self) -> None:
         self._kind = str(self.layout_kind.currentData())
         self.pages.setCurrentWidget(self.pages_by_kind[self._kind])
-        # A file is asked for by its button: the arrow keys pass through this entry.
+        # Its button asks for a file: the arrow keys pass through this entry.
         use = {"none": self._use_none, "grid": self._use_grid, "modules": self._use_modules}.get(self._kind)
         if use is not None:
             use()

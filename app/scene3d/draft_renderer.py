@@ -33,7 +33,7 @@ MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longe
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 FIRST_VIEW = np.array(FIRST_SIDE)
 """Unit: from where a part or a robot is seen first, obliquely from above; its z axis is upright."""
-SIDEWAYS = np.array([1.0, 1.0, 0.0])
+ROOT_XY_MASK = np.array([1.0, 1.0, 0.0])
 MIN_SIDE_OFFSET_M = 0.02
 MIN_UPRIGHT_SIN = 0.3  # Seen more steeply from above, nothing is upright
 LABEL_GAP_PX = 6.0
@@ -321,7 +321,7 @@ class DraftRenderer(SceneRenderer):
             if preview.surface is not None and len(points):
                 # From the side of the robot on which the part is.
                 offset = turn.T @ (preview.surface.vertices.mean(axis=0) - (points.min(axis=0) + points.max(axis=0)) / 2.0)
-                view = np.where(offset * SIDEWAYS < -MIN_SIDE_OFFSET_M, -1.0, 1.0) * FIRST_VIEW
+                view = np.where(offset * ROOT_XY_MASK < -MIN_SIDE_OFFSET_M, -1.0, 1.0) * FIRST_VIEW
         if picture.step in SENSOR_STEPS[:2]:
             chosen = [] if preview.sensor_pose is None else [preview.sensor_pose]
             tips = [pose[:3, 3] + self.sensors.size * pose[:3, :3].T for pose in chosen or preview.sensors.values()]

@@ -27,6 +27,7 @@ OFF_MESH_M = 0.0005
 OVERLAP_SHARE = 0.4
 """Of the spacing: two modules with nearer taxels overlap."""
 _MODULE_START = re.compile(r"(?m)^(?=\[\[modules\]\])")
+MIN_LEVEL_SIN = 0.3  # On a surface that is tilted less, no direction is level: the link's x axis is taken
 FLAT_NORMAL = np.array([0.0, 0.0, 1.0])
 
 
@@ -38,14 +39,18 @@ def anchor_at(
     Parameters
     ----------
     surface : `None` for a flat part: its normal is the link's z axis
-    before : anchor whose x axis is kept, carried along; `None` for one across the link's y axis
+    before : anchor whose x axis is kept, carried along; `None` for a level one: the layout's y axis is as near to the link's z
+        axis as it can be
     at : (2,) point of the layout, metres; `None` for that of `before`, or the middle of the layout
     """
     normal = FLAT_NORMAL if before is None or surface is not None else before.normal
     if surface is not None:
         near, triangles = nearest_points(surface, point[None])
         point, normal = near[0], surface.normals[triangles[0]]
-    x = np.cross([0.0, 1.0, 0.0], normal) if before is None else before.x
+    level = np.cross([0.0, 0.0, 1.0], normal)
+    if np.linalg.norm(level) < MIN_LEVEL_SIN:
+        level = np.array([1.0, 0.0, 0.0])
+    x = level if before is None else before.x
     x, _ = tangent_axes(x, normal, fallback=True)
     if at is None:
         at = middle_of(layout) if before is None else before.at

@@ -253,6 +253,6 @@ def test_a_part_that_is_not_saved_is_asked_about(bench, tube):  # noqa: F811
         build.page.leave_button.click()
         box = bench.window.findChildren(QMessageBox)[-1]
         assert box.text() == PART_NOT_SAVED
-        box.buttons()[-1 if wanted else 0].click()
+        next(button for button in box.buttons() if (button.text() == "Do not save") == wanted).click()
         bench.qtbot.wait(20)
         assert (bench.window.builder is None) == wanted
