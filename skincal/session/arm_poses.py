@@ -13,6 +13,7 @@ import numpy as np
 
 from skincal.geometry import Arm, FloatArray
 from skincal.model.scene import ArmSpec, Scene
+from skincal.model.urdf import UrdfChain
 
 CurrentPose: TypeAlias = tuple[str, FloatArray | None]
 """Name of the current arm pose, empty while unknown, and its (4, 4) link_from_sensor, metres."""
@@ -39,8 +40,10 @@ class ArmPoses:
     def forget_stream(self) -> None:
         """Forget the streamed angles: other devices follow."""
         self._angles: FloatArray | None = None
+        self._range: tuple[FloatArray, FloatArray] | None = None
+        """Lowest and highest streamed angles, (joints,) float each, rad."""
         self.limit_warning = ""
-        """Says which streamed angle lies outside the limits of its joint; empty if none does."""
+        """Says which streamed angle lies outside the limits of its joint, or that the unit looks wrong; empty otherwise."""
         self._streamed: tuple[str, FloatArray] | None = None
         self._anchor: tuple[str, FloatArray] = "", np.empty(0)
         """The newest name of an unused pose, and the angles that it was made from."""
@@ -69,7 +72,7 @@ class ArmPoses:
             if self._angles is None or angles.tolist() != self._angles.tolist():
                 # Kept while the arm stands: kinematics cost, and the same object tells others that nothing changed.
                 self._angles = angles
-                self.limit_warning = "" if isinstance(arm.arm, Arm) else arm.arm.limit_warning(angles) or ""
+                self.limit_warning = "" if isinstance(arm.arm, Arm) else self._warn(arm.arm, angles)
                 sensor = arm.arm.link_from_sensor(angles)
                 self._streamed = self._name_of(arm, angles, sensor), sensor
         if not chosen and self._streamed is not None:
@@ -78,6 +81,12 @@ class ArmPoses:
         if name and name not in self._chosen:
             self._chosen[name] = arm.arm.link_from_sensor(arm.poses[name])
         return name, self._chosen.get(name)
+
+    def _warn(self, chain: UrdfChain, angles: FloatArray) -> str:
+        """Judge the streamed angles by their limits and by the range of all angles so far."""
+        lowest, highest = self._range or (angles, angles)
+        self._range = np.minimum(lowest, angles), np.maximum(highest, angles)
+        return chain.limit_warning(angles) or chain.unit_warning(*self._range) or ""
 
     def _name_of(self, arm: ArmSpec, angles: FloatArray, sensor: FloatArray) -> str:
         for name, named in arm.poses.items():

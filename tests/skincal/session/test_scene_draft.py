@@ -98,6 +98,27 @@ def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
 
 
 @pytest.mark.parametrize(
+    ("poses", "words"),
+    [
+        ([(10, 40), (80, -50)], None),
+        ([np.degrees((0.2, 0.7)), np.degrees((1.4, -0.9))], None),
+        ([(0.3, 0.7), (1.5, -0.9)], "in radians"),
+        ([(0.3, 0.7), (1.2, 0.1)], None),  # moved by less than a radian
+        ([(0.3, 0.7), (4.0, -0.9)], None),
+        ([(30, 4000)], "they fit as degrees"),
+    ],
+)
+def test_radians_inside_wide_limits_are_noticed(tmp_path, urdf, poses, words):
+    """Joints as wide as a UR's; the last case turns without end."""
+    wide = ROBOT.format(direction=DIRECTION).replace('lower="0.2" upper="1.8"', 'lower="-6.3" upper="6.3"')
+    urdf.write_text(wide.replace('type="revolute"><parent link="upper"', 'type="continuous"><parent link="upper"'))
+    stream = ArmPoses(write_scene(draft(tmp_path, urdf)))
+    for pose in poses:
+        stream.at("", np.radians(np.array(pose, dtype=float)))
+    assert (stream.limit_warning == "") if words is None else (words in stream.limit_warning)
+
+
+@pytest.mark.parametrize(
     ("values", "words"),
     [
         ({"link": "prt"}, "did you mean part"),
