@@ -311,7 +311,7 @@ class BuilderPage(QWidget):
         problem = preview.problems.get(self.open_step.name)
         lines = [f"\N{BALLOT X} {problem}"] if problem else []
         found = preview.findings.get(self.open_step.name, ())
-        sign = "\N{BLACK UP-POINTING TRIANGLE}" if self.open_step.name == "place" else "\N{BULLET}"
+        sign = "\N{BULLET}" if self.open_step.name == "part" else "\N{BLACK UP-POINTING TRIANGLE}"
         lines += [f"{sign} {sentence}" for sentence in found if sentence not in (problem or "")][:MAX_FINDINGS]
         self.findings.setText("\n".join(lines))
 

@@ -214,6 +214,11 @@ class _Work:
 
     def _follow_chain(self, robot: Robot, chain: UrdfChain) -> None:
         draft, fixed = self.draft, dict(self.draft.fixed)
+        path = [joint.name for joint in robot.path_to_root(draft.link)]
+        if robot.sensor_named(draft.sensor, str(draft.urdf)).joint not in path:
+            self.findings["sensor"] = (
+                f"Sensor {draft.sensor} is not between the part and the robot's base: it may not feel the pokes.",
+            )
         needed = [name for name in joints_in_order(chain) if name not in fixed]
         columns = list(draft.joints) or needed
         self.values["joints"] = tuple(

@@ -31,7 +31,7 @@ class SummaryLine:
 
 def summarize(preview: PartPreview) -> tuple[SummaryLine, ...]:
     """Say of each thing whether it is complete, and what it costs if it is missing."""
-    return (_part(preview), _sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), _landmarks(preview))
+    return (_part(preview), *_sensor(preview), *_joints(preview), *_skin(preview), *_place(preview), _landmarks(preview))
 
 
 def can_start(preview: PartPreview) -> bool:
@@ -54,10 +54,10 @@ def size_words(size_mm: tuple[float, float, float]) -> str:
     return " x ".join(f"{side:.0f}" if side >= 10.0 else f"{side:.1f}" for side in size_mm) + " mm"
 
 
-def _sensor(preview: PartPreview) -> SummaryLine:
+def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:
     problem = preview.problems.get("sensor")
     if problem is not None:
-        return SummaryLine("sensor", State.NEEDED, problem)
+        return (SummaryLine("sensor", State.NEEDED, problem),)
     draft = preview.draft
     pose = preview.sensor_pose
     assert pose is not None
@@ -65,7 +65,8 @@ def _sensor(preview: PartPreview) -> SummaryLine:
     text = f"sensor {draft.sensor} at {where} mm" if draft.sensor else f"sensor at {where} mm"
     if draft.urdf is not None and draft.sign is None and preview.sign is None:
         text += "; the URDF does not say whether it reports the force or its reaction: the first pokes will show it"
-    return SummaryLine("sensor", State.COMPLETE, text)
+    found = preview.findings.get("sensor", ())
+    return (SummaryLine("sensor", State.COMPLETE, text), *(SummaryLine("sensor", State.OPTIONAL, each) for each in found))
 
 
 def _joints(preview: PartPreview) -> tuple[SummaryLine, ...]:

@@ -300,6 +300,9 @@ def test_points_follow_a_change_of_frame_and_are_dropped_with_the_part(cylinder)
     lost = previewer.preview(replace(start, joints=("elbow",)), {})
     assert "no column of the joint stream has its name" in lost.problems["joints"]
     assert not can_start(lost)
+    beside = previewer.preview(replace(start, sensor="c"), {})
+    assert any("may not feel the pokes" in line.text for line in summarize(beside))
+    assert not any("may not feel" in line.text for line in summarize(seen))
 
 
 def test_what_is_wrong_with_the_place_of_a_layout_is_said(tmp_path):
