@@ -9,7 +9,7 @@ from typing import TypeAlias
 from skincal.contacts.press import FinishedPress
 from skincal.contacts.tare import Tare
 from skincal.geometry import FloatArray, IntArray
-from skincal.model.codec import OPTIONAL
+from skincal.model.codec import OPTIONAL_FIELD
 
 RAW_UNIT = "raw"
 """Unit of a taxel's response: the device's own."""
@@ -80,7 +80,7 @@ class Contact:
     """N, difference of the tares before and after; NaN until the second is known."""
     final: bool
     """The tare after the poke is known, or will not come."""
-    tip: FloatArray | None = field(default=None, metadata=OPTIONAL)
+    tip: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """(3,) float, metres, fixed frame: position of the tip; `None` without a tip stream."""
     press: FinishedPress | None = field(default=None, repr=False, metadata=NOT_STORED)
     """The press, to judge it again with other dead channels. `None` if these cannot change the result."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from skincal.contacts.tare import Tare, mean_time, window_length
 from skincal.geometry import FloatArray, IntArray, axis_point, crossed, length_of, mean_rows
-from skincal.model.codec import OPTIONAL
+from skincal.model.codec import OPTIONAL_FIELD
 from skincal.model.readings import Sample
 from skincal.model.scene import ContactSettings
 
@@ -131,7 +131,7 @@ class StillMean:
     """1, relative spread of the force."""
     travel: float
     """m, travel of the force axis."""
-    tip: FloatArray | None = field(default=None, metadata=OPTIONAL)
+    tip: FloatArray | None = field(default=None, metadata=OPTIONAL_FIELD)
     """(3,) float, metres, fixed frame: mean position of the tip; `None` unless all its samples have one."""
 
 

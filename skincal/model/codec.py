@@ -22,7 +22,7 @@ from skincal.model.tables import shown
 T = TypeVar("T")
 PARSE_ERRORS = (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError)
 """Errors of `from_json` on JSON that skincal never wrote."""
-OPTIONAL: Mapping[str, Any] = {"optional": True}
+OPTIONAL_FIELD: Mapping[str, Any] = {"optional": True}
 """Metadata of a field that is left out while it is `None`, so that older files keep their bytes."""
 ARRAY_SHAPES = {"tip": (3,), "force": (3,), "moment": (3,), "wrench": (6,), "link_from_sensor": (4, 4)}
 """Shapes of arrays by the name of their field; all others have one dimension."""

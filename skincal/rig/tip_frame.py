@@ -1,8 +1,8 @@
 """Frame of a tip stream, fitted to the force axes.
 
 A robot or a tracker reports the position t_k of the tip in its own fixed frame. The pose (Q, d) of that frame in the sensor's
-frame is unknown. In the link frame the tip of poke k is at x_k = L_k (Q t_k + d), with the arm pose L_k. It lies on the poke's
-force axis, so that, with the axis's point a_k nearest to the origin and E_k two unit directions across it,
+frame is unknown. In the link frame the tip of poke k is at x_k = L_k (Q t_k + d), with the arm pose L_k. The poke's force axis
+passes through it. With the axis's point a_k nearest to the origin and E_k two unit directions across it,
 
     E_k (x_k - a_k) = 0,   noise D_k + sigma^2 I.
 
@@ -117,7 +117,7 @@ class TipAxes:
     forces: FloatArray
 
     @classmethod
-    def of(cls, contacts: Sequence[Contact]) -> TipAxes:
+    def from_contacts(cls, contacts: Sequence[Contact]) -> TipAxes:
         poses = np.array([contact.link_from_sensor for contact in contacts])
         turns, origins = poses[:, :3, :3], poses[:, :3, 3]
         forces, moments = (np.array([getattr(contact, name) for contact in contacts]) for name in ("force", "moment"))
@@ -129,7 +129,7 @@ class TipAxes:
         tips = np.array([contact.tip for contact in contacts], dtype=np.float64)
         return cls(tips, poses, pairs, offsets, pairs @ turns, nearest, size)
 
-    def take(self, rows: slice) -> TipAxes:
+    def select(self, rows: slice) -> TipAxes:
         return TipAxes(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
@@ -144,11 +144,11 @@ def fit_tip_frame(contacts: Sequence[Contact], noise: NoiseSettings) -> TipFrame
     none = TipFrame(TipState.FEW_POKES, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf)
     if len(contacts) < MIN_POKES_FOR_FRAME:
         return none
-    axes = TipAxes.of(contacts)
+    axes = TipAxes.from_contacts(contacts)
     ratio = _spread(axes.nearest) / max(_spread(axes.tips), 1e-9)
     if not 1.0 / UNIT_RATIO_MAX < ratio < UNIT_RATIO_MAX:
         return TipFrame(TipState.WRONG_UNIT, len(contacts), np.eye(3), np.zeros(3), np.zeros(3), np.eye(6), np.inf, ratio)
-    turns, shifts = _start_poses(axes.take(slice(None, None, -(-len(contacts) // START_POKES_MAX))))
+    turns, shifts = _start_poses(axes.select(slice(None, None, -(-len(contacts) // START_POKES_MAX))))
     costs = [float(np.median(np.abs(_misses(axes, turn, shift)))) for turn, shift in zip(turns, shifts, strict=True)]
     best = int(np.argmin(costs))
     fit = _Fit.at(axes, turns[best], shifts[best], TIP_SD_MAX_M**2, noise)
@@ -188,7 +188,7 @@ def _start_poses(axes: TipAxes) -> tuple[FloatArray, FloatArray]:
                 continue
             both = np.concatenate([slopes[b].reshape(-1, 3), rows], axis=1)
             move = -np.asarray(np.linalg.lstsq(both, misses[b].ravel(), rcond=1e-9)[0], dtype=np.float64)
-            turns[b], shifts[b] = _moved(turns[b], shifts[b], turned[b].mean(axis=0), move)
+            turns[b], shifts[b] = _move_frame(turns[b], shifts[b], turned[b].mean(axis=0), move)
     return turns, shifts
 
 
@@ -197,7 +197,7 @@ def _signed_permutations() -> list[FloatArray]:
     return [np.eye(3)[list(order)] * np.array(sign) for order in orders for sign in signs]
 
 
-def _moved(turn: FloatArray, shift: FloatArray, about: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _move_frame(turn: FloatArray, shift: FloatArray, about: FloatArray, move: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rotate by move[:3], rad, about the point Q t = `about`, and shift by move[3:], metres."""
     by = rotations(move[None, :3])[0]
     return by @ turn, shift + move[3:] + about - by @ about
@@ -241,7 +241,7 @@ class _Fit:
 
     def next(self, axes: TipAxes, noise: NoiseSettings) -> _Fit:
         """Give the equations after the Gauss-Newton step."""
-        return _Fit.at(axes, *_moved(self.turn, self.shift, self.centre, self.move), self.variance, noise)
+        return _Fit.at(axes, *_move_frame(self.turn, self.shift, self.centre, self.move), self.variance, noise)
 
 
 def _across_sd(axes: TipAxes, covariance: FloatArray) -> float:

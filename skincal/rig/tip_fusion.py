@@ -52,14 +52,14 @@ class TipFusion:
         """Position (3,), metres, link frame, and gradient (3, 6), by poke; without outliers."""
 
     def moved_axes(self, contacts: Sequence[Contact]) -> list[Contact]:
-        """Move the force axes of contacts towards their tips; contacts without a usable tip stay as they are."""
+        """Move the force axes of contacts towards their tips; contacts without a usable tip are not changed."""
         found = {contact.poke: contact for contact in contacts}
         for poke in found:
             self._tips.pop(poke, None)
         some = [contact for contact in contacts if contact.tip is not None]
         if not some:
             return list(contacts)
-        axes, (places, gradients) = TipAxes.of(some), self._frame.places(some)
+        axes, (places, gradients) = TipAxes.from_contacts(some), self._frame.places(some)
         lever = places - axes.poses[:, :3, 3]
         misses = (axes.pairs @ (places - axes.nearest)[:, :, None])[:, :, 0]
         sensor = np.linalg.inv(row_precision(axes.pairs, lever, axes.forces, np.zeros(len(some)), self._noise))

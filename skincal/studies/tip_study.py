@@ -1,8 +1,8 @@
 """The tip's position as a measurement: error against the number of pokes with force axes, with tips, and with both.
 
 A simulated forearm is poked at random. The tip is reported with an error of 0.3 mm (a tracker), 1 mm or 5 mm (a robot), in a
-frame that the program does not know. The rig has sensor noise only, or the paper's errors, as it is or corrected by pokes at
-landmarks.
+frame that the program does not know. The rig has sensor noise only, or the paper's errors, uncorrected or corrected by pokes
+at landmarks.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from skincal.studies.benchmarking import check_limits, limit_lines, processes
 from skincal.studies.unmodelled import error_numbers
 from skincal.taxels.result import Estimate, Method
 
-RIGS: Mapping[str, tuple[Callable[[], RigErrors], int]] = {
+RIG_CASES: Mapping[str, tuple[Callable[[], RigErrors], int]] = {
     "good": (RigErrors.noise, 0),
     "paper": (RigErrors.paper, 0),
     "corrected": (RigErrors.paper, 3),
@@ -58,7 +58,7 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
     seeds = range(1, 1 + (QUICK_SEEDS if quick else SEEDS))
     rows: list[dict[str, Any]] = []
     with processes() as pool:
-        for rig in RIGS:
+        for rig in RIG_CASES:
             for sd_mm in TIP_SDS_MM:
                 found = list(pool.map(run_session, [rig] * len(seeds), [sd_mm] * len(seeds), seeds))
                 rows.append(_row(rig, sd_mm, found))
@@ -69,7 +69,7 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
 def run_session(rig: str, sd_mm: float | None, seed: int) -> dict[int, dict[str, dict[str, Any]]]:
     """Simulate a session and solve it after each of `POKE_COUNTS`: the numbers of `error_numbers` by count and method."""
     part = ExamplePart()
-    errors, landmark_pokes = RIGS[rig]
+    errors, landmark_pokes = RIG_CASES[rig]
     simulated, rng = Rig(part.scene, part.surface, errors(), np.random.default_rng(seed)), np.random.default_rng((seed, 1))
     contacts = _poke(simulated, sd_mm, rng)
     session, found = Session(part.scene, part.surface), dict[int, dict[str, dict[str, Any]]]()
@@ -188,13 +188,13 @@ def _row_text(row: Mapping[str, Any]) -> str:
     return f"  {row['rig']} rig, {tip}: {errors} mm; inside {inside}; 3 mm after {free['pokes_to_goal'] or 'more'} pokes"
 
 
-COLOURS = dict(zip(TIP_SDS_MM, (BLACK, GREEN, BLUE, VERMILION), strict=True))
+TIP_COLOURS = dict(zip(TIP_SDS_MM, (BLACK, GREEN, BLUE, VERMILION), strict=True))
 
 
 def draw(result: Mapping[str, Any], figure: Figure) -> None:
     """Draw the free method's error against the number of pokes, with and without tips; a panel for each rig."""
-    panels = figure.subplots(1, len(RIGS), sharey=True)
-    for axes, rig in zip(panels, RIGS, strict=True):
+    panels = figure.subplots(1, len(RIG_CASES), sharey=True)
+    for axes, rig in zip(panels, RIG_CASES, strict=True):
         for row in (row for row in result["tip"] if row["rig"] == rig):
             sd = row["tip_sd_mm"]
             label = "force axes alone" if sd is None else f"with a tip of {sd:g} mm"
@@ -202,7 +202,7 @@ def draw(result: Mapping[str, Any], figure: Figure) -> None:
                 means = [np.nan if mean is None else mean for mean in row["methods"][name]["mean_mm"]]
                 if np.isfinite(means).any():
                     shown = label if name == "free" else f"tip of {sd:g} mm alone"
-                    axes.plot(row["pokes"], means, style, color=COLOURS[sd], marker="o", markersize=3, label=shown)
+                    axes.plot(row["pokes"], means, style, color=TIP_COLOURS[sd], marker="o", markersize=3, label=shown)
         axes.axhline(GOAL_ERROR_MM, color="#BBBBBB", linewidth=0.8)
         axes.set_yscale("log")
         axes.set_title(f"{rig} rig, free method")
