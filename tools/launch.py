@@ -20,7 +20,7 @@ TESTED_PROCESSORS = ("sse2", "sse4.1", "avx")
 """Older processors, for which the tests of the 3D view's pixels run again."""
 PROCESSOR_VARIABLE = "GALLIUM_OVERRIDE_CPU_CAPS"
 """Mesa's variable that limits the processor features of its software OpenGL."""
-SLOW_CORE_TESTS = ("tests/skincal/cli", "tests/skincal/guide", "tests/skincal/studies")
+SLOW_CORE_TESTS = tuple(f"tests/skincal/{room}" for room in ("cli", "guide", "journal", "session", "simulate", "studies"))
 """Tests of the core that take as long as all its others."""
 WINDOW_PARTS = tuple(
     f"tests/app/{room}" for room in ("dialogs", "panels", "scene3d", "session", "sound", "state", "text", "workers")
@@ -29,14 +29,6 @@ WINDOW_PARTS = tuple(
 CHECK_ARGUMENTS = {
     "ruff check": ("-m", "ruff", "check"),
     "ruff format --check": ("-m", "ruff", "format", "--check"),
-    "pytest of the window": (
-        *PYTEST_ARGUMENTS,
-        "-m",
-        "not quiet",
-        "tests/app",
-        *(f"--ignore={folder}" for folder in WINDOW_PARTS),
-    ),
-    "pytest of the window's parts": (*PYTEST_ARGUMENTS, "-m", "not quiet", *WINDOW_PARTS),
     "pytest of the core": (
         *PYTEST_ARGUMENTS,
         "-m",
@@ -45,6 +37,14 @@ CHECK_ARGUMENTS = {
         *(f"--ignore={folder}" for folder in ("tests/app", *SLOW_CORE_TESTS)),
     ),
     f"pytest {' '.join(SLOW_CORE_TESTS)}": (*PYTEST_ARGUMENTS, "-m", "not quiet", *SLOW_CORE_TESTS),
+    "pytest of the window": (
+        *PYTEST_ARGUMENTS,
+        "-m",
+        "not quiet",
+        "tests/app",
+        *(f"--ignore={folder}" for folder in WINDOW_PARTS),
+    ),
+    "pytest of the window's parts": (*PYTEST_ARGUMENTS, "-m", "not quiet", *WINDOW_PARTS),
     "pyright": ("-m", "pyright"),
     **{
         f"pytest as on {caps}": (*PYTEST_ARGUMENTS, "-m", "pixels", "tests/app/scene3d/test_pixels.py")
