@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skincal.cli.record import MAX_REQUESTED_POKES, SceneOption, find_scene, finish, stopping
-from skincal.cli.simulated_robot import serve_robot
+from skincal.cli.simulated_robot import open_robot, record_robot
 from skincal.cli.solve import Json
 from skincal.cli.terminal import say
 from skincal.model.errors import CTRL_C_EXIT_CODE, InputError
@@ -111,7 +111,7 @@ def simulate(
         ),
     ] = None,
     physics: Annotated[
-        Physics | None, typer.Option(help="With --serve: a robot arm in this engine pokes, in place of an operator.")
+        Physics | None, typer.Option(help="A robot arm in this engine pokes what the guide asks for, in place of an operator.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -131,9 +131,12 @@ def simulate(
 
     loaded = find_scene(scene)
     if physics is not None:
-        if not serve or operator is not OperatorKind.AUTO:
-            raise InputError("--physics goes with --serve and --targets, and has no --operator: a robot pokes.")
-        serve_robot(loaded, targets, seed, tcp=tcp, as_json=as_json)
+        if serve == (out is not None) or (out is not None and targets is not None) or operator is not OperatorKind.AUTO:
+            raise InputError("--physics needs --out FOLDER, or --serve and --targets PORT, and no --operator: a robot pokes.")
+        if out is not None:
+            _record_robot(loaded, out, pokes, seed, as_json)
+        else:
+            _serve_robot(loaded, targets, seed, tcp=tcp, as_json=as_json)
         return
     serve, speak_as = serve or ros2, f"{speak_as},ros2".strip(",") if ros2 else speak_as
     _demand_sense(serve, out, operator, targets, other="--tcp" if tcp else "--as" if speak_as else "")
@@ -153,7 +156,7 @@ def simulate(
     settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_MOMENT_NOISE_NM)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
-        print_links(server, known if as_json else {})
+        _print_links(server, known if as_json else {})
         with _target_client(hand, targets):
             _run(server, hand, operator, pokes)
 
@@ -177,6 +180,31 @@ def _record(simulate_session: Callable[..., Pipeline], out: Path, count: int, as
     finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
     if stop.is_set():
         raise typer.Exit(CTRL_C_EXIT_CODE)
+
+
+def _record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, as_json: bool) -> None:
+    """Record a session of a simulated robot in `out`; Ctrl-C ends it early, and what is there stays."""
+    from skincal.files.reference import TRUTH_NAME, read_reference
+
+    with stopping() as stop:
+        pipeline = record_robot(scene, out, pokes, seed, stop)
+    finish(pipeline, out, as_json, reference=read_reference(out / TRUTH_NAME))
+    if stop.is_set():
+        raise typer.Exit(CTRL_C_EXIT_CODE)
+
+
+def _serve_robot(scene: Scene, targets: str | None, seed: int, *, tcp: bool, as_json: bool) -> None:
+    """Serve the devices of a simulated robot until stdin closes, Ctrl-C or a termination signal."""
+    from skincal.simulate.serve import Server
+
+    with (
+        closing(open_robot(scene, targets, seed)) as devices,
+        closing(Server(devices, tcp=tcp)) as server,
+        stopping() as stop,
+    ):
+        _print_links(server, devices.truth() if as_json else {})
+        threading.Thread(target=_listen, args=(None, threading.Event(), stop), name="orders", daemon=True).start()
+        server.run(stop)
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:
@@ -270,7 +298,7 @@ SERVING_NOTICE = "The devices are served until it ends ({key}) or Ctrl-C."
 STDIN_ENDED = "Standard input ended, and so did the devices."
 
 
-def print_links(server: Server, known: dict[str, Any]) -> None:
+def _print_links(server: Server, known: dict[str, Any]) -> None:
     """Say on one line where the links are; for a program (--json) also where the taxels really are."""
     links = [
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
@@ -292,14 +320,14 @@ def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: Operat
     ended = threading.Event()
     with stopping() as stop:
         # A daemon: it waits in a read that nothing can interrupt.
-        threading.Thread(target=wait_for_input, args=(listener, ended, stop), name="orders", daemon=True).start()
+        threading.Thread(target=_listen, args=(listener, ended, stop), name="orders", daemon=True).start()
         server.run(stop, (lambda: progress(hand.begun)) if terminal else lambda: None)
     progress.close()
     if terminal and ended.is_set():
         say(STDIN_ENDED, err=True)
 
 
-def wait_for_input(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
+def _listen(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
     """Take orders from stdin; its end is the end of the program that started this one."""
     from skincal.simulate.operator import read_order
 

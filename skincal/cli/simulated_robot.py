@@ -1,39 +1,76 @@
-"""The robot of `simulate --physics`: served live, it pokes the targets of a port."""
+"""The robot of `simulate --physics`: live devices of a robot that pokes the targets of a port, or a session that it records."""
 
 from __future__ import annotations
 
+import json
 import threading
-from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from skincal.model.errors import InputError
+from skincal.model.readings import Stream
 from skincal.model.scene import Scene
 
+if TYPE_CHECKING:
+    from skincal.mesh.surface import Surface
+    from skincal.physics.rig import SimulatedRobot
+    from skincal.physics.serving import PokingDevices
+    from skincal.session.pipeline import Pipeline
 
-def serve_robot(scene: Scene, targets: str | None, seed: int, *, tcp: bool, as_json: bool) -> None:
-    """Serve the devices of a simulated robot until stdin closes, Ctrl-C or a termination signal.
 
-    Raises InputError: no target server is named, the part has no mesh, or the physics engine is missing.
+def open_robot(scene: Scene, targets: str | None, seed: int) -> PokingDevices:
+    """Make a simulated robot with its devices, which pokes the targets of a port until it is closed.
+
+    Raises InputError: no port is named, the part has no mesh, or the physics engine is missing.
     """
-    from skincal.cli.record import stopping
-    from skincal.cli.simulate import print_links, wait_for_input
-    from skincal.physics.effects import Effects
-    from skincal.physics.layouts import make_robot
     from skincal.physics.serving import PokingDevices
     from skincal.robot.target_server import parse_port
-    from skincal.session.part import load_scene_surface
-    from skincal.simulate.serve import Server
 
     if targets is None:
-        raise InputError("--physics without --targets has nothing to poke; expected --targets [HOST:]PORT of a recording.")
+        raise InputError("--physics with --serve has nothing to poke; expected --targets [HOST:]PORT of a recording.")
+    robot, surface = _make_robot(scene, seed)
+    return PokingDevices(robot, surface, *parse_port(targets))
+
+
+def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: threading.Event) -> Pipeline:
+    """Record a session of a simulated robot: to *enough*, to `pokes`, or to `stop`. Return its pipeline, closed.
+
+    Raises InputError: the part has no mesh, the physics engine is missing, or the folder cannot be used.
+    """
+    from skincal.files.atomic import write_atomically
+    from skincal.files.reference import TRUTH_NAME
+    from skincal.journal.writer import create_session
+    from skincal.physics.poking_client import PokingClient
+    from skincal.physics.session import RobotSession
+    from skincal.streams.links import LinkSpec
+
+    robot, surface = _make_robot(scene, seed)
+    streams = (Stream.WRENCH, Stream.SKIN, *((Stream.JOINTS,) if scene.arm is not None else ()))
+    links = [LinkSpec(stream.value, f"simulated:{stream.value}", (stream,)) for stream in streams]
+    session = RobotSession(scene, surface, robot, create_session(out, scene, links))
+    try:
+        write_atomically(out / TRUTH_NAME, json.dumps(robot.truth(), indent=1).encode() + b"\n")
+        client = PokingClient(robot, surface, session.targets.answer)
+        session.targets.answer(client.pace)
+        while not (stop.is_set() or session.is_enough or _count_pokes(session.pipeline) >= (pokes or float("inf"))):
+            while (line := session.targets.poll()) is not None:
+                client.receive_line(line)
+            client.run_period()
+    finally:
+        session.close()
+    return session.pipeline
+
+
+def _count_pokes(pipeline: Pipeline) -> int:
+    return sum(record.outcome.final for record in pipeline.snapshot().pokes)
+
+
+def _make_robot(scene: Scene, seed: int) -> tuple[SimulatedRobot, Surface]:
+    from skincal.physics.effects import Effects
+    from skincal.physics.layouts import make_robot
+    from skincal.session.part import load_scene_surface
+
     surface = load_scene_surface(scene)[0]
     if surface is None:
         raise InputError(f"{scene.name} has no mesh, which the arm presses; expected a scene with [surface].")
-    robot = make_robot(scene, surface, Effects(), seed)
-    with (
-        closing(PokingDevices(robot, surface, *parse_port(targets))) as devices,
-        closing(Server(devices, tcp=tcp)) as server,
-        stopping() as stop,
-    ):
-        print_links(server, robot.truth() if as_json else {})
-        threading.Thread(target=wait_for_input, args=(None, threading.Event(), stop), name="orders", daemon=True).start()
-        server.run(stop)
+    return make_robot(scene, surface, Effects(), seed), surface

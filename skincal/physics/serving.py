@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from skincal.mesh.surface import Surface
 from skincal.physics.devices import PERIODS_PER_BLOCK, RobotDevices
 from skincal.physics.poking_client import PokingClient
@@ -28,6 +30,10 @@ class PokingDevices(RobotDevices):
         for _ in range(PERIODS_PER_BLOCK):
             self.client.run_period()
         return super().advance()
+
+    def truth(self) -> dict[str, Any]:
+        """Return the true taxels for `truth.json`."""
+        return self._robot.truth()
 
     def close(self) -> None:
         """Disconnect from the target server."""
