@@ -25,7 +25,7 @@ def load_example():
 
 
 class FlatPart:
-    """An arm above a flat part at height 0, in a time of its own that runs four times as fast: more reports of the tip were a flood."""
+    """An arm above a flat part at height 0, in its own time, four times as fast: faster, its reports were a flood."""
 
     def __init__(self):
         self.now_s, self.place, self.force_age_s, self.stiffness = 0.0, (0.0, 0.0, 0.2), 0.0, STIFFNESS
