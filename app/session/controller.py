@@ -324,7 +324,10 @@ class Controller(QObject):
         if self.guided.is_halted:
             self.guided.let_robot_go_on()
         else:
-            self.guided.halt_robot(self._targets)
+            try:
+                self.guided.halt_robot(self._targets)
+            except InputError as error:
+                self._say_failure(f"The robot may not have got the stop: {error}")
         self.publish_again()
 
     @property

@@ -44,7 +44,7 @@ from tests.app.view3d_on_screen import (
 )
 
 PLAN = layout()
-EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "target", "landmarks", "compare", "hints")
+EVERY = ("surface", "modules", "estimates", "axes", "uncertainty", "target", "landmarks", "compare", "hints", "robot")
 
 
 @pytest.fixture(autouse=True)
