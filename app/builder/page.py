@@ -145,7 +145,7 @@ class BuilderPage(QWidget):
         view, place = self.view, self.find_step(PlaceStep)
         view.point_picked.connect(lambda point: self.open_step.take_point(point))
         view.link_picked.connect(lambda link: self.open_step.take_link(link))
-        view.drag_started.connect(lambda _module, point: place.start_drag(point))
+        view.drag_started.connect(place.start_drag)
         view.layout_dragged.connect(place.drag_to)
         view.layout_turned.connect(place.turn)
         self.undo_button.clicked.connect(self.undo)

@@ -163,8 +163,12 @@ class PlaceStep(Step):
         except InputError as error:
             self.failed.emit(str(error))
 
-    def start_drag(self, point: FloatArray) -> None:
-        """Begin to slide at a point of the layout."""
+    def start_drag(self, module: int, point: FloatArray) -> None:
+        """Begin to slide at a point of the layout; if one module moves alone, it is the one there, by its index."""
+        if self.module is not None and self.module != module and self.preview is not None:
+            self.module = module
+            self.update_fields(self.preview)
+            self.picture_changed.emit()
         anchor = self._anchor()
         self._grip = None if anchor is None else point - anchor.point
         self._drag += 1

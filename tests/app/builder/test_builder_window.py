@@ -119,6 +119,7 @@ def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
     assert np.degrees(np.arccos(np.dot(turned.x, dragged.x))) == pytest.approx(15.0, abs=0.1)
     place.nudge(0.0, -2.0)
     build.settle()
+    assert build.draft.anchor.point_mm != turned.point_mm
     check = build.open_step("check")
     build.click((0, 120))
     check.mark_name.setText("rim")
