@@ -48,8 +48,14 @@ UNUSED_MODULES = (
     "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
+    "yaml", "pydantic", "gi", "zstandard.backend_cffi", "zstandard._cffi", "mkdocs", "airo_models", "jvrc_description",
 )  # fmt: skip
 """Optional modules of packages that the program never imports."""
+UNUSED_FILES = (
+    "PySide6/Qt/translations", "matplotlib/mpl-data/sample_data", "matplotlib/mpl-data/fonts/afm",
+    "matplotlib/mpl-data/fonts/pdfcorefonts", "PySide6/Qt/plugins/platforms/libq[elnv]*", "PySide6/Qt/plugins/egl*",
+)  # fmt: skip
+"""Files of packages that the program never opens: translations, other fonts, displays without X11 and Wayland."""
 CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
 """Modules that pyvista imports by name for the canvas of a graphics card."""
 BY_NAME_VTK = (*CARD_VTK, "FiltersPython", "RenderingMatplotlib", "InteractionWidgets")
@@ -107,6 +113,23 @@ def _build() -> None:
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in left_out()]
     run([*options, str(checkout.CHECKOUT / "app" / "__main__.py")])
+    _slim()
+
+
+def _slim() -> None:
+    """Delete unused data files, and on Linux the symbols of libraries that only a debugger reads: half of VTK's size."""
+    parts = FROZEN_FOLDER / "parts"
+    for pattern in UNUSED_FILES:
+        for path in parts.glob(pattern):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    strip = shutil.which("strip") if sys.platform == "linux" else None
+    # Libraries in *.libs were changed by auditwheel, and a strip can break those.
+    libraries = [
+        path for path in parts.rglob("*.so*") if path.is_file() and not path.is_symlink() and ".libs/" not in str(path)
+    ]
+    if strip is not None:
+        for path in libraries:
+            subprocess.run([strip, "--strip-unneeded", str(path)], check=True)
 
 
 def left_out() -> list[str]:

@@ -105,7 +105,7 @@ class RigPanel(Panel):
 
     def __init__(self, context: PanelContext) -> None:
         super().__init__()
-        arm = context.part.scene.arm
+        arm, self._setup = context.part.scene.arm, context.guided.setup
         self.arm = None if arm is None else ArmPanel(arm)
         self.points = table("landmarks", HEADINGS, _COLUMN_HINTS)
         self.points.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
@@ -155,7 +155,8 @@ class RigPanel(Panel):
 
     def depends_on(self, state: ViewState) -> tuple[object, ...]:
         snapshot = state.snapshot
-        return state.revision, state.live.pose, snapshot.decisions, state.review, state.offers, state.guidance, state.method
+        shown = state.revision, state.live.pose, snapshot.decisions, state.review, state.offers, state.guidance, state.method
+        return *shown, self._setup.sentences
 
     def update_view(self, state: ViewState) -> None:
         guidance = state.guidance
@@ -164,7 +165,7 @@ class RigPanel(Panel):
         asked = () if guidance is None or landmark is None else (landmark_words(landmark), gain_words(guidance.gain))
         self.asked.setText("; ".join(filter(None, asked)))
         self.asked.setVisible(bool(asked))
-        self.said.setText(_words(state))
+        self.said.setText("\n".join([*self._setup.sentences, _words(state)]))
         frame = state.snapshot.tip_frame
         self.tip.setVisible(frame is not None)
         self.tip.setText("" if frame is None else tip_sentence(frame))

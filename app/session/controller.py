@@ -459,8 +459,8 @@ class Controller(QObject):
         if guided is not None:
             is_recording = self.running is Running.STREAMING
             guided.follow_session(pipeline, snapshot, now_ns, self._targets, is_recording=is_recording, seen_ns=reached_ns)
-            for sentence in guided.setup.take_news():
-                self.said.emit(Message(sentence, found=True))
+            for sentence in reversed(guided.setup.take_news()):  # the newest message is on top
+                self.said.emit(Message(sentence, error=True))
             guided.coach.follow_reading(live.progress, None if guided.guidance is None else guided.guidance.target)
         self._solving_since_ns = (self._solving_since_ns or now_ns) if session.unsolved else 0
         unsolved = session.unsolved if now_ns - self._solving_since_ns >= 1e9 * SHOW_SOLVING_AFTER_S else 0
