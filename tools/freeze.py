@@ -48,7 +48,7 @@ UNUSED_MODULES = (
     "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
-    "yaml", "pydantic", "gi", "zstandard.backend_cffi", "zstandard._cffi", "mkdocs", "airo_models", "jvrc_description",
+    "yaml", "gi", "zstandard.backend_cffi", "zstandard._cffi", "mkdocs", "airo_models", "jvrc_description",
 )  # fmt: skip
 """Optional modules of packages that the program never imports."""
 UNUSED_FILES = (

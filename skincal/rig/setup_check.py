@@ -52,6 +52,8 @@ RIVAL_WITHIN = 6.0
 """Other mistakes that are at most 20 times less likely are named, too."""
 NORMAL_COST_PER_POKE = 0.7
 """Pokes that cost less fit the scene: nothing is tried."""
+LAYOUT_COST_PER_POKE = 3.0
+"""Pokes that cost less lie within 10 mm of their taxels: the layout as a whole is right. An ordinary rig's cost at most 2.5."""
 MOMENT_SCALES = (1.0, 1e-3, 1e-2, STANDARD_GRAVITY, 1.0 / STANDARD_GRAVITY)
 """Right moments over reported ones: none wrong, in N mm, in N cm, in kgf m, forces in kgf."""
 ANGLE_STEP, ANGLE_STEPS = 1e-4, 4
@@ -162,7 +164,11 @@ def check_setup(
     limit = described.cost - NAME_IF_COST_FALLS_BY
     found: list[tuple[float, Mistake]] = []
     if described.cost > NORMAL_COST_PER_POKE * count:
-        priors, mistakes, pokes = zip(*_hypotheses(asked, used, scene, laid, surface), strict=True)
+        hypotheses = list(_hypotheses(asked, used, scene, laid))
+        # To lay the layout takes up to a second.
+        if described.cost > LAYOUT_COST_PER_POKE * count:
+            hypotheses += _layouts(asked, used, layout, scene.skin.anchor, surface)
+        priors, mistakes, pokes = zip(*hypotheses, strict=True)
         found = [
             (prior + judged.cost, replace(mistake, miss=float(np.median(judged.misses)), shift=judged.shift))
             for prior, mistake, judged in zip(priors, mistakes, _judge(pokes), strict=True)
@@ -243,9 +249,7 @@ def _prior(choices: int) -> float:
     return 2.0 * math.log(choices)
 
 
-def _hypotheses(
-    asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: PlacedLayout, surface: Surface | None
-) -> _Hypotheses:
+def _hypotheses(asked: _Pokes, used: Sequence[Contact], scene: Scene, laid: PlacedLayout) -> _Hypotheses:
     assert scene.skin.layout is not None
     yield from _sensors(asked)
     yield 0.0, Mistake(MistakeKind.MESH_ORIGIN, 0.0), replace(asked, shift_sd=MESH_SHIFT_SD_M)
@@ -254,7 +258,6 @@ def _hypotheses(
         if scene.robot is not None:
             yield from _robots(asked, angles, scene.robot, scene.link)
     yield from _modules(asked, used, scene.skin.layout, laid)
-    yield from _layouts(asked, used, scene.skin.layout, scene.skin.anchor, surface)
 
 
 def _sensors(asked: _Pokes) -> _Hypotheses:
