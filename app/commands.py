@@ -37,7 +37,7 @@ def view(run: Callable[[SessionView], object]) -> Callable[[Window], object]:
 
 
 def may(field: Callable[[Allowed], bool | str]) -> Enabled:
-    """Follow a field of `Allowed`. Nothing is allowed before the first picture of a session."""
+    """Enable a command while a field of `Allowed` permits it; nothing is allowed before the first picture."""
     return lambda window: window.may is not None and field(window.may)
 
 

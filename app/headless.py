@@ -77,7 +77,7 @@ def _draw(pipeline: Pipeline, method: Method, path: Path) -> Path:
 
 
 def _unused(folder: Path) -> Path:
-    """Return `folder`, or with the first number behind it that is not taken."""
+    """Return `folder`, or `folder` with the first number appended that is unused."""
     candidate, number = folder, 1
     while candidate.exists():
         number += 1

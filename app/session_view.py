@@ -122,7 +122,7 @@ class Workspace(QWidget):
         return next(panel for panel in self.panels.values() if isinstance(panel, kind))
 
     def arrange(self) -> None:
-        """Lay the panels out, once. Not done in `__init__`, since either takes half of what a window may block."""
+        """Lay the panels out, once. Not done in `__init__`, to keep the window responsive."""
         for title, panel in self.panels.items():
             self.tabs.addTab(panel, title)
         self.tabs.setAccessibleName("tabs")
@@ -266,7 +266,7 @@ class SessionView(QObject):
         QTimer.singleShot(0, self.workspace, self.workspace.begin)
 
     def session_opened(self, snapshot: Snapshot) -> None:
-        """Start with a session that may have pokes already."""
+        """Show a newly opened session, which may already have pokes."""
         self._cues = CueMemory.of(snapshot)
         self.workspace.now.begin_session(snapshot)
 
@@ -274,7 +274,7 @@ class SessionView(QObject):
 
     @property
     def method(self) -> Method:
-        """The shown method, which the guide serves."""
+        """The method that is shown and that the guide serves."""
         return self.guided.method
 
     def take_tick(self, tick: Tick) -> None:
@@ -383,7 +383,7 @@ class SessionView(QObject):
     # Commands
 
     def follow_switches(self) -> None:
-        """Take over the switches of the View and Layers menus."""
+        """Apply the switches of the View and Layers menus."""
         is_on, view = self._commands.is_on, self.workspace.view
         view.set_turning(is_on("turn"))
         view.set_difference(is_on("difference"))
@@ -620,7 +620,7 @@ class SessionView(QObject):
         self.follow_switches()
 
     def save(self) -> None:
-        """Save what `restore` restores; nothing before the panels were laid out."""
+        """Save splitters, the open tab and the choices of panels; nothing before the panels were laid out."""
         current = self.workspace.current_panel()
         if current is None:
             return
@@ -631,7 +631,7 @@ class SessionView(QObject):
         self._settings.setValue("window/tab", current.title)
 
     def close(self) -> None:
-        """Release the 3D view, and take out of the window what belongs to this session."""
+        """Release the 3D view, and remove this session's widgets from the window."""
         self.picking.stop()
         for dialog in (self._history, self._thresholds):
             if dialog is not None:

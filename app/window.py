@@ -242,7 +242,7 @@ class Window(QMainWindow):
         self.commands.update_actions()
 
     def _with_view(self, run: Callable[Concatenate[SessionView, Args], object]) -> Callable[Args, None]:
-        """Make a slot that runs on the session view, if there is one."""
+        """Make a Qt slot that calls `run` with the session view, if there is one."""
 
         def slot(*args: Args.args, **named: Args.kwargs) -> None:
             if self.session_view is not None:
@@ -356,7 +356,7 @@ class Window(QMainWindow):
             self.controller.toggle()
 
     def escape(self) -> None:
-        """Close or cancel the newest thing that can be."""
+        """Close or cancel the item that was opened last."""
         if self.session_view is not None and self.session_view.picking.waiting:
             self.session_view.picking.stop()
         elif self._first_minute is not None and self._first_minute.isVisible():
@@ -389,7 +389,7 @@ class Window(QMainWindow):
         self._offer("About skincal", about_words(qVersion()))
 
     def open_documents(self) -> None:
-        """Have the desktop open the folder of documents."""
+        """Open the documents folder in the desktop's file manager."""
         if not DOCUMENTS_FOLDER.is_dir():
             self.tell_failure(NO_DOCUMENTS)
         elif not QDesktopServices.openUrl(QUrl.fromLocalFile(str(DOCUMENTS_FOLDER))):
@@ -411,7 +411,7 @@ class Window(QMainWindow):
         return dated_folder(self._documents, datetime.now().astimezone())
 
     def ask_addresses(self) -> None:
-        """Ask where the devices of this session are now."""
+        """Ask for the present addresses of the session's devices."""
         from app.dialogs.new_session import NewSessionDialog
         from app.session.opening import addresses_of
 
@@ -647,7 +647,7 @@ class Window(QMainWindow):
 
     @Slot()
     def leave(self) -> None:
-        """Close without a question, for example after it was answered."""
+        """Close the window without asking, for example after the question was answered."""
         self._leaves = True
         self.close()
 

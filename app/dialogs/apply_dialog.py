@@ -23,7 +23,7 @@ def offered_port(links: Iterable[str]) -> str:
 
 
 class ApplyDialog(TaskDialog):
-    """Asks before anything is sent. `verdict_of` makes the session's verdict by a method."""
+    """Dialog that asks before positions are sent to a robot; `verdict_of` makes the session's verdict by a method."""
 
     apply_requested = Signal(str, object)
     """Address, method."""

@@ -17,7 +17,7 @@ SIZE_PX = (420, 480)
 
 
 class HistoryDialog(QDialog):
-    """Stays open next to the window. Enter or a double click on a line undoes or redoes up to it."""
+    """List of past actions in a window that stays open; Enter or a double click undoes or redoes up to a line."""
 
     undo_wanted = Signal(int)
     """Number of undo steps."""
@@ -63,7 +63,7 @@ class HistoryDialog(QDialog):
             self.list.setCurrentItem(first)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep Enter in the list away from the default button."""
+        """Handle Enter in the list, so that it does not press the dialog's default button."""
         if not (self.list.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
             super().keyPressEvent(event)
 

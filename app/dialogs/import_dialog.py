@@ -90,7 +90,7 @@ class SessionPlace:
 
 
 class ImportDialog(QDialog):
-    """Gathers an `ImportRequest`, previews the recording, and imports it.
+    """Dialog that previews a recording and imports it as a session.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ class ImportDialog(QDialog):
         self.start.setFocus()
 
     def reject(self) -> None:
-        """Close; during an import stop it and delete its files instead."""
+        """Close the dialog; during an import stop it and delete its files instead."""
         if self.importing:
             self.stop.setEnabled(False)
             self.progress.setFormat(STOPPING_TEXT)

@@ -34,7 +34,7 @@ CLICK_REQUEST = Message("Click the point on the part. K: type its position. Esc:
 
 
 class LandmarkDialog(QDialog):
-    """Gathers the position of a landmark, and a name that no other landmark has.
+    """Dialog for position and name of a new landmark; its name must be unique.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class LandmarkPicking(QObject):
         return self._view.picking
 
     def ask(self, window: QWidget) -> None:
-        """Wait for a click on the part; the second call, or without a surface the first, asks for coordinates."""
+        """Wait for a click on the part; on a second call, or without a surface, ask for coordinates."""
         self._window = window
         if self.waiting or not self._view.can_pick:
             self.stop()

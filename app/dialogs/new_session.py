@@ -156,13 +156,13 @@ class StreamRow(QWidget):
         self.curve.show_curve(scroll_points(curve), f"{curve[-1]:.3g}" if curve else "")
 
     def agree(self) -> None:
-        """Agree to the address in the field."""
+        """Accept the address in the field, so that the program may connect to it."""
         self._is_typed = False
         self.named = self.address
         self.agreed.emit()
 
     def agree_if_typed(self) -> None:
-        """Agree to a typed address; moving through the field agrees to nothing."""
+        """Accept an address that was typed; moving through the field accepts nothing."""
         if self._is_typed:
             self.agree()
 
@@ -186,7 +186,7 @@ def scroll_points(values: Sequence[float]) -> FloatArray:
 
 
 class NewSessionDialog(QDialog):
-    """Gathers and checks an `OpenRequest`, or only the addresses of an open session.
+    """Dialog for scene and devices of a new session, or for the device addresses of an open one.
 
     Parameters
     ----------
@@ -311,7 +311,7 @@ class NewSessionDialog(QDialog):
         self._timer.timeout.connect(self._show_previews)
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Let Enter in a field only connect; in the folder's field it starts."""
+        """Connect the device of a field on Enter; in the folder's field, start the session."""
         is_field = isinstance(self.focusWidget(), QLineEdit | QComboBox) and self.focusWidget() is not self.folder
         if is_field and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             event.accept()

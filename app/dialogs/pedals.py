@@ -111,7 +111,7 @@ class Pedals(QObject):
         return refusal
 
     def forget_key(self, pedal: str) -> None:
-        """Give the key of a pedal its own meaning again."""
+        """Remove the pedal's key, so that the key has its normal meaning again."""
         self.keys.pop(pedal, None)
         self._settings.remove(f"pedal/{pedal}")
         self._install()
@@ -159,7 +159,7 @@ class Pedals(QObject):
 
 
 def _types(target: QWidget, event: QKeyEvent) -> bool:
-    """Whether a widget takes a key for itself, as text fields do with what they type."""
+    """Whether a widget uses a key as text input, as text fields do."""
     question = QKeyEvent(QEvent.Type.ShortcutOverride, event.key(), event.modifiers(), event.text())
     # An event starts as accepted.
     question.ignore()

@@ -15,7 +15,7 @@ DIALOG_MIN_WIDTH_PX = 560
 
 
 class TaskDialog(QDialog):
-    """Method, outcome, list of remarks, and the button that starts. It stays open while the task runs."""
+    """Dialog of a task: method, start button, outcome and remarks; it stays open while the task runs."""
 
     def __init__(self, title: str, start: str, methods: Sequence[Method], shown: Method, parent: QWidget | None) -> None:
         super().__init__(parent)
@@ -54,7 +54,7 @@ class TaskDialog(QDialog):
         self.outcome.setText(words)
 
     def end_task(self) -> None:
-        """Allow another start, and closing."""
+        """Allow another start of the task, and closing of the dialog."""
         self.start.setEnabled(True)
 
     def show_outcome(self, sentence: str, remarks: Sequence[str] = (), *, good: bool) -> None:
@@ -67,6 +67,6 @@ class TaskDialog(QDialog):
         self.remarks.setVisible(bool(remarks))
 
     def reject(self) -> None:
-        """Close, but only after the outcome of a running task was shown."""
+        """Close the dialog, but only after the outcome of a running task was shown."""
         if self.start.isEnabled():
             super().reject()

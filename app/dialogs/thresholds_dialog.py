@@ -64,7 +64,7 @@ class ThresholdRow:
 
 
 class ThresholdsDialog(QDialog):
-    """Stays open next to the window and follows the session.
+    """Dialog for the poke thresholds; it stays open next to the window and follows the session.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ DIALOG_MAX_HEIGHT_PX = 660
 
 
 class VerdictDialog(QDialog):
-    """Shows the verdict. The space bar continues: to the file if the verdict is good, else to the session.
+    """Dialog with the verdict; the space bar continues to the file after a good verdict, else to the session.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class VerdictDialog(QDialog):
         column.addWidget(self.buttons)
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Take the size of the wrapped words, whose fonts are known now, up to that of the screen."""
+        """Resize the dialog to its wrapped text, at most to the size of the screen."""
         super().showEvent(event)
         fit_to_screen(self, (DIALOG_WIDTH_PX, DIALOG_MAX_HEIGHT_PX))
         height = (
@@ -125,7 +125,7 @@ class VerdictDialog(QDialog):
         fit_to_screen(self, (DIALOG_WIDTH_PX, DIALOG_MAX_HEIGHT_PX if self._channels else min(height, DIALOG_MAX_HEIGHT_PX)))
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Keep Enter in the list away from the default button."""
+        """Handle Enter in the list, so that it does not press the dialog's default button."""
         if not (self.left.hasFocus() and event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter)):
             super().keyPressEvent(event)
 

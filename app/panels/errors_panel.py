@@ -225,7 +225,7 @@ class ErrorsPanel(Panel):
 
     @cached_property
     def plot(self) -> ErrorPlot:
-        """Plot of the courses, made when the tab is first shown: a third of the time of all panels."""
+        """Plot of the error curves, made when the tab is first shown: a third of the time of all panels."""
         plot = ErrorPlot(self._methods, self._modules)
         self._column.addWidget(plot, 1)
         return plot

@@ -55,7 +55,7 @@ PICTURE_LEGENDS = {
 
 
 class AxisDiversityPlot(Painted):
-    """The picture of a taxel's contacts."""
+    """Plot of the directions or points of a taxel's contacts, seen from above."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -134,7 +134,7 @@ def _shade(shade: FloatArray, colour: QColor) -> QImage:
 
 
 class AxisDiversityPanel(QWidget):
-    """The picture with its words, of the selected taxel or the target."""
+    """Panel with the contact plot of the selected taxel or the target, and its description."""
 
     def __init__(self, names: ChannelNames) -> None:
         super().__init__()

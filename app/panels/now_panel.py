@@ -73,7 +73,7 @@ class Dial(Painted):
             self.setToolTip(escape_tooltip(f"{millimetres(coaching.away)} off target, tilt {tilt}"))
 
     def _key_of(self, view: TopView, landed: int | None) -> tuple[object, ...]:
-        """Return a key that changes with the picture."""
+        """Return a key that changes whenever the dial must be redrawn."""
         arrays = (view.taxels, view.wanted, view.room, view.tip, view.upper)
         step = MIN_REDRAWN_MOVE_PX / self._scale()
         steps = (b"" if each is None else np.round(each / step).astype(np.int64).tobytes() for each in arrays)
@@ -163,7 +163,7 @@ _RESULT_MARKS = {Tone.GOOD: "\N{CHECK MARK}", Tone.BAD: "\N{BALLOT X}", Tone.CAL
 
 
 class Sign(Painted):
-    """A sign in a ring; the ring fills while the poke is held still."""
+    """Status icon in a ring; the ring fills while the poke is held still."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -172,7 +172,7 @@ class Sign(Painted):
         self._share = 0.0
 
     def set(self, tone: Tone, share: float) -> None:
-        """Show a tone, and the share of the time that the poke must be still, 0 to 1."""
+        """Show a kind of status, and the share of the required still time that has passed, 0 to 1."""
         if (tone, round(share, 2)) != (self._tone, round(self._share, 2)):
             self._tone, self._share = tone, share
             self.update()
@@ -294,7 +294,7 @@ class NowPanel(QFrame):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def begin_session(self, snapshot: Snapshot) -> None:
-        """Start with a session that may have pokes already."""
+        """Show a newly opened session, which may already have pokes."""
         self._memory = NowMemory.of(snapshot)
 
     def show_state(self, state: ViewState) -> None:

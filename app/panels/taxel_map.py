@@ -266,7 +266,7 @@ class TaxelMap(pg.GraphicsView):
                 self._draw_halos()
 
     def counted(self) -> tuple[IntArray, int]:
-        """Return the marks of the taxels on the map, (n,), and how many of these may as well lie elsewhere."""
+        """Return the marks of the taxels on the map, (n,), and the number of taxels with a second possible position."""
         return self._marks[self._plan.channels], len(self._rivals)
 
     def channel_at(self, point: QPointF) -> int | None:
@@ -380,7 +380,7 @@ class TaxelMap(pg.GraphicsView):
         self._draw_all()
 
     def _show_range(self) -> None:
-        """Show the part of the map around `_middle`, moved so that no space stays empty that the map could fill."""
+        """Show the part of the map around `_middle`, shifted so that the map fills the widget."""
         bounds, size = self._plan.bounds, np.array([max(1, self.width()), max(1, self.height())])
         whole = np.array([bounds.width(), bounds.height()])
         self._scale = float((size / whole).min()) * self._zoom

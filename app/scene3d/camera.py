@@ -78,11 +78,11 @@ class Viewpoint:
 
     @property
     def pixel(self) -> float:
-        """Metres that one pixel of the desktop shows, at the distance the camera looks at."""
+        """Size of one desktop pixel at the camera's focus, metres."""
         return 2.0 * VIEW_SLOPE * self.pose.distance * self.ratio / self.size[1]
 
     def pixel_at(self, points: FloatArray) -> FloatArray:
-        """Return the same at points, (n, 3) float, metres: (n,) float."""
+        """Return the size of one desktop pixel at points, (n, 3) float, metres: (n,) float."""
         return self.pixel * ((self.pose.position - points) @ self.pose.axes[2]) / self.pose.distance
 
     def on_screen(self, points: FloatArray) -> FloatArray:
@@ -246,7 +246,7 @@ def _upright(axes: FloatArray, back: FloatArray, level: FloatArray | None) -> Fl
 
 
 def move_closer(pose: CameraPose, at: FloatArray, height: float) -> CameraPose:
-    """Return the pose, or a nearer one where a ball at a point would be smaller than `MIN_BALL_PX` in a picture so high."""
+    """Return the pose, moved closer if a ball at a point would be smaller than `MIN_BALL_PX` in a picture so high."""
     away = float((pose.position - at) @ pose.axes[2])
     if ESTIMATE_BALL_DIAMETER_M * height >= MIN_BALL_PX * 2.0 * VIEW_SLOPE * away:
         return pose
@@ -285,7 +285,7 @@ def _rotation(axis: FloatArray, angle: float) -> FloatArray:
 
 
 class AutoCamera:
-    """Turns one camera to the target; `level`, (3,) float, unit, is level in the picture, if any."""
+    """Turns a camera to the target; keeps the axis `level`, (3,) float, unit, level in the picture if given."""
 
     def __init__(self, surface: Surface | None, level: FloatArray | None) -> None:
         self.wanted = True
@@ -302,7 +302,7 @@ class AutoCamera:
         self._touched_s, self._way = now_s, None
 
     def advance(self, camera: vtkCamera, aspect: float, height: float, state: View3DState, now_s: float) -> bool:
-        """Continue a turn, or begin one; return whether the camera moved.
+        """Continue a turn of the camera, or begin one; return whether the camera moved.
 
         `aspect` is the picture's width over its height; `height` is in pixels of the desktop.
         """

@@ -35,7 +35,7 @@ DEFAULT_SIZE = (640, 400)  # Pixels of a first picture while the widget has no s
 
 
 class Canvas(Enum):
-    """How the 3D view gets its picture."""
+    """Method of drawing the 3D view's picture."""
 
     OPENGL = "opengl"
     RASTER = "raster"
@@ -110,12 +110,12 @@ class RasterCanvas(QWidget):
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """Result of `load`; `None` for what the window's thread must make."""
+    """Parts of the 3D view made by `load`; `None` for parts that the window's thread must make."""
 
     renderer: SceneRenderer | None
 
     def close(self) -> None:
-        """Release what was made and never shown."""
+        """Release loaded parts that were never shown."""
         if self.renderer is not None:
             self.renderer.close()
             self.renderer.plotter.close()

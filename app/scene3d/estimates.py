@@ -125,7 +125,7 @@ class EstimatesLayer(Layer):
         return normals
 
     def _show_alternative(self, state: View3DState, estimates: Sequence[Estimate]) -> None:
-        """Draw a line from the selected taxel to its rival, or along which a blind one lies."""
+        """Draw a line from the selected taxel to its second possible position, or along its unknown direction."""
         row = self.static.row.get(-1 if state.selected is None else state.selected, len(estimates))
         ends = _alternative(estimates[row], self.static.places[row]) if row < len(estimates) else NO_POINTS
         self.alternative.show(ends, self.colours.ink)
@@ -223,7 +223,7 @@ class UncertaintyLayer(Layer):
         return True
 
     def rows(self, state: View3DState) -> list[int]:
-        """Return the rows whose regions are drawn: more would hide the taxels, and any the compared positions."""
+        """Return the rows of taxels whose uncertainty regions are drawn: not all, since many would hide the taxels."""
         if state.comparison is not None:
             return []
         known = {row: e.rms for row, e in enumerate(state.estimates()) if e.covariance is not None and e.rms is not None}
@@ -280,7 +280,7 @@ class Heads(MeshActor):
 
 
 class CompareLayer(Layer):
-    """Dots and arrows of a comparison; nothing while nothing is compared."""
+    """Dots and arrows between two compared sets; empty while nothing is compared."""
 
     name = "compare"
 

@@ -118,7 +118,7 @@ class Label(NamedTuple):
 
 
 class Layer:
-    """One kind of thing in the picture."""
+    """One kind of object in the 3D picture, such as landmarks."""
 
     name: ClassVar[str]
 

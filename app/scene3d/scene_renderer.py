@@ -92,7 +92,7 @@ class SceneRenderer:
             layer.set_colours(colours)
 
     def hide(self, names: frozenset[str]) -> None:
-        """Leave these out of the picture, and show all others; names are those of `Layer.parts`."""
+        """Hide the parts with these names (see `Layer.parts`), and show all others."""
         self._hidden, self._viewpoint = names, None
         for layer in self.layers:
             if isinstance(layer, SurfaceLayer):

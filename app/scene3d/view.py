@@ -50,17 +50,17 @@ class PointerTool:
     """Gets mouse events before the camera does; positions are device pixels from the lower left."""
 
     def press(self, x: float, y: float) -> bool:  # noqa: ARG002
-        """Take a press of the left button, and the drag that follows; return whether it is taken."""
+        """Handle a press of the left button and the drag after it; return whether it was handled."""
         return False
 
     def drag(self, x: float, y: float) -> None:
-        """Follow the pointer after a press that was taken."""
+        """Follow the pointer after a press that was handled."""
 
     def release(self) -> None:
         """End a drag."""
 
     def turn_wheel(self, notches: float, x: float, y: float) -> bool:  # noqa: ARG002
-        """Take a turn of the wheel; return whether it is taken."""
+        """Handle a turn of the wheel; return whether it was handled."""
         return False
 
 
@@ -86,7 +86,7 @@ class Pointer(QObject):
         canvas.installEventFilter(self)
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:  # noqa: ARG002
-        """Take mouse events, pass keys on to the window, leave the rest to the canvas."""
+        """Handle mouse events, pass keys on to the window, leave other events to the canvas."""
         kind = event.type()
         if isinstance(event, QWheelEvent):
             notches = event.angleDelta().y() / QT_WHEEL_UNITS_PER_NOTCH
@@ -237,12 +237,12 @@ class View3D(QWidget):
         return self.isVisible() and self._show_state()
 
     def set_difference(self, wanted: bool) -> None:
-        """Draw a line from each estimate to another method's, or do not."""
+        """Show or hide the lines from each estimate to another method's estimate."""
         self._difference = wanted
         self._lay_over()
 
     def set_comparison(self, comparison: Comparison | None) -> None:
-        """Lay sets of places over each other in place of the estimates; None shows the estimates again."""
+        """Show sets of positions over each other instead of the estimates; `None` shows the estimates again."""
         self._comparison = comparison
         self._lay_over()
 
@@ -252,14 +252,14 @@ class View3D(QWidget):
             self._show_state()
 
     def set_turning(self, wanted: bool) -> None:
-        """Turn the camera to the target between pokes, or leave it where it is."""
+        """Switch automatic turns of the camera to the target between pokes on or off."""
         self._turning = wanted
         if self._renderer is not None:
             self._renderer.auto_camera.wanted = wanted
             self._show_state()
 
     def hide_layers(self, names: frozenset[str]) -> None:
-        """Leave these layers out of the picture, and show all others; one of them is the target's `cone`."""
+        """Hide the layers with these names, and show all others; one of them is the target's `cone`."""
         self._hidden = names
         if self._renderer is not None:
             self._renderer.hide(names)
@@ -281,7 +281,7 @@ class View3D(QWidget):
         return self._picking
 
     def set_picking(self, wanted: bool) -> None:
-        """Take the next click on the part for a point of it, which ends this; or for a taxel again.
+        """Let the next click on the part pick a point of it; or let clicks select taxels again.
 
         Meanwhile the pointer is a cross, and the camera turns by the mouse alone. A click beside the part means nothing.
         """
@@ -290,7 +290,7 @@ class View3D(QWidget):
             self._canvas.setCursor(Qt.CursorShape.CrossCursor if wanted else Qt.CursorShape.ArrowCursor)
 
     def set_dark(self, dark: bool) -> None:
-        """Take the dark or the light theme."""
+        """Use the dark or the light theme."""
         self._colours = DARK if dark else LIGHT
         if self._renderer is not None:
             self._renderer.set_colours(self._colours)
@@ -313,7 +313,7 @@ class View3D(QWidget):
         return () if self._renderer is None else self._renderer.list_layers()
 
     def screenshot(self, path: Path) -> None:
-        """Write the picture as it stands to an image file, of the kind that the name's ending says.
+        """Write the present picture to an image file; the name's ending gives the format.
 
         Raises
         ------
@@ -326,7 +326,7 @@ class View3D(QWidget):
             raise InputError(f"{path}: the picture cannot be written; choose a folder that exists and a name ending in .png.")
 
     def close_view(self) -> None:
-        """Stop everything and give it back; the widget stays, empty. Safe at any time and more than once."""
+        """Stop the 3D view and release its resources; the empty widget stays. Safe at any time and more than once."""
         if self._threads is not None:
             self._threads.close(VTK_CLOSE_TIMEOUT_S)
             self._threads = None
@@ -358,7 +358,7 @@ class View3D(QWidget):
             self._canvas.update()
 
     def _mount(self, loaded: Loaded) -> None:
-        """Make the widget of what was loaded."""
+        """Make the widget from the loaded parts."""
         if self._choice is None or self._static is None:
             return
         self._canvas, self._renderer = mount(self._choice, loaded, self._static, self._colours, self)

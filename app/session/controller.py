@@ -109,7 +109,7 @@ class Tick:
 
 
 class Controller(QObject):
-    """Owns the open session and the one timer, and does what the operator asks for.
+    """Owns the open session and the one timer, and carries out the operator's commands.
 
     A tick feeds the pipeline for a bounded time and publishes its state if something changed. Slow work runs in the background.
 
@@ -214,12 +214,12 @@ class Controller(QObject):
         self.compute(lambda: self._load_scene(request), lambda part: self._take_part(part, request.pose))
 
     def leave(self) -> None:
-        """Close the open session and open no other; what takes long ends in the background."""
+        """Close the open session without opening another; slow work ends in the background."""
         self._release()
         self._set_running(Running.OFFLINE)
 
     def _release(self) -> None:
-        """Let go of the open session; what takes long ends in the background."""
+        """Release the open session; slow work ends in the background."""
         self._threads.renew()
         if self._jobs is not None:
             self._jobs.renew()
@@ -243,7 +243,7 @@ class Controller(QObject):
             self._endings.submit(recording.end, lambda _: None, self._say_failure)
 
     def stop(self) -> None:
-        """Stop the timer and the readers: the window gets nothing any more."""
+        """Stop the timer and the device readers; the window gets no more updates."""
         self._timer.stop()
         self._threads.renew()
         if self._recording is not None:
@@ -338,7 +338,7 @@ class Controller(QObject):
         return "Let the robot go on" if self.guided.is_halted else "Stop the robot"
 
     def _take_robot_answers(self, recording: Recording) -> None:
-        """Handle the answers of robots; a skip has to wait as long as an action."""
+        """Handle the answers of robots; a skip waits while actions are impossible."""
         if self._targets is None or self.guided is None or recording.pipeline.session.unsolved > MAX_UNSOLVED_TAXELS:
             return
         sentences = self.guided.handle_answers(recording.pipeline, self._targets, time.monotonic_ns())
@@ -416,7 +416,7 @@ class Controller(QObject):
     # The tick
 
     def tick(self) -> None:
-        """Process what arrived, and publish the state if something changed."""
+        """Process arrived readings, and publish the state if something changed."""
         recording = self._recording
         if recording is None:
             return
@@ -573,7 +573,7 @@ class Controller(QObject):
 
     @property
     def can_keep(self) -> bool:
-        """Whether the session is provisional."""
+        """Whether the session is provisional, so that it can still be kept."""
         return self._recording is not None and self._recording.storage.is_provisional
 
     @property

@@ -108,7 +108,7 @@ class Previews:
         self._closed = False
 
     def choose(self, addresses: Mapping[Stream, str], scene: Scene | None) -> None:
-        """Preview these addresses and no others; returns at once, and does nothing after `stop_readers`.
+        """Preview the devices at these addresses and no others; returns at once, and does nothing after `stop_readers`.
 
         Without a scene nothing is previewed, since it defines the expected numbers of values.
 
@@ -127,7 +127,7 @@ class Previews:
     def choose_widths(
         self, addresses: Mapping[Stream, str], channels: int, joints: int, joint_names: tuple[str, ...] = ()
     ) -> None:
-        """Preview these addresses and no others; see `choose`.
+        """Preview the devices at these addresses with the expected numbers of values; see `choose`.
 
         Parameters
         ----------

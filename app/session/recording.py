@@ -134,7 +134,7 @@ class Recording:
         return self.reached_ns if self.has_backlog and self.reached_ns else now_ns
 
     def drain(self, limit_s: float = float("inf")) -> bool:
-        """Process what arrived, for at most `limit_s`; return whether there was anything."""
+        """Process arrived readings for at most `limit_s`; return whether there were any."""
         end = time.perf_counter() + limit_s
         drained = False
         while not self._queue.empty():
@@ -148,7 +148,7 @@ class Recording:
         return drained
 
     def resume(self) -> None:
-        """Read again, in a new segment of the journal.
+        """Read the devices again, in a new segment of the journal.
 
         Raises
         ------

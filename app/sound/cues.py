@@ -126,7 +126,7 @@ class CueMemory:
 
     @staticmethod
     def of(snapshot: Snapshot) -> CueMemory:
-        """Make a memory that announces no poke of the past."""
+        """Make a memory for which all past pokes are already announced."""
         return CueMemory(outcome=newest_outcome(snapshot))
 
 

@@ -145,7 +145,7 @@ class Line:
     """Bytes that the device has read."""
 
     def take(self, frames: int) -> bytes:
-        """Give the next samples; fewer at the end, then none."""
+        """Return the next samples of the sound; fewer at the end, then none."""
         part = self.samples[self.taken : self.taken + 2 * frames]
         self.taken += len(part)
         return part

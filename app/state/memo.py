@@ -20,7 +20,7 @@ def is_same(first: object, second: object) -> bool:
 
 
 class Memo(Generic[Value]):
-    """The newest result of a function, with the key it was made for."""
+    """Cache of a function's newest result, with its key."""
 
     def __init__(self) -> None:
         self._newest: tuple[object, Value] | None = None

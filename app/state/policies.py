@@ -66,7 +66,7 @@ class RigReview:
         self._offers = Memo[tuple[Offer, ...]]()
 
     def in_use(self, snapshot: Snapshot) -> Review | None:
-        """Return the review if it was made under the corrections in use."""
+        """Return the rig review if it was made under the corrections in use."""
         review = self.review
         return review if review is not None and review.used is snapshot.decisions.corrections else None
 
@@ -75,7 +75,7 @@ class RigReview:
         return self._offers.get((self.review, snapshot.decisions.corrections), lambda: offers_of(self.review, snapshot))
 
     def news(self, snapshot: Snapshot) -> Offer | None:
-        """Return an offer of a new kind, once."""
+        """Return an available correction of a kind that was not announced yet, once."""
         for offer in self.offers(snapshot):
             frame = offer.frame
             # The same words with another number are not news.
@@ -140,7 +140,7 @@ def allowed(
     guidance: Guidance | None = None,
     offers: Sequence[Offer] = (),
 ) -> Allowed:
-    """Decide for a selection: the numbers of `pokes`, and the channel of a `taxel`."""
+    """Determine which actions are possible for the selected `pokes` (numbers) and `taxel` (channel)."""
     pause = {Running.STREAMING: "Pause", Running.PAUSED: "Continue", Running.OFFLINE: "Connect"}.get(running, "")
     ends = running is Running.STREAMING and guidance is not None and guidance.phase is GuidePhase.ENOUGH
     streamed = any(Stream.JOINTS in link.carries for link in links)

@@ -144,7 +144,7 @@ def _force_level(before: ForceLevel, at: ViewState) -> ForceLevel:
 
 
 def _hint(shown: PressHint | None, at: ViewState) -> PressHint | None:
-    """Return the hint for this moment; one that is shown already ends a little later than it began."""
+    """Choose the hint for this moment; a hint that is shown ends a little later than it began (hysteresis)."""
     coaching, target, guidance = at.coaching, at.target, at.guidance
     if coaching is None or target is None or guidance is None or coaching.away > OTHER_TAXEL_MIN_DISTANCE_M:
         return None

@@ -78,7 +78,7 @@ class Tone(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """Result of the last poke or action, in smaller type."""
+    """Result of the last poke or action, shown in smaller type."""
 
     tone: Tone
     words: str
@@ -120,7 +120,7 @@ class NowMemory:
 
     @staticmethod
     def of(snapshot: Snapshot) -> NowMemory:
-        """Make a memory that announces no poke or action of the past."""
+        """Make a memory for which all past pokes and actions are already announced."""
         return NowMemory(outcome=newest_outcome(snapshot), deed=snapshot.history.last)
 
 

@@ -66,7 +66,7 @@ class WorkerProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process; `None` before the first one."""
+        """Process id; `None` before the first process."""
         return None if self._process is None else self._process.pid
 
     def next_id(self) -> int:
@@ -167,7 +167,7 @@ class WorkerProcess:
 
 
 class Progress:
-    """Link of work in the process to the window.
+    """Reports the progress of work in the process to the window.
 
     Parameters
     ----------
@@ -332,7 +332,7 @@ class ReviewClient(QObject):
             self._request(snapshot)
 
     def stop(self) -> None:
-        """Give up the request and make no other; returns at once."""
+        """Cancel the running review and request no other; returns at once."""
         self._stopped = True
         self._process.next_id()
         self._threads.close(0.0)

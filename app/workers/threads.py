@@ -161,7 +161,7 @@ class ThreadService:
 
 
 class _Bridge(QObject):
-    """Lives in the window's thread as long as the program, so that no signal reaches a deleted object."""
+    """Receiver of the threads' answers in the window's thread; never deleted, so that signals stay valid."""
 
     answered = Signal(object)
     """`ThreadService` with an answer."""

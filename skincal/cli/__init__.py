@@ -114,7 +114,7 @@ def _usage_sentence(message: str, command: str) -> str:
 
 
 def _other_failure(error: Exception) -> int:
-    """Report a usage error of the command line as the user's, anything else as ours."""
+    """Report a usage error as the user's, any other exception as the program's."""
     # A ClickException, with its words: typer carries its own copy of click, or uses the installed one.
     show, words = getattr(error, "show", None), getattr(error, "format_message", str)
     if show is not None:

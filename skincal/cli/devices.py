@@ -44,7 +44,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 class Watched:
-    """What one link brought: readings, rate, losses and what its device says."""
+    """Data of one watched link: readings, rate, losses and messages of its device."""
 
     def __init__(self, address: str, carries: tuple[Stream, ...]) -> None:
         from skincal.devices.family import AUTO
@@ -137,7 +137,7 @@ def watch(
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a link says, live: readings, rate, losses and what the device says of itself; a line each second."""
+    """Show what a link sends, live: readings, rate, losses and messages of the device; a line each second."""
     import json
 
     from skincal.streams.links import ChunkQueue, LinkSpec, Reader, parse_address
@@ -163,7 +163,7 @@ def watch(
 
 
 def _feed_until(watched: Watched, items: ChunkQueue, due_s: float) -> None:
-    """Take what comes until `due_s` of the monotonic clock; say what becomes of the link."""
+    """Process items until `due_s` of the monotonic clock, and report changes of the link."""
     while (left_s := due_s - time.monotonic()) > 0:
         try:
             item = items.get(timeout=left_s)
@@ -208,7 +208,7 @@ def _ports() -> list[tuple[str, str]]:
 
 
 def _on_port(name: str, description: str) -> dict[str, str]:
-    """Listen to a serial port: nothing is sent to what may be another machine's console."""
+    """Listen to a serial port without sending anything: the port may be another machine's console."""
     from skincal.devices.link import LinkError
     from skincal.streams.links import LinkSpec, open_link
     from skincal.streams.transports.baud_search import BaudSearchLink

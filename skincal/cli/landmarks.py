@@ -34,7 +34,7 @@ class AddOnceCommand(TyperCommand):
     """Refuses a second `--add`: only the last would take effect."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Take the arguments apart; InputError for a second `--add`."""
+        """Parse the arguments; InputError for a second `--add`."""
         if args.count("--add") > 1:
             raise InputError("--add names one landmark; call `skincal landmarks` again for each other one.")
         return super().parse_args(ctx, args)
@@ -319,7 +319,7 @@ def _undo_last_call(folder: Path, session: Session) -> list[str]:
 
 
 def _outcomes(session: Session) -> Iterator[Outcome]:
-    """Give every poke that was not taken out, in order."""
+    """List every poke that is not excluded, in order."""
     excluded = session.decisions.excluded
     yield from session.frame_corrected(
         record.outcome.poke for record in session.snapshot().pokes if record.outcome.poke not in excluded

@@ -44,7 +44,7 @@ def unchecked_lines(results: SessionResults, unchecked: float | None) -> list[st
 
 
 def poke_counts(snapshot: Snapshot) -> dict[str, Any]:
-    """Count pokes by what became of them."""
+    """Count pokes by outcome."""
     records, named = snapshot.pokes, snapshot.at_landmarks
     # No taxel answers a poke at a landmark, which is no fault.
     reasons = Counter(

@@ -140,7 +140,7 @@ def record(
 
 @contextlib.contextmanager
 def _asking(targets: str | None) -> Generator[Targets | None]:
-    """Yield the way to ask a robot; `None` without `--targets`."""
+    """Open the connection to a robot that pokes, and yield it; `None` without `--targets`."""
     if targets is None:
         yield None
         return
@@ -182,7 +182,7 @@ class OrderLine:
 
 
 def _read_orders(file: int, items: ChunkQueue) -> None:
-    """Stamp every line of a file that is open, and hand it on."""
+    """Read the lines of an open file, stamp each with its time, and queue it."""
     # Unbuffered: a buffer's lock, held by a thread that waits for a line, would break the end of the program.
     for line in iter(partial(FileIO(file, closefd=False).readline, ORDER_MAX_BYTES), b""):
         items.put(OrderLine(time.monotonic_ns(), line))
@@ -228,7 +228,7 @@ def _loop(
     stop: threading.Event,
     robot: RobotGuide | None = None,
 ) -> None:
-    """Take items until `stop`, the seconds or the pokes of `until` are over, every link ended, one is given up, or enough."""
+    """Process items until `stop`, the seconds or pokes of `until`, the end of every link, or a finished session."""
     seconds, pokes = until
     end = math.inf if seconds is None else time.monotonic() + seconds
     reported, next_check_ns = 0, 0
@@ -329,7 +329,7 @@ def finish(
     *,
     imported: bool = False,
 ) -> None:
-    """Print what a recording came to; with `reference` also the error against it.
+    """Print a recording's result; with `reference` also the error against the known positions.
 
     Where it was `imported` the readings are kept elsewhere, and a session of no use need not be.
 

@@ -37,7 +37,7 @@ DEFAULT_SESSION_POKES = 252
 
 
 class Errors(Enum):
-    """How wrong the simulated rig is."""
+    """Size of the simulated rig's errors."""
 
     NONE = "none"
     NOISE = "noise"
@@ -208,7 +208,7 @@ def _serve_robot(scene: Scene, targets: str | None, seed: int, *, tcp: bool, as_
 
 
 def _demand_sense(serve: bool, out: Path | None, operator: OperatorKind, targets: str | None, other: str) -> None:
-    """Refuse options that do not go together; `other` is one that is for `--serve` alone."""
+    """Refuse options that contradict each other; `other` is an option that only `--serve` allows."""
     if serve == (out is not None):
         raise InputError("simulate needs either --out FOLDER, to record a session, or --serve, to be the devices.")
     name = f"--operator {operator.value}" if operator is not OperatorKind.AUTO else other
@@ -264,7 +264,7 @@ def _speakers(named: str, scene: Scene) -> dict[Stream, str]:
 
 
 class PokeLine:
-    """Says on a terminal which poke it is, always on the same line.
+    """Terminal line with the number of the current poke, updated in place.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ STDIN_ENDED = "Standard input ended, and so did the devices."
 
 
 def _print_links(server: Server, known: dict[str, Any]) -> None:
-    """Say on one line where the links are; for a program (--json) also where the taxels really are."""
+    """Print the links' addresses on one line; for a program (--json) also the true taxel positions."""
     links = [
         {"name": link.name, "address": link.address, "carries": [stream.value for stream in link.carries]}
         for link in server.links
@@ -310,7 +310,7 @@ def _print_links(server: Server, known: dict[str, Any]) -> None:
 
 
 def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: OperatorKind, pokes: int | None) -> None:
-    """Serve until stdin closes, Ctrl-C or a termination signal; on a terminal say what stdin is for, and which poke it is."""
+    """Serve devices until stdin closes, Ctrl-C or a termination signal; on a terminal print usage and poke number."""
     from skincal.simulate.operator import GuidedOperator, ScriptedOperator
 
     listener = hand if isinstance(hand, ScriptedOperator | GuidedOperator) else None
@@ -328,7 +328,7 @@ def _run(server: Server, hand: AutoOperator | ScriptedOperator, operator: Operat
 
 
 def _listen(listener: ScriptedOperator | GuidedOperator | None, ended: threading.Event, stop: threading.Event) -> None:
-    """Take orders from stdin; its end is the end of the program that started this one."""
+    """Read orders from stdin until it closes: then the program that started this one has ended."""
     from skincal.simulate.operator import read_order
 
     for line in sys.stdin:

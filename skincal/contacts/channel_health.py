@@ -43,7 +43,7 @@ NEIGHBOUR_MAX_SPACINGS = 1.2
 
 
 class DeadCause(Enum):
-    """Why a channel is dead. The journal stores sentences that begin with these words: they must not change."""
+    """Reason why a channel is dead. The journal stores sentences that begin with these words: they must not change."""
 
     NO_NUMBER = "gives no number"
     STUCK = "stuck"
@@ -80,7 +80,7 @@ class ChannelHealth:
         """Channels that are not used, with the reason; a new mapping whenever it changes."""
 
     def on_frame(self, host_s: float, skin: FloatArray) -> bool:
-        """Take one frame; return whether `dead` changed. The channels are judged once a second."""
+        """Process one skin frame; return whether `dead` changed. The channels are judged once a second."""
         if not len(self._last):
             self._changed_s[:] = self._number_s[:] = self._judged_s = host_s
             self._last = skin
@@ -96,7 +96,7 @@ class ChannelHealth:
         return host_s - self._judged_s >= 1.0 and self._judge(host_s)
 
     def on_poke(self, host_s: float, channels: IntArray, responses: FloatArray) -> bool:
-        """Take the answers of one poke, accepted or not; return whether `dead` changed."""
+        """Process the responses to one poke, accepted or not; return whether `dead` changed."""
         if not 0 < len(channels) <= MAX_ANSWERING_CHANNELS_PER_POKE:
             return False
         peak = int(channels[np.argmax(responses)])
@@ -126,7 +126,7 @@ class ChannelHealth:
         return True
 
     def _still_holds(self, channel: int, why: str) -> bool:
-        """Whether a reason from before the break still holds: nothing since has shown otherwise."""
+        """Whether a reason found before the break still applies, since no later frame contradicts it."""
         if channel >= len(self._last):
             return False
         if why.startswith(DeadCause.NO_NUMBER.value):

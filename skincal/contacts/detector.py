@@ -107,7 +107,7 @@ class ContactDetector:
         return 0.0 if self._last is None else self._last.host_s
 
     def feed(self, sample: Sample, link_from_sensor: FloatArray | None, pose: str) -> list[Outcome]:
-        """Take one sample; return the pokes that ended with it and those that became final, in the order of their numbers.
+        """Process one sample; return the pokes that ended with it or became final, in the order of their numbers.
 
         `link_from_sensor` is (4, 4) float, metres, `None` while the arm's pose is unknown; `pose` is its name.
         """
@@ -189,7 +189,7 @@ class ContactDetector:
 
     @property
     def phase(self) -> PressPhase:
-        """What the detector waits for, or the progress of a poke."""
+        """State of the detector: waiting, or the progress of a poke."""
         tare, press = self._tares.tare, self._press
         if self._last is None:
             return PressPhase.NO_DATA
@@ -290,7 +290,7 @@ class ContactDetector:
         return []
 
     def _was_tared_while_pressed(self, press: Press, sample: Sample) -> bool:
-        """Whether skin is below its baseline and none above: something that was tared away has left."""
+        """Whether the skin was pressed during its tare: some channels are below their baseline, none above."""
         above, below = self._beyond_limit(sample, press.tare)
         return bool(below.any()) and not above.any()
 
@@ -371,7 +371,7 @@ class ContactDetector:
         self._untared_since = host_s
 
     def _is_still_touched(self, sample: Sample) -> bool:
-        """Whether the skin answers against its last rest: something still presses."""
+        """Whether something still presses: the skin differs from its last values at rest."""
         rest = self._tares.rest_skin
         if rest is None or sample.host_s - self._untared_since > TARE_AGE_MAX_S:
             return False

@@ -18,7 +18,7 @@ NOT_STORED = {"stored": False}
 
 
 class Reason(Enum):
-    """Why a poke does not count. The operator reads the value; the journal stores the name."""
+    """Reason why a poke does not count. The operator reads the value; the journal stores the name."""
 
     TOO_SOFT = "too soft"
     TOO_HARD = "too hard"

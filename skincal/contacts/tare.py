@@ -139,11 +139,11 @@ class TareKeeper:
         self._recent.clear()
 
     def forget_rest(self) -> None:
-        """Forget the skin's rest: it was pressed."""
+        """Forget the skin's values at rest, since the skin was pressed."""
         self.rest_skin = None
 
     def feed(self, sample: Sample, period_s: float) -> Tare | None:
-        """Take one sample without a touch; return the new tare if it completes a quiet window."""
+        """Process one sample without contact; return the new tare if the sample completes a quiet window."""
         quiet = window_length(self.quiet_s, period_s)
         guard = max(1, quiet // 2)
         self._run.append(sample)

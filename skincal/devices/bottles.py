@@ -25,7 +25,7 @@ STATE_EXT_LENGTHS = (22, 24)
 
 
 def as_vector(value: Value) -> FloatArray | None:
-    """Read a list of numbers, or one that is alone in a list; `None` for anything else."""
+    """Read a list of numbers, also one nested alone in a list; `None` for anything else."""
     if isinstance(value, list) and len(value) == 1 and isinstance(value[0], (list, np.ndarray)):
         return as_vector(value[0])
     if isinstance(value, np.ndarray):
@@ -48,7 +48,7 @@ def measures(groups: list[Value], which: int) -> list[tuple[FloatArray, float]]:
 
 
 def is_measures(value: Value) -> bool:
-    """Check whether a bottle is one of `measures:o`."""
+    """Check whether a bottle has the form of a message of `measures:o`."""
     return isinstance(value, list) and len(value) >= MEASURES_LISTS and all(isinstance(each, list) for each in value)
 
 

@@ -348,12 +348,12 @@ class FrameDecoder(ABC):
 
     @property
     def device_message(self) -> str:
-        """What the device got wrong or reported last, a sentence; empty if nothing."""
+        """Last fault or report of the device, as a sentence; empty if there is none."""
         fault = self._splitter.fault
         return f"{fault[:1].upper()}{fault[1:]}" or self._status or self._problem
 
     def feed(self, data: bytes) -> list[Batch]:
-        """Take the next bytes of the link and return the readings that they complete, one batch a stream."""
+        """Decode the next bytes of the link; return the completed readings, one batch a stream."""
         for frame in self._splitter.split(data):
             problem = self.loss_of_garbage if frame is None else self._decode(frame)
             if problem is not None and not self._first:

@@ -52,7 +52,7 @@ class Handshake:
 
 
 class Form(Enum):
-    """What follows the scheme of an address."""
+    """Syntax of an address after its scheme."""
 
     HOST = "//HOST:PORT"
     HOST_PATH = "//HOST:PORT/PATH"
@@ -80,7 +80,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class DeviceAddress:
-    """An address that was understood, and what its transport opens."""
+    """A parsed device address, and what its transport opens."""
 
     text: str
     """The address as it was typed, for sentences."""

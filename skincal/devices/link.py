@@ -9,7 +9,7 @@ from skincal.model.errors import plain_text, shortened
 
 
 class FailureKind(Enum):
-    """Why a link cannot be opened or read."""
+    """Reason why a link cannot be opened or read."""
 
     ADDRESS = "address not valid"
     ABSENT = "not there"

@@ -79,7 +79,7 @@ def set_key(table: MutableMapping[str, Any], key: str, value: Any) -> None:
 
 
 def _check(found: Layout, meant: Layout, path: Path) -> None:
-    """Refuse a file that says something else than was meant."""
+    """Raise InputError if the written file differs from the intended layout."""
     for module, wanted in zip(found.modules, meant.modules, strict=False):
         # Over the circle: angles that are whole turns apart are the same.
         turn = abs(float(np.angle(np.exp(1j * (module.angle - wanted.angle)))))

@@ -40,7 +40,7 @@ EXPECTED_PUSH_FORCE_N = 9.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnsweringTaxels:
-    """Taxels that are expected to answer a poke at each of n: k per taxel, itself first, filled up with itself and weight 0."""
+    """Taxels that are expected to answer a poke at each of n: k per taxel, itself first, padded with weight 0."""
 
     rows: IntArray
     """(n, k) int."""

@@ -43,7 +43,7 @@ MAX_EDGE_OVER_SCENE_NOISE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PokeMisses:
-    """How far n pokes pass the positions that all other pokes predict."""
+    """Distances of the force axes of n pokes from the positions that all other pokes predict."""
 
     pokes: IntArray
     """(n,) numbers of the pokes."""

@@ -201,7 +201,7 @@ class Guidance:
 
     @property
     def enough(self) -> bool:
-        """No taxel needs anything more; the closing check may go on."""
+        """Whether no taxel needs more pokes; the closing check may still go on."""
         return self.phase in (GuidePhase.ENOUGH, GuidePhase.CLOSING)
 
     @property

@@ -127,7 +127,7 @@ class Guide:
         rejections: Mapping[int, Rejection] | None = None,
         rig: float = 0.0,
     ) -> Guidance:
-        """Follow the session to its present state, and say what to do next.
+        """Update the guide to the session's present state, and choose the next poke.
 
         Parameters
         ----------
@@ -153,7 +153,7 @@ class Guide:
         return self._guidance(own)
 
     def skip(self, target: Target, *, is_impossible: bool = False) -> None:
-        """Ask for something else than a target. A side of a taxel that is skipped twice, or is impossible, is left out."""
+        """Request another poke instead of a target. A side of a taxel that is skipped twice, or is impossible, is left out."""
         self._kept = None
         if target.channel is None and self._search is not None:
             self._search.skip(target.place)

@@ -54,7 +54,7 @@ def axis_of(poke: Contact | Rejection) -> PokeAxis | None:
 
 
 class PokePosition(NamedTuple):
-    """Position of a poke by its answers, relative to a taxel, whose own position becomes better known later."""
+    """Position of a poke, estimated from its answers, relative to a taxel."""
 
     row: int
     """Index of the taxel that answered most; -1 if no taxel answered."""

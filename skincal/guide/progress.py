@@ -247,7 +247,7 @@ def count_pokes_from_start(method: Method, modules: IntArray, settings: GuideSet
 
 
 def _pokes_until_settled(sd: float, settings: GuideSettings) -> FloatArray:
-    """Predict for each number of own pokes how many more it takes until one of them moves the taxel little enough."""
+    """Predict the further pokes until a taxel is settled, for each number of own pokes."""
     after = np.zeros(settings.patience + 1)
     for pokes in range(settings.patience - 1, -1, -1):
         shift = sd / (pokes + 1)

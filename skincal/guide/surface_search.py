@@ -36,14 +36,14 @@ class SurfaceSearch:
         self._skipped = np.zeros(len(self.places), dtype=bool)
 
     def add_poke(self, number: int, axis: PokeAxis, *, answered: bool) -> None:
-        """Note a poke: it touched where its axis is nearest to the surface, on the side that faces it."""
+        """Record a poke at the surface point nearest to its force axis, on the side that faces the push."""
         root = np.vstack([orthonormal_pair(axis.direction[None])[0], np.zeros(3)])
         found = nearest_in_metric(self._surface, root[None], (root @ axis.point)[None], axis.direction[None])
         if found.triangles[0] >= 0:
             self._pokes[number] = found.points[0], answered
 
     def count_only(self, numbers: Collection[int]) -> None:
-        """Count the pokes among `numbers` alone: the others were undone."""
+        """Keep only the pokes in `numbers`: the others were undone."""
         self._counted = sorted(self._pokes.keys() & set(numbers))
 
     def skip(self, place: FloatArray) -> None:

@@ -32,7 +32,7 @@ RAISE_RAD = float(np.radians(4.0))
 
 
 class TiltLimit:
-    """How far a push may lean from the normal."""
+    """Largest usable angle between a push and the normal, learned from the pokes."""
 
     def __init__(self, settings: GuideSettings) -> None:
         self._settings = settings

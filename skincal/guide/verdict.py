@@ -69,7 +69,7 @@ class Check:
 
     @property
     def chance(self) -> float:
-        """Probability that as many or more are outside although the predicted errors are true."""
+        """P-value: probability that as many or more are outside although the predicted errors are true."""
         outside, share = self.checked - self.inside, EXPECTED_SHARE_OUTSIDE_95_REGION
         # The binomial probability that fewer fall outside.
         below = sum(comb(self.checked, k) * share**k * (1.0 - share) ** (self.checked - k) for k in range(outside))
@@ -78,17 +78,17 @@ class Check:
 
     @property
     def has_enough(self) -> bool:
-        """Whether there are enough of them to agree."""
+        """Whether there are enough held-out pokes for the result that they agree."""
         return self.checked >= MIN_CHECKED_POKES
 
     @property
     def agrees(self) -> bool:
-        """Whether chance alone easily puts so many held-out pokes outside their 95 % regions."""
+        """Whether the p-value is high: the held-out pokes agree with the predicted errors."""
         return self.chance >= AGREE_IF_P_VALUE_AT_LEAST
 
     @property
     def believed(self) -> bool:
-        """Whether chance alone may put so many held-out pokes outside their 95 % regions."""
+        """Whether the p-value is not too low: the held-out pokes do not contradict the predicted errors."""
         return self.chance >= DISAGREE_IF_P_VALUE_BELOW
 
 
@@ -286,7 +286,7 @@ class Verdict:
 
     @property
     def has_moved(self) -> bool:
-        """Whether something moved by the last closing check."""
+        """Whether the last closing check shows a movement."""
         return bool(self.closings) and self.closings[-1].has_moved
 
     @property

@@ -110,7 +110,7 @@ class SegmentHeader:
 
 @dataclass(frozen=True, slots=True)
 class SessionClosed:
-    """The session was closed in good order."""
+    """The session was closed properly."""
 
     host_ns: int
 

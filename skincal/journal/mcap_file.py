@@ -59,7 +59,7 @@ DAMAGE_ERRORS = (
 
 
 class DamagedError(Exception):
-    """The rest of a file cannot be believed; the message says why."""
+    """The rest of a file is damaged; the message says how."""
 
 
 class McapFile:

@@ -190,7 +190,7 @@ class Segment:
 
     @property
     def is_empty(self) -> bool:
-        """No item can be read: a crash came before the first."""
+        """Whether the segment has no readable item, since a crash came before the first."""
         return next(self.items(), None) is None
 
     def header(self) -> SegmentHeader | None:
@@ -243,7 +243,7 @@ class Segment:
 
 
 def _is_unusable(path: Path, lines: Lines) -> bool:
-    """Whether damaged lines are worth less than the bytes: they tell nothing, or the MCAP file was closed."""
+    """Whether a damaged line file is worth less than the MCAP file: it has no content, or the MCAP file was closed."""
     return not lines.documents or (bool(lines.lost) and is_closed(path))
 
 

@@ -39,7 +39,7 @@ class Geodesics:
     """Place of its `Ground` in the machine."""
 
     def walk(self, start: MeshPoints, ways: FloatArray) -> MeshPoints:
-        """Walk straight from each of n points to the ends; x there is the start's x, carried along.
+        """Walk along geodesics from n points to their ends; the start's direction x is carried along.
 
         `ways` are (n, 2) float, metres: the distances along the start's x, and along normal x x.
         """

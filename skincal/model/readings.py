@@ -34,7 +34,7 @@ SENSOR_STREAMS = (Stream.WRENCH, Stream.SKIN, Stream.JOINTS)
 
 
 class Loss(Enum):
-    """Why a reading, or part of one, was not used; the value is shown to the operator."""
+    """Reason why a reading, or part of one, was not used; the value is shown to the operator."""
 
     BAD_CHECKSUM = "checksum does not fit"
     BAD_WIDTH = "wrong number of values"

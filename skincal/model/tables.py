@@ -65,7 +65,7 @@ def shown(value: object) -> str:
 
 
 class Table:
-    """Gives each value once; `refuse_unknown_keys` refuses the rest. `where` begins each sentence: file and place in it."""
+    """TOML table that gives each value once; `refuse_unknown_keys` refuses the rest. `where` begins each sentence."""
 
     def __init__(self, values: dict[str, Any], where: str) -> None:
         self._values = dict(values)
@@ -75,7 +75,7 @@ class Table:
 
     @property
     def keys(self) -> list[str]:
-        """Names that were not taken yet, in the order of the file."""
+        """Names of the values that were not read yet, in the order of the file."""
         return list(self._values)
 
     def take(self, key: str, kind: type, default: Any = ...) -> Any:
@@ -170,7 +170,7 @@ class Table:
         return None if values is None else Table(values, f"{self.where}: [{key}]")
 
     def subtables(self) -> list[tuple[str, Table]]:
-        """Take all that is left as tables, with their names."""
+        """Read all remaining values as tables, with their names."""
         return [(key, Table(self.take(key, dict), f"{self.where}: [{key}]")) for key in self.keys]
 
     def tables(self, key: str) -> list[Table]:
@@ -182,7 +182,7 @@ class Table:
         return [Table(value, f"{self.where}: [[{key}]] number {number}") for number, value in enumerate(values, start=1)]
 
     def refuse_unknown_keys(self) -> None:
-        """Refuse what was not taken: it is misspelt."""
+        """Raise InputError for names that were not read: they are misspelt."""
         if self._values:
             raise InputError(f"{self.where}: unknown name {sorted(self._values)[0]!r}; check its spelling.")
 

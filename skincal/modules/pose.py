@@ -94,7 +94,7 @@ class ModulesOnSurface:
 
 
 class ModulesInSpace:
-    """No surface: modules are flat and lie anywhere."""
+    """Modules without a surface: flat, and anywhere in space."""
 
     unknowns = 6
 

@@ -183,7 +183,7 @@ def whitened_rows(touches: Touches, pads: Pads, noise: NoiseSettings) -> ModuleR
 
 
 def _write_touches(call: Call, touches: Touches, noise: NoiseSettings, unknowns: int) -> list[int]:
-    """Write the begin of `Touches` in `skincal/solver/source/modules.h`, up to the pads."""
+    """Write the first part of `Touches` in `skincal/solver/source/modules.h`, up to the pads."""
     evidence, at = touches.evidence, touches.rows
     rules = (
         MODULE_TURN_LEVER_M, FULL_TRUST_SDS, ZERO_TRUST_SDS, MIN_MODULE_POKES_FOR_TRUST, MIN_POKES_PER_ARM_POSE,

@@ -64,7 +64,7 @@ class ReportTable:
 
     @property
     def numeric(self) -> tuple[bool, ...]:
-        """Whether each column holds numbers and dashes alone, and is not the first; these are set to the right."""
+        """Whether each column holds only numbers and dashes, and is not the first; such columns are right-aligned."""
         columns = enumerate(zip(*self.rows, strict=True))
         return tuple(index > 0 and set(column) != {DASH} and all(map(_NUMERIC.fullmatch, column)) for index, column in columns)
 

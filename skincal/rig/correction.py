@@ -49,7 +49,7 @@ class Correction:
 
     @property
     def exact(self) -> bool:
-        """Whether it counts as exact: its uncertainty was not recorded."""
+        """Whether the correction counts as exact, since its uncertainty was not recorded."""
         return not len(self.root)
 
     def pose(self, link_from_sensor: FloatArray, name: str) -> FloatArray:

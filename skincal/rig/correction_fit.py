@@ -214,7 +214,7 @@ class LandmarkPoke:
 
     @property
     def miss(self) -> float:
-        """Distance of its axis from the landmark, metres."""
+        """Distance of the poke's axis from the landmark, metres."""
         force, moment = move_wrench(self.link_from_sensor, self.force, self.moment)
         return float(np.linalg.norm(np.cross(self.place - axis_point(force, moment), force / np.linalg.norm(force))))
 
@@ -278,12 +278,12 @@ class LandmarkAgreement:
 
     @property
     def agrees(self) -> bool:
-        """Whether the misses are as predicted."""
+        """Whether the landmark pokes miss by as much as predicted."""
         return self.ratio <= LANDMARKS_AGREE_MAX_MISS_RATIO
 
     @property
     def by_noise(self) -> bool:
-        """Whether the prediction is so wide that agreement says little."""
+        """Whether the predicted misses are so large that agreement says little."""
         return self.noisier >= WARN_FROM_LANDMARK_NOISE_FACTOR
 
 
@@ -331,7 +331,7 @@ def correct_rig(request: RigRequest, between: Callable[[], None] = _nothing) -> 
 
 
 def _weighed(linear: _Fit, bent: _Fit, names: list[str]) -> RigAnswer:
-    """Combine the linear and the nonlinear fit by their likelihood; use one alone if it is all but sure.
+    """Combine the linear and the nonlinear fit by their likelihoods; use only one if it is nearly certain.
 
     Both have the same prior probability. Between them the unknowns are the mean, x = w x_1 + (1 - w) x_2, with the
     covariance w C_1 + (1 - w) C_2 + w (1 - w) (x_1 - x_2)(x_1 - x_2)'. The likelier one was tested on held-out pokes.

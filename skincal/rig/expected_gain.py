@@ -61,7 +61,7 @@ class PlannedPoke:
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """How far the rig's errors move the taxels."""
+    """Expected movement of the taxels by the rig's errors, before and after planned landmark pokes."""
 
     now: float
     """m: expected rms distance over taxels and rigs, corrected by the landmark pokes that are made."""

@@ -124,7 +124,7 @@ class _Hypothesis:
 
     @property
     def miss(self) -> float:
-        """m, rms of the distances, without the poke that was at another point."""
+        """Rms distance, m, of the pokes from their landmarks, without the poke that was at another point."""
         return _miss(self.distances, self.beside)
 
 
@@ -176,7 +176,7 @@ def diagnose(
 
 @lru_cache(maxsize=1)
 def _named() -> tuple[FrameCorrection, ...]:
-    """Make every order of the axes with signs, in every unit; the first is no mistake."""
+    """List every order and sign of the axes in every unit, as hypotheses; the first is the right frame."""
     return tuple(
         FrameCorrection(np.array(signs)[:, None] * np.eye(3)[list(order)], *units)
         for order, signs, units in product(permutations(range(3)), product((1.0, -1.0), repeat=3), UNIT_FACTORS)

@@ -90,7 +90,7 @@ class Decisions:
 
 
 def is_undoable(action: Action) -> bool:
-    """Whether undo takes an action back. An automatic closing check would start again at once."""
+    """Whether undo can revert an action. Not an automatic closing check, which would start again at once."""
     return not isinstance(action, NON_UNDOABLE_ACTIONS) and action != BeginClosing()
 
 
@@ -173,7 +173,7 @@ def describe_action(action: Action) -> str:
 
 
 def with_excluded(now: Decisions, poke: int, *, out: bool) -> Decisions:
-    """Take a poke out of the estimates, or in again."""
+    """Exclude a poke from the estimates, or include it again."""
     return replace(now, excluded=now.excluded | {poke} if out else now.excluded - {poke})
 
 

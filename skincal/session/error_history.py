@@ -136,7 +136,7 @@ class CourseInput:
     """Correction of the rig in use; its uncertainty is part of the predicted error."""
 
     def common(self, other: CourseInput) -> int:
-        """Count the equal contacts at the beginning; 0 if dead channels or the correction differ."""
+        """Count the equal contacts at the beginning of both courses; 0 if dead channels or the correction differ."""
         if dict(self.dead) != dict(other.dead) or self.correction is not other.correction:
             return 0
         return _common(self.contacts, other.contacts)
@@ -164,7 +164,7 @@ class ErrorCourse:
         """Contacts that count in `_replica`."""
 
     def update(self, snapshot: Snapshot) -> None:
-        """Drop points that no longer hold, and add the newest."""
+        """Remove outdated points of the error curve, and add the newest."""
         used = snapshot.decisions.corrections.get(RIG)
         before, self._input = self._input, CourseInput(snapshot.contacts, snapshot.dead, used and used.correction)
         same, count = self._input.common(before), len(snapshot.contacts)
@@ -198,14 +198,14 @@ class ErrorCourse:
         return of, points
 
     def add_points(self, of: CourseInput, points: Mapping[int, Spreads]) -> bool:
-        """Add solved points that still hold; say whether there are any."""
+        """Add solved points that are still valid; return whether there are any."""
         same = self._input.common(of)
         held = {at: point for at, point in points.items() if at <= same and at % self._stride == 0}
         self._points = {**self._points, **held}
         return bool(held)
 
     def _feed(self, contacts: tuple[Contact, ...]) -> None:
-        """Let exactly these contacts count in the replica."""
+        """Make the replica session use exactly these contacts."""
         same = _common(self._fed, contacts)
         wanted = {contact.poke for contact in contacts[same:]}
         for contact in self._fed[same:]:
@@ -255,12 +255,12 @@ class ErrorFollower:
         return ErrorCourse(self._part.scene, self._part.surface, known)
 
     def offer(self, reference: TaxelPositions) -> None:
-        """Add a source, in place of another of its origin, and compare with it."""
+        """Add a reference for the errors, in place of one of the same origin, and use it."""
         self.sources = [reference, *(other for other in self.sources if other is None or other.origin is not reference.origin)]
         self.choose(0)
 
     def choose(self, index: int) -> None:
-        """Compare with another of `sources`."""
+        """Use another of `sources` as the reference for the errors."""
         if self.sources[index] is not self.source:
             self.source = self.sources[index]
             self._course, self._seen = self._new_course(), None

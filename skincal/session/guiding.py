@@ -48,7 +48,7 @@ ARM_STILL_MIN_S = 1.0
 
 
 class SessionGuide:
-    """Says what to poke next by the method that is shown, with or without a layout."""
+    """Chooses the next poke by the method that is shown, with or without a layout."""
 
     def __init__(self, part: Part) -> None:
         self._part, self._scene, self._surface = part, part.scene, part.surface
@@ -214,7 +214,7 @@ class SessionGuide:
 
 
 class LandmarkGuide:
-    """Says which landmark to poke before the skin. `LandmarkFinder` in the pipeline finds which poke was there."""
+    """Chooses the landmark to poke before the skin. `LandmarkFinder` in the pipeline finds the pokes at it."""
 
     def __init__(self, part: Part, plan: PlannedPlaces) -> None:
         self._scene, self._surface = part.scene, part.surface
@@ -251,7 +251,7 @@ class LandmarkGuide:
         return self._shown or guidance
 
     def added(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
-        """Put the landmarks first that are missing by the session alone; see `SessionGuide.remaining_work`."""
+        """Put missing landmarks first, judged by the session alone; see `SessionGuide.remaining_work`."""
         pose = snapshot.decisions.pose
         if not pose and self._scene.arm is not None:
             named = list(self._scene.arm.poses)
@@ -415,7 +415,7 @@ def _asked_target(asked: AskPoke | None) -> Target | None:
 
 
 class ModulesEnough:
-    """Notices once that the modules method needs no more pokes while the shown method asks for many."""
+    """Detects once that the modules method needs no more pokes while the shown method needs many."""
 
     def __init__(self, plan: PlannedPlaces, skin: float) -> None:
         self._plan, self._skin, self._settings = plan, skin, GuideSettings()
@@ -461,7 +461,7 @@ def costs_of(plan: PlannedPlaces, methods: Iterable[Method], *, on_mesh: bool) -
 
 
 def plan_of(part: Part) -> PlannedPlaces:
-    """Collect where the part's layout puts the taxels; nowhere without a laid layout."""
+    """Collect the planned taxel positions of the part's layout; none without a laid layout."""
     layout, laid = part.scene.skin.layout, part.laid
     plan = None if layout is None or laid is None else plan_from_layout(layout, laid)
     return plan or plan_without_positions(part.channels, None if layout is None else layout.module_of[part.channels])

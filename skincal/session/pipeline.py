@@ -378,7 +378,7 @@ class Pipeline:
         self._record(lambda journal: journal.sync())
 
     def _record(self, work: Callable[[JournalWriter], None]) -> None:
-        """Work on the journal, if there is one; a full disk ends the recording and nothing else."""
+        """Run `work` on the journal, if there is one; a full disk ends the recording and nothing else."""
         if self.journal is None:
             return
         try:

@@ -60,7 +60,7 @@ class Review:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReviewRequest:
-    """Everything that a review follows from."""
+    """Input of a review of the rig."""
 
     rig: RigRequest
     landmarks: tuple[Landmark, ...]

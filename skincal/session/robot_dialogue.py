@@ -145,7 +145,7 @@ class RobotDialogue:
         self._is_stopped = False
 
     def handle_answer(self, answer: Answer, now_s: float) -> Meaning:
-        """Note a robot's answer and give its meaning."""
+        """Process a robot's answer and return its meaning."""
         if not 0 < answer.number <= self._number:
             return Meaning(protocol_error=f"it answers {write_answer(answer)[:40]!r}, and was asked {self._number} at most.")
         request, skips = self._requests[-1], answer.kind is AnswerKind.SKIP
@@ -230,7 +230,7 @@ def _pokes_after(pokes: Sequence[PokeRecord], number: int) -> Sequence[PokeRecor
 
 
 def _why_rejected(record: PokeRecord, snapshot: Snapshot) -> str:
-    """Reason why a poke does not count; empty if it does, on the skin or at a landmark."""
+    """Reason why a poke, on the skin or at a landmark, does not count; empty if it counts."""
     outcome = record.outcome
     if outcome.poke in snapshot.decisions.missed_landmarks:
         return missed_words(snapshot.decisions.missed_landmarks[outcome.poke])

@@ -96,7 +96,7 @@ class Session:
 
     @property
     def excluded(self) -> tuple[int, ...]:
-        """Numbers of the pokes that the operator took out, ascending."""
+        """Numbers of the pokes that the operator excluded, ascending."""
         return tuple(sorted(self.decisions.excluded))
 
     @property
@@ -130,7 +130,7 @@ class Session:
         return RigRequest(self.scene, self.surface, contacts, self.landmark_pokes, self.dead)
 
     def frame_corrected(self, pokes: Iterable[int]) -> list[Outcome]:
-        """Give pokes with the correction of the sensor's frame, and without that of the rig's small errors."""
+        """Return pokes with the correction of the sensor's frame, without the correction of the rig's small errors."""
         used = self.decisions.corrections.get(FRAME)
         if used is None:
             return [self._reported[poke] for poke in pokes]
@@ -165,7 +165,7 @@ class Session:
         self._clocks = (*self._clocks, (self.last_poke, clock))
 
     def finalize_outcomes(self) -> None:
-        """Mark every outcome as final: nothing that could change it will come."""
+        """Mark every outcome as final, since no later sample can change it."""
         for outcome in [outcome for outcome in self._reported.values() if not outcome.final]:
             self.add(replace(outcome, final=True))
 
@@ -252,7 +252,7 @@ class Session:
         return math.nan if clock is None else clock.at(at_s)
 
     def _decide(self, now: Decisions) -> None:
-        """Replace the decisions, and mark what follows from them as changed."""
+        """Replace the decisions, and mark the results that depend on them as changed."""
         before, self.decisions = self.decisions, now
         for poke in before.excluded ^ now.excluded:
             self._store_record(replace(self._records[poke], excluded=poke in now.excluded))
@@ -263,7 +263,7 @@ class Session:
 
     @property
     def unsolved(self) -> int:
-        """How many taxels are to be solved before there is a new snapshot."""
+        """Number of taxels to solve before there is a new snapshot."""
         return self._solving.waiting
 
     def snapshot(self, within_s: float = math.inf) -> Snapshot:
@@ -320,7 +320,7 @@ class Session:
             self._solving.poke_changed(contact.poke, contact.channels.tolist())
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Give the rows of the last snapshot's contacts for those of `channels` that answered; all of them count fully."""
+        """Return the evidence rows of the last snapshot's contacts for `channels` that answered, all with full weight."""
         return self._solving.evidence(channels)
 
     def calibration(self) -> Calibration:
@@ -345,7 +345,7 @@ class Session:
         )
 
     def _counting(self, pokes: Iterable[int]) -> list[Contact]:
-        """Those of `pokes` that count, in the order of their numbers."""
+        """Select those of `pokes` that count, in the order of their numbers."""
         records = (self._records[poke] for poke in sorted(pokes))
         return [record.outcome for record in records if isinstance(record.outcome, Contact) and not record.excluded]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PokeRecord:
-    """One poke as the session has it now."""
+    """Present state of one poke in the session."""
 
     outcome: Outcome
     excluded: bool
@@ -34,7 +34,7 @@ class PokeRecord:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Everything that a session holds at one moment. Snapshots of the same generation are the same."""
+    """Everything that a session holds at one moment. Snapshots of the same generation are equal."""
 
     generation: int
     pokes: tuple[PokeRecord, ...]

@@ -142,7 +142,7 @@ class Solving:
         return fresh
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Give the rows of the shown solution's contacts for those of `channels` that answered."""
+        """Return the evidence rows of the shown solution's contacts for those of `channels` that answered."""
         return self._shown.evidence(channels)
 
     def _parts(self, channels: Sequence[int], within_s: float) -> Sequence[Sequence[int]]:

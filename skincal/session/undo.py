@@ -32,7 +32,7 @@ def describe_entry(entry: HistoryEntry) -> str:
 
 
 class OperationKind(Enum):
-    """What the operator did with an entry of the history."""
+    """Kind of the operator's action on an entry of the history."""
 
     DONE = "done"
     UNDONE = "undone"
@@ -41,7 +41,7 @@ class OperationKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LastOperation:
-    """What the operator did last. An accepted poke is no operation."""
+    """The operator's last action. An accepted poke is no operation."""
 
     number: int
     """Grows with each."""

@@ -124,7 +124,7 @@ class SimulatedDevice:
 
 
 class DeviceTimeline:
-    """Runs rig, operator and devices along one time line; where the scene has an arm, its joints are a link, too."""
+    """Runs rig, operator and devices along one time line; the joints of an arm in the scene are a link, too."""
 
     def __init__(self, rig: Rig, operator: Operator, rng: np.random.Generator, settings: DeviceSettings | None = None) -> None:
         # Streams of their own: a sensor that draws more changes nothing of the others.
@@ -164,7 +164,7 @@ class DeviceTimeline:
 
     @property
     def finished(self) -> bool:
-        """The operator has ended, and the quiet after the last poke has arrived."""
+        """Whether the operator has ended, and the quiet time after the last poke has passed."""
         return self.operator.done and self.now >= self._free + QUIET_TIME_AFTER_LAST_ACTION_S
 
     def greeting(self, link: str) -> bytes:

@@ -172,7 +172,7 @@ OPERATORS: Mapping[str, Habits] = {
 
 
 def apply_bias(pushes: FloatArray, normals: FloatArray, habits: Habits) -> FloatArray:
-    """Apply `Habits.bias` and `arc` to pushes (n, 3) on skin with outward normals (n, 3)."""
+    """Apply the directional habits `Habits.bias` and `arc` to pushes (n, 3) on skin with outward normals (n, 3)."""
     if not habits.leans:
         return pushes
     # Limits the slope of grazing pushes.

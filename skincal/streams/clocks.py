@@ -139,7 +139,7 @@ class ConvexHullClock:
 
 
 def supporting_line(points: Sequence[Point], hull: Sequence[Point], slope_change_max: float) -> tuple[float, float]:
-    """Find offset and slope of the line under all `points` (x, y), seconds, ascending in x, that is highest at their mean x.
+    """Find offset and slope of the highest line (at the mean x) under all `points` (x, y), seconds, ascending in x.
 
     `hull` is their lower hull. The slope is held within `slope_change_max` of 1.
     """

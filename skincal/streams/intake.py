@@ -67,7 +67,7 @@ class Intake:
 
     @property
     def down(self) -> frozenset[str]:
-        """Names of the links that are not open, or that bring no measurement."""
+        """Names of the links that are not open, or that send no measurement."""
         links = self._links.items()
         return frozenset(name for name, link in links if link.state is not LinkState.OPEN or link.monitor.is_lifeless)
 
@@ -82,7 +82,7 @@ class Intake:
             raise InputError(f"Bytes of a link named {item.link!r} came; expected one of {', '.join(self._links) or 'none'}.")
 
     def feed(self, item: Chunk | LinkEvent) -> list[Sample]:
-        """Take the next item of the queue or the journal; return the samples that it completes, in order. Raises as `check`."""
+        """Process the next item of the queue or the journal; return the completed samples, in order. Raises as `check`."""
         self.check(item)
         link = self._links[item.link]
         for arrived in link.feed(item):
@@ -191,7 +191,7 @@ class LinkIntake:
         self._ahead.extend(zip(chunks, dated, strict=True))
 
     def feed(self, item: Chunk | LinkEvent) -> list[TimestampedBatch]:
-        """Return the readings that bytes complete, or that an end lets through: the format may not have been sure before."""
+        """Return the readings that bytes, or the end of a link, complete: the format may not have been sure before."""
         return self._take_chunk(item) if isinstance(item, Chunk) else self._take_event(item)
 
     def _take_chunk(self, chunk: Chunk) -> list[TimestampedBatch]:

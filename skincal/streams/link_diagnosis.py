@@ -91,7 +91,7 @@ def _bits(values: FloatArray) -> NDArray[np.uint64]:
 
 
 class LinkMonitor:
-    """Collects what one link brings, and diagnoses it.
+    """Collects the data of one link, and diagnoses the link.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class LinkMonitor:
         return [Differences(end - begin, count, at, bits[end - 1 : end]) for (begin, end), count, at in parts]
 
     def on_data(self, data: bytes, host_ns: int, batches: Sequence[Batch], change: Differences | None = None) -> None:
-        """Take bytes and the readings that a decoder of the wanted streams made of them.
+        """Process bytes, and the readings that a decoder of the wanted streams made of them.
 
         `change` is the comparison of the only batch, if that has been made already; then all its values are finite.
         """

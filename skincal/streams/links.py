@@ -183,7 +183,7 @@ def yarp_ports() -> list[tuple[str, tuple[str, int]]]:
 
 
 class ChunkQueue:
-    """Queue of what readers bring. Of each link at most `QUEUED_MAX_BYTES` wait. Any thread may call any method.
+    """Queue of the readers' chunks and events. Of each link at most `QUEUED_MAX_BYTES` wait. Safe from any thread.
 
     Bytes beyond that are dropped for `TOO_FAST_LINK_DROP_TIME_NS`, and a `LinkEvent` with their number takes their place. So
     garbage at the speed of a network does not slow other links, and nothing old is shown.

@@ -64,7 +64,7 @@ class _Listened:
 
 
 def list_ros_topics() -> list[FoundTopic]:
-    """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_TIME_PER_PORT_S` and list the topics that can be read, by name.
+    """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_S` and list the topics that can be read, by name.
 
     Raises InputError: DDS is not installed or refuses.
     """

@@ -226,7 +226,7 @@ def by_normal_equations(rows: StackedRows) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class ModuleProblem:
-    """One module to be placed, with the start that the program takes."""
+    """One module to be placed, with the start pose that the program uses."""
 
     model: ModuleModel
     module: int

@@ -381,7 +381,7 @@ def taxels(scene: Scene, part: SmoothSurface, world: RigModel, rng: np.random.Ge
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Presses:
-    """n pokes, each at two places; the second of most bears nothing."""
+    """n pokes, each with two touched places; the second place of most pokes carries no load."""
 
     feet: FloatArray
     """(2, n, 3) float, metres: on the taxels' layer, under the middle of the tip."""
@@ -397,7 +397,7 @@ class Presses:
 
 
 class Operator:
-    """How somebody pushes; drawn once for a session.
+    """Pushing habits of one operator, drawn once for a session.
 
     Parameters
     ----------

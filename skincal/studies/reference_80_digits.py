@@ -273,7 +273,7 @@ class InPlane:
     flat: Exact
 
     def pads(self) -> ExactPads:
-        """Lay the pads: dP = dt + w x arm."""
+        """Lay the pads flat: dP = dt + w x arm."""
         arms = self.flat @ np.stack([self.x, cross(self.normal, self.x)])
         axes = to_mp(np.eye(3))
         turned = cross(axes, arms[:, None]).swapaxes(1, 2)

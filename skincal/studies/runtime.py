@@ -456,7 +456,7 @@ def poke_time(bench: ExamplePart, per_taxel: int, pokes: int) -> dict[str, Any]:
 
 
 def with_neighbours(bench: ExamplePart, contact: Contact) -> Contact:
-    """Let the seven taxels nearest to the contact's strongest one answer."""
+    """Make the seven taxels nearest to the contact's strongest one answer."""
     places = bench.rig.places
     strongest = bench.rig.row_of(contact.strongest_channel)
     rows = np.argsort(np.linalg.norm(places - places[strongest], axis=1))[:TAXELS_ANSWERING_A_POKE]

@@ -56,7 +56,7 @@ def make_decoder(name: str, channels: int | None, carries: tuple[Stream, ...]) -
 
 
 class _Undecided(FrameDecoder):
-    """Stands for the decoder while the format is unknown: no name, no units, no losses."""
+    """Placeholder for the decoder while the format is unknown: no name, no units, no losses."""
 
     mark: ClassVar[bytes] = b""
     limit: ClassVar[int] = 0
@@ -112,7 +112,7 @@ class LinkDecoder:
         return None if self._probes else self.current.feed_many(chunks)
 
     def finish(self) -> list[tuple[int, Batch]]:
-        """Settle for text if nothing else was found: no more bytes come, or enough came. Return its readings."""
+        """Assume text if no other format was found, because no more bytes come or enough came. Return its readings."""
         if not self._probes:
             return []
         self.current = self._text

@@ -201,7 +201,7 @@ def is_header(line: bytes) -> bool:
 
 
 class YarpDecoder(FrameDecoder):
-    """Decode log lines with one stamp, of one stream."""
+    """Decodes log lines with one stamp, of one stream."""
 
     name = "YARP log"
     starts_whole = True
@@ -224,7 +224,7 @@ class YarpDecoder(FrameDecoder):
         return self._lines
 
     def feed(self, data: bytes) -> list[Batch]:
-        """Take the next bytes of the link and return the readings that they complete."""
+        """Decode the next bytes of the link; return the completed readings."""
         table = self._table([data])
         if table is None:
             return super().feed(data)

@@ -64,7 +64,7 @@ class SerialLink:
         self._ask_for_low_latency()
 
     def _ask_for_low_latency(self) -> None:
-        """Have a USB adapter hand bytes on after 1 ms instead of 16; ptys and many drivers cannot, which is no error."""
+        """Set the latency of a USB adapter to 1 ms instead of 16; ptys and many drivers cannot, which is no error."""
         ask: Any = getattr(self._port, "set_low_latency_mode", None)
         if ask is None:
             return
@@ -120,7 +120,7 @@ def _serial_errors() -> tuple[type[Exception], ...]:
 
 
 def _open_failure(port: str, error: Exception) -> LinkError:
-    """Turn what the system said of a port into a sentence.
+    """Describe the system's error on a port in a sentence.
 
     pyserial keeps the error number on POSIX; on Windows only the name of the system's exception is left in its text, and
     there a port in use is a PermissionError.
