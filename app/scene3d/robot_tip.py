@@ -12,7 +12,7 @@ from skincal.robot.target_lines import TipPose
 TOOL_DRAWN_M = 0.08
 """m of the tool that are drawn."""
 BALL_PX, LINE_PX = 18.0, 5.0
-BALL_LIFT_M = 0.003
+TIP_BALL_OFFSET_M = 0.003
 """m, of the ball along the tool: otherwise the part hides half of a ball that touches it."""
 
 
@@ -36,6 +36,6 @@ class RobotTipLayer(Layer):
     def draw(self) -> None:
         tip = self._tip
         ends = NO_POINTS if tip is None else np.stack([tip.place, tip.place - TOOL_DRAWN_M * tip.push])
-        ball = NO_POINTS if tip is None else tip.place - BALL_LIFT_M * tip.push
+        ball = NO_POINTS if tip is None else tip.place - TIP_BALL_OFFSET_M * tip.push
         self.ball.show(ball, self.colours.tints["to"])
         self.tool.show(ends, self.colours.ink)

@@ -15,7 +15,7 @@ from skincal.mesh.surface import Surface
 
 SEARCH_PLACE_SPACING_M = 0.008
 """Between neighbouring places: a tip is felt within it, and taxels are hardly farther apart."""
-MIN_SHARE_OF_PLACE_SPACING = 0.8
+MIN_PLACE_DISTANCE_OVER_SPACING = 0.8
 """Two places are at least this share of the spacing apart."""
 SKIN_NEIGHBOUR_M = 2.2 * SEARCH_PLACE_SPACING_M
 """Places this near to an answered poke come first: where skin is, more skin is likely."""
@@ -78,7 +78,7 @@ class SurfaceSearch:
 
 
 def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]:
-    """Spread places (n, 3) over a surface, `MIN_SHARE_OF_PLACE_SPACING` times `spacing` apart, with their triangles."""
+    """Spread places (n, 3) over a surface, `MIN_PLACE_DISTANCE_OVER_SPACING` times `spacing` apart, with their triangles."""
     corners = surface.corners
     longest = np.sqrt(np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2)).max(axis=1)
     # Pieces of at most half the spacing, thinned out afterwards.
@@ -89,7 +89,7 @@ def spread_over(surface: Surface, spacing: float) -> tuple[FloatArray, IntArray]
         places.append((shares @ corners[rows]).reshape(-1, 3))
         triangles.append(rows.repeat(len(shares)))
     every, owners = np.concatenate(places), np.concatenate(triangles)
-    kept = _thin_out(every, MIN_SHARE_OF_PLACE_SPACING * spacing)
+    kept = _thin_out(every, MIN_PLACE_DISTANCE_OVER_SPACING * spacing)
     return every[kept], owners[kept]
 
 

@@ -11,11 +11,11 @@ from skincal.model.errors import list_channels, plural
 
 REST_FRAMES = 25
 """Frames without a touch at the start: half a second at 50 Hz."""
-MIN_CHANGE_SHARE = 0.25
+MIN_SHARE_OF_LARGEST_CHANGE = 0.25
 """Of the largest change: channels with less did not answer, they only lie near."""
-MIN_CHANGE_NOISES = 6.0
+MIN_CHANGE_NOISE_SDS = 6.0
 """Standard deviations of a channel's own noise."""
-MIN_CHANGE = 1.0
+MIN_RAW_CHANGE = 1.0
 """Raw units: one step of a device."""
 
 
@@ -69,7 +69,7 @@ class TouchWatch:
         rise, fall = self._high - self._mean, self._mean - self._low
         change = np.maximum(np.fmax(rise, fall), 0.0)
         change[~np.isfinite(change)] = 0.0
-        least = max(MIN_CHANGE, MIN_CHANGE_SHARE * float(change.max(initial=0.0)))
-        channels = np.flatnonzero(change > np.maximum(least, MIN_CHANGE_NOISES * self._noise))
+        least = max(MIN_RAW_CHANGE, MIN_SHARE_OF_LARGEST_CHANGE * float(change.max(initial=0.0)))
+        channels = np.flatnonzero(change > np.maximum(least, MIN_CHANGE_NOISE_SDS * self._noise))
         falls = bool(len(channels)) and float(fall[channels].sum()) > float(rise[channels].sum())
         return Touch(channels, falls)

@@ -97,7 +97,7 @@ class Evidence:
         return replace(self, trust=trust)
 
     def evidence(self, channels: Collection[int]) -> Evidence:
-        """Select the evidence of those of `channels` that are in this, as `ContactTable.evidence` does."""
+        """Select the evidence of the `channels` that this evidence has, as `ContactTable.evidence` does."""
         kept = np.isin(self.channels, np.fromiter(channels, np.int64, len(channels)))
         return self if kept.all() else self.take(kept[self.taxels], self.channels[kept], self.counts[kept])
 

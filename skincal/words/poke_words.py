@@ -90,7 +90,7 @@ def answered_inversely(rejection: Rejection) -> bool:
 
 
 def rejection_advice(rejection: Rejection) -> str:
-    """Say what to do after a rejected poke."""
+    """Advise the operator after a rejected poke."""
     return POLARITY_ADVICE if answered_inversely(rejection) else REJECTION_ADVICE[rejection.reason]
 
 

@@ -31,7 +31,7 @@ TRANSPORTS: Mapping[str, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What is to be opened, and for what."""
+    """Request to open a transport: its address, and the streams wanted from it."""
 
     address: DeviceAddress
     carries: tuple[Stream, ...] = ()
