@@ -100,7 +100,10 @@ def test_a_part_is_described_with_the_keyboard_alone(bench, tube):  # noqa: F811
     build.type_into(check.place.boxes[2], "120")
     build.push(check.add)
     assert len(build.draft.landmarks) == 1
+    build.tab_to(build.page.back)
     build.press(Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    build.settle()
+    assert build.draft.landmarks == ()
     build.push(build.page.start)
     assert open_draft(build.draft.source).channels == 24
     assert bench.window.findChild(NewSessionDialog).isVisible()
