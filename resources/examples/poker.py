@@ -7,13 +7,13 @@ Fill in the three functions of `Arm`; docs/robot.md has those for UR by RTDE and
 of the part: convert with the measured pose of the part in the robot's base. Try it first on a soft part, with a low
 `FORCE_LIMIT`, and a hand on the emergency stop.
 
-Between two places with other directions the tip goes back by `CLEAR`, which must be more than the part is wide. To the far side
-of the part this arm does not go: it answers `skip N out of reach`.
+Between other directions the tip goes back by `CLEAR`, more than the part is wide. It skips the far side of the part.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import socket
 import time
@@ -68,26 +68,27 @@ class Poker:
 
     def run(self) -> None:
         """Poke until skincal has enough; ConnectionError if it hangs up."""
-        while True:
-            try:
-                while self.target is None:
-                    self._wait()
-                number, place, push, force, hold = self.target
-                self.target, self.held = None, False
-                turn = 1.0 if self.side is None else sum(a * b for a, b in zip(self.side, push, strict=True))
-                ends = [_moved(place, push, way) for way in (-CLEAR, -STANDOFF, 0.0)]
-                if turn < NEAR_SIDE or not all(self.arm.can_reach(end, push) for end in ends):
-                    self.say(f"skip {number} out of reach")
-                    continue
-                if turn < SAME_SIDE:
-                    self._go(_moved(self.arm.read()[0], self.side, -CLEAR), self.side)
-                    self._go(ends[0], push)
-                self._go(ends[1], push)
-                self.side = push
-                self.say(f"{'reached' if self._poke(place, push, force, hold) else 'skip'} {number}")
-            except Stop:
-                if self.target == ():
-                    return
+        with self._socket:
+            while self.target != ():
+                with contextlib.suppress(Stop):
+                    self._serve_target()
+
+    def _serve_target(self) -> None:
+        """Wait for a target, poke it, and answer."""
+        while self.target is None:
+            self._wait()
+        (number, place, push, force, hold), self.target, self.held = self.target, None, False
+        turn = 1.0 if self.side is None else sum(a * b for a, b in zip(self.side, push, strict=True))
+        ends = [_moved(place, push, way) for way in (-CLEAR, -STANDOFF, 0.0)]
+        if turn < NEAR_SIDE or not all(self.arm.can_reach(end, push) for end in ends):
+            self.say(f"skip {number} out of reach")
+            return
+        if turn < SAME_SIDE:
+            self._go(_moved(self.arm.read()[0], self.side, -CLEAR), self.side)
+            self._go(ends[0], push)
+        self._go(ends[1], push)
+        self.side = push
+        self.say(f"{'reached' if self._poke(place, push, force, hold) else 'skip'} {number}")
 
     def _poke(self, place: Vector, push: Vector, force: float, hold: float) -> bool:
         """Poke once; whether something was felt. However it ends, the tip goes back."""

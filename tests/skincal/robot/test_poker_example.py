@@ -89,8 +89,10 @@ class Bench:
 @pytest.fixture
 def bench():
     with closing(TargetServer(*parse_port("0"))) as server:
-        yield Bench(server)
+        bench = Bench(server)
+        yield bench
         server.send([NoTarget.ENOUGH])
+        bench.thread.join(PATIENCE_S)
 
 
 def test_it_greets_presses_as_asked_and_lets_go_when_held(bench):
