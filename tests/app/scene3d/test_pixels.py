@@ -215,7 +215,8 @@ def test_the_lines_of_axes_and_scale_are_seen(pictures, look, zoom):
     camera = pictures.renderer.camera
     camera.SetPosition(*(np.array(camera.GetFocalPoint()) + np.subtract(camera.GetPosition(), camera.GetFocalPoint()) / zoom))
     shown = pictures.of(View3DState(snapshot(1, {}), None, Method.FREE, None))
-    ends = project(pictures.renderer.renderer, pictures.renderer.layers[-1].lines.mesh.points)[:, :2].reshape(-1, 2, 2)
+    hints = next(layer for layer in pictures.renderer.layers if layer.name == "hints")
+    ends = project(pictures.renderer.renderer, hints.lines.mesh.points)[:, :2].reshape(-1, 2, 2)
     for start, end in ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 8]:
         along = (end - start) / np.linalg.norm(end - start)
         x, y = (0.5 * (start + end)).round().astype(int)
