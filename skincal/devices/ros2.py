@@ -96,7 +96,6 @@ class TopicDecoder(FrameDecoder):
     """
 
     starts_whole: ClassVar[bool] = True
-    ros: ClassVar[int] = 2
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
@@ -105,6 +104,7 @@ class TopicDecoder(FrameDecoder):
         self._stream = Stream.SKIN
         self._readers: dict[int, MessageReader] = {}
         self._clocks: dict[int, TopicClock] = {}
+        self._arrival_s = math.nan
         self._patches = SkinPatches(())
         self._type_problem = "it does not say which topics follow"
 
@@ -160,7 +160,9 @@ class TopicDecoder(FrameDecoder):
             return Loss.UNREADABLE
         self.valid_records += 1
         stamp = self._clocks[topic].time_of(reader.stamp_of(message), source_s)
-        if math.isfinite(stamp) and math.isfinite(arrival_s):
+        # Messages that were read together have one arrival.
+        if arrival_s != self._arrival_s and math.isfinite(stamp) and math.isfinite(arrival_s):
+            self._arrival_s = arrival_s
             self._add_side_reading(CLOCK_DIFFERENCE, 1e3 * (stamp - arrival_s))
         if values is None:
             self._status = reader.missing_joints
