@@ -141,7 +141,7 @@ def _check_size(spec: SurfaceSpec, corners: FloatArray) -> MeshFinding:
     raise InputError(
         f"{spec.path}: the part's box has a diagonal of {_length(diagonal)} with unit {unit}; "
         f"{_length(MIN_DIAGONAL_M)} to {_length(MAX_DIAGONAL_M)} was expected: {likely or 'no known unit makes it fit'}. "
-        "Correct [surface] unit in the scene."
+        "Correct unit in [surface] of the scene, or the scale of the mesh in the URDF."
     )
 
 
