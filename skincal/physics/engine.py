@@ -177,6 +177,17 @@ class Engine:
         # The engine gives what the sensor exerts on the load.
         return -self.data.sensordata[:6]
 
+    def believed_weight(self, angles: FloatArray) -> FloatArray:
+        """Compute the weight of the sensor's load as the joints report it: (6,) N and N m, sensor frame."""
+        data, model, mujoco = self._believed, self._nominal, self.mujoco
+        data.qpos[self._angles] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        body, site = model.body("sensor").id, model.site("ft").id
+        turn = data.site_xmat[site].reshape(3, 3)
+        force = model.body_subtreemass[body] * model.opt.gravity
+        return np.concatenate([force @ turn, crossed(data.subtree_com[body] - data.site_xpos[site], force) @ turn])
+
     def push_joints(self, torques: FloatArray) -> None:
         """Apply generalized forces (nv,) during the next periods."""
         self.data.qfrc_applied[:] = torques

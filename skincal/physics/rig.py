@@ -23,8 +23,14 @@ SENSOR_GRAIN_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
 MOMENT_OF_FORCE_M = 0.02
 """m, noise of a moment over that of a force: 0.005 N m for 0.25 N (FT45)."""
-TURN_SPEED = 1.0
-"""rad/s, largest speed at which the tip's direction turns."""
+TURN_SPEED, TURN_ACCELERATION = 1.0, 3.0
+"""rad/s and rad/s^2, largest with which the tip's direction turns."""
+ACCELERATION = 0.5
+"""m/s^2, largest acceleration of the commanded tip."""
+CARRIED_SHARE = 0.3
+"""Share of these limits for a part that the arm carries: it presses on its sensor when it accelerates."""
+PAYLOAD_ERROR = 0.02
+"""sd of the part's mass as a moving robot knows it, to take its weight out of the readings. Assumed."""
 SERVO_RAD_S = 2.0 * np.pi * 4.0
 """rad/s, natural frequency of a servo that overshoots."""
 SETTLE_S = 0.5
@@ -72,9 +78,12 @@ class SimulatedRobot:
         self._trembling_dofs = [int(self.engine.model.joint(name).dofadr[0]) for name in chosen]
         self._angles = layout.start.copy()
         self._goal = self._aim = self._believed()
-        self._speed = 0.0
+        self._speed, self._speeds = 0.0, (0.0, 0.0)
+        self._share = CARRIED_SHARE if layout.plan.part_is_actuated else 1.0
         self._servo = self._aim.position.copy(), np.zeros(3)
         self._filtered: FloatArray | None = None
+        # A robot that turns its part compensates the weight, as the controllers of UR and of the iCub do.
+        self._payload = (1.0 + PAYLOAD_ERROR * sensor.standard_normal()) * layout.plan.part_is_actuated
         self._late: deque[FloatArray] = deque(maxlen=1 + (round(SENSOR_DELAY_S / PERIOD_S) if effects.low_pass else 0))
         self._wrench: WrenchReading | None = None
         self._pose: tuple[FloatArray, FloatArray] | None = None
@@ -131,7 +140,7 @@ class SimulatedRobot:
         self._goal, self._speed = TipPose(position, direction / length_of(direction)), speed_m_s
 
     def stop(self) -> None:
-        self._goal = self._aim
+        self._goal, self._speeds = self._aim, (0.0, 0.0)
 
     def advance(self) -> None:
         self._follow_goal()
@@ -151,7 +160,7 @@ class SimulatedRobot:
         """Move the commanded tip towards the goal by one period, and solve the joints for it."""
         goal, aim = self._goal, self._aim
         if goal is not aim:
-            self._aim = _moved_towards(aim, goal, self._speed * PERIOD_S)
+            self._aim, self._speeds = _moved_towards(aim, goal, self._speed, self._speeds, self._share)
         position = self._aim.position
         at, velocity = self._servo
         if self.effects.overshoot:
@@ -174,6 +183,8 @@ class SimulatedRobot:
         self._late.append(true)
         sd = max(effects.noise, SENSOR_GRAIN_N) * np.repeat([1.0, MOMENT_OF_FORCE_M], 3)
         read = self._late[0] + sd * self._sensor_rng.standard_normal(6)
+        if self._payload:
+            read = read - self._payload * self.engine.believed_weight(self._angles)
         self.reading = self.scene.wrench_sign * read
         turn = self.link_from_sensor()[:3, :3]
         self._wrench = WrenchReading(self.time_s, turn @ read[:3], turn @ read[3:])
@@ -212,22 +223,39 @@ class SimulatedRobot:
         }
 
 
-def _moved_towards(aim: TipPose, goal: TipPose, most: float) -> TipPose:
-    """Move straight by at most `most`, metres, and turn on the way, at most at `TURN_SPEED`."""
+def _moved_towards(
+    aim: TipPose, goal: TipPose, speed: float, before: tuple[float, float], share: float
+) -> tuple[TipPose, tuple[float, float]]:
+    """Move straight and turn on the way, for one period.
+
+    Parameters
+    ----------
+    speed : m/s, largest
+    before : speeds in the period before, m/s and rad/s
+    share : of the other limits
+
+    Returns
+    -------
+    The new pose of the tip and the new speeds.
+    """
     way = goal.position - aim.position
     distance, cosine = length_of(way), float(np.clip(aim.direction @ goal.direction, -1.0, 1.0))
     angle = float(np.arccos(cosine))
-    steps = max(distance / most if most > 0 else np.inf, angle / (TURN_SPEED * PERIOD_S))
-    if steps <= 1.0:
-        return goal
-    share = 1.0 / steps
+    hasten, spin = share * ACCELERATION, share * TURN_ACCELERATION
+    move = min(speed, before[0] + hasten * PERIOD_S, float(np.sqrt(2.0 * hasten * distance)))
+    turn = min(share * TURN_SPEED, before[1] + spin * PERIOD_S, float(np.sqrt(2.0 * spin * angle)))
+    # The slower of both sets the pace, so that they end together.
+    periods = max(length / (pace * PERIOD_S) if length else 0.0 for length, pace in ((distance, move), (angle, turn)))
+    if periods <= 1.0:
+        return goal, (distance / PERIOD_S, angle / PERIOD_S)
+    part = 1.0 / periods
     across = goal.direction - cosine * aim.direction
     size = length_of(across)
     if size < 1e-9:
         direction = aim.direction if cosine > 0 else goal.direction
     else:
-        direction = np.cos(share * angle) * aim.direction + np.sin(share * angle) * across / size
-    return TipPose(aim.position + share * way, direction)
+        direction = np.cos(part * angle) * aim.direction + np.sin(part * angle) * across / size
+    return TipPose(aim.position + part * way, direction), (part * distance / PERIOD_S, part * angle / PERIOD_S)
 
 
 def rotation_by(vector: FloatArray) -> FloatArray:
