@@ -25,7 +25,7 @@ settings.load_profile("repeatable")
 
 # The graph of a ROS robot on this network is none of the tests' business.
 os.environ["CYCLONEDDS_URI"] = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/></Interfaces></General>'
     "</Domain></CycloneDDS>"
 )
 # Nor are other tests on this machine.

@@ -22,6 +22,7 @@ from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSpl
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
+from skincal.ros.dds import message_types
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
@@ -99,7 +100,7 @@ class TopicDecoder(FrameDecoder):
 
     def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
         super().__init__(channels, carries)
-        self._types = MessageTypes()
+        self._types = self._make_types()
         self._choice: TopicChoice | None = None
         self._stream = Stream.SKIN
         self._readers: dict[int, MessageReader] = {}
@@ -107,6 +108,9 @@ class TopicDecoder(FrameDecoder):
         self._arrival_s = math.nan
         self._patches = SkinPatches(())
         self._type_problem = "it does not say which topics follow"
+
+    def _make_types(self) -> MessageTypes:
+        return MessageTypes()
 
     def _make_splitter(self) -> FrameSplitter:
         return packet_splitter(MESSAGE_MAX_BYTES)
@@ -183,6 +187,9 @@ class Ros2Decoder(TopicDecoder):
     """Decodes what the transport `dds` hands on."""
 
     name: ClassVar[str] = "ROS 2"
+
+    def _make_types(self) -> MessageTypes:
+        return message_types()
 
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]

@@ -30,7 +30,7 @@ from skincal.robot.target_lines import (
 )
 from skincal.robot.target_server import RobotChange
 from skincal.ros.dds import Participant, default_domain, read_domain
-from skincal.ros.types import MessageError, MessageTypes
+from skincal.ros.types import MessageError
 from skincal.taxels.result import Estimate, State
 
 ROS_TARGETS = "ros2:"
@@ -98,8 +98,8 @@ class RosTargets:
     """
 
     def __init__(self, domain: int) -> None:
-        self._types = MessageTypes()
-        self._participant = Participant(domain, self._types)
+        self._participant = Participant(domain)
+        self._types = self._participant.types
         try:
             self._target = self._participant.writer("/skincal/target", POSE, latched=True)
             self._verdict = self._participant.writer("/skincal/verdict", STRING, latched=True)

@@ -21,11 +21,11 @@ from skincal.model.errors import InputError
 from skincal.ros.types import MessageError, MessageTypes
 
 INSTALL_HINT = (
-    "Topics of ROS 2 are read by the package cyclonedds, which is not installed; install it: "
+    "Topics of ROS 2 are read by the packages cyclonedds and rosbags, which are not both installed; install them: "
     "python -m pip install 'skincal[ros2]' (or python3 start.py --ros2)"
 )
 LOOPBACK_CONFIG = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/></Interfaces></General>'
     "</Domain></CycloneDDS>"
 )
 TOPIC_PREFIX = "rt"
@@ -63,6 +63,14 @@ def _module(name: str) -> Any:
         raise InputError(INSTALL_HINT) from None
     except Exception as error:  # noqa: BLE001 - its loader raises plain exceptions of its own
         raise InputError(f"The package cyclonedds cannot be loaded ({error}); install it again.") from None
+
+
+def message_types() -> MessageTypes:
+    """Make the definitions of messages. Raises InputError: a package of the extra is not installed."""
+    try:
+        return MessageTypes()
+    except InputError:
+        raise InputError(INSTALL_HINT) from None
 
 
 def _stay_local() -> None:
@@ -135,9 +143,8 @@ def _in_words(what: str) -> Generator[None]:
 class Participant:
     """A participant of a ROS 2 domain, for one thread. Raises InputError: DDS is not installed, or refuses."""
 
-    def __init__(self, domain: int, types: MessageTypes) -> None:
-        self.domain = domain
-        self._types = types
+    def __init__(self, domain: int) -> None:
+        self.domain, self.types = domain, message_types()
         _stay_local()
         self._open: list[TopicReader | TopicWriter] = []
         self._publishers: dict[str, tuple[int, str, str]] = {}
@@ -148,7 +155,7 @@ class Participant:
             builtin = _module("builtin")
             self._discovery = builtin.BuiltinDataReader(self._participant, builtin.BuiltinTopicDcpsPublication)
         with _TYPE_LOCK:
-            self._structs = _StructBuilder(types)
+            self._structs = _StructBuilder(self.types)
 
     def publishers(self) -> list[tuple[str, str]]:
         """List topic and type of each publisher that is known now, the newest last; the type is empty if it is not ROS's."""
@@ -203,7 +210,7 @@ class Participant:
         )
         with _in_words(topic):
             writer = TopicWriter(
-                _module("pub").DataWriter(self._participant, self._topic(topic, type_name), qos), type_name, self._types
+                _module("pub").DataWriter(self._participant, self._topic(topic, type_name), qos), type_name, self.types
             )
         self._open.append(writer)
         return writer

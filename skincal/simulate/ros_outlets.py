@@ -10,7 +10,6 @@ import numpy as np
 
 from skincal.model.readings import Stream
 from skincal.ros.dds import Participant, default_domain
-from skincal.ros.types import MessageTypes
 from skincal.simulate.board_formats import Encoder
 
 TOPIC_OF_STREAM: Mapping[Stream, tuple[str, str]] = MappingProxyType(
@@ -82,7 +81,7 @@ class RosOutlet:
 
     def __init__(self, stream: Stream) -> None:
         domain, (topic, type_name) = default_domain(), TOPIC_OF_STREAM[stream]
-        self._participant = Participant(domain, MessageTypes())
+        self._participant = Participant(domain)
         self._writer = self._participant.writer(topic, type_name)
         self.address = f"ros2:{topic}?domain={domain}"
 

@@ -68,8 +68,8 @@ def list_ros_topics() -> list[FoundTopic]:
 
     Raises InputError: DDS is not installed or refuses.
     """
-    types = MessageTypes()
-    participant = Participant(default_domain(), types)
+    participant = Participant(default_domain())
+    types = participant.types
     heard: dict[str, _Listened] = {}
     try:
         end_s = time.monotonic() + LISTEN_S
@@ -137,8 +137,8 @@ def read_robot_description(address: str) -> bytes:
     if found.route.scheme != "ros2":
         raise InputError(f"{address}: expected a topic of ROS 2, such as ros2:/robot_description.")
     domain = found.options.get("domain")
-    types = MessageTypes()
-    participant = Participant(default_domain() if domain is None else int(domain), types)
+    participant = Participant(default_domain() if domain is None else int(domain))
+    types = participant.types
     try:
         reader = participant.reader(found.path, TEXT_TYPE, latched=True)
         participant.wait(DESCRIPTION_MAX_S)

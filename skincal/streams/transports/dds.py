@@ -9,7 +9,7 @@ from skincal.devices.link import FailureKind, LinkError
 from skincal.devices.ros2 import topics_of, write_head, write_losses, write_message
 from skincal.model.errors import InputError
 from skincal.ros.dds import DdsError, Message, Participant, TopicReader, default_domain
-from skincal.ros.types import MessageError, MessageTypes, read_definition
+from skincal.ros.types import MessageError, read_definition
 from skincal.streams.transports import Opening
 
 FIND_MAX_S = 3.0
@@ -39,8 +39,8 @@ class DdsLink:
     def __init__(self, opening: Opening) -> None:
         self._label, self._choice = opening.address.label, topics_of(opening.address)
         domain = opening.address.options.get("domain")
-        types = MessageTypes()
-        self._participant = Participant(default_domain() if domain is None else int(domain), types)
+        self._participant = Participant(default_domain() if domain is None else int(domain))
+        types = self._participant.types
         self._readers: list[TopicReader] = []
         try:
             self._types = self._find_types(opening)

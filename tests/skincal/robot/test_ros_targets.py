@@ -16,7 +16,6 @@ from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarge
 from skincal.robot.target_server import RobotChange, TargetServer
 from skincal.robot.targets import check_targets, open_targets
 from skincal.ros.dds import Participant
-from skincal.ros.types import MessageTypes
 from skincal.taxels.result import State
 from tests.skincal.meanwhile import PATIENCE_S
 from tests.skincal.ros.dds_peer import DOMAIN, Peer, PoseStamped, String
@@ -84,15 +83,14 @@ def test_positions_of_taxels_are_latched_markers():
         SimpleNamespace(state=State.UNSEEN, position=None),
         SimpleNamespace(state=State.ESTIMATED, position=-PLACE),
     ]
-    types = MessageTypes()
-    with closing(RosTargets(DOMAIN)) as targets, closing(Participant(DOMAIN, types)) as viewer:
+    with closing(RosTargets(DOMAIN)) as targets, closing(Participant(DOMAIN)) as viewer:
         targets.show_taxels("forearm", estimates[:2])
         targets.show_taxels("forearm", estimates)
         targets.show_taxels("forearm", estimates)
         reader = viewer.reader("/skincal/taxels", "visualization_msgs/msg/MarkerArray", latched=True)
         found = until([], reader.take_messages, 1)
         assert len(found) == 1
-        (marker,) = types.decode(found[0].data, "visualization_msgs/msg/MarkerArray").markers
+        (marker,) = viewer.types.decode(found[0].data, "visualization_msgs/msg/MarkerArray").markers
     assert (marker.header.frame_id, marker.type, marker.action, marker.scale.x) == ("forearm", 7, 0, 0.004)
     assert [(each.x, each.y, each.z) for each in marker.points] == [tuple(PLACE), tuple(-PLACE)]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 LOOPBACK = (
-    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>'
+    '<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/></Interfaces></General>'
     "</Domain></CycloneDDS>"
 )
 os.environ["CYCLONEDDS_URI"] = LOOPBACK
