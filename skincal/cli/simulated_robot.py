@@ -40,8 +40,7 @@ def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: th
     from skincal.files.atomic import write_atomically
     from skincal.files.reference import TRUTH_NAME
     from skincal.journal.writer import create_session
-    from skincal.physics.poking_client import PokingClient
-    from skincal.physics.session import RobotSession
+    from skincal.physics.session import RobotSession, make_client
     from skincal.streams.links import LinkSpec
 
     robot, surface = _make_robot(scene, seed)
@@ -50,7 +49,7 @@ def record_robot(scene: Scene, out: Path, pokes: int | None, seed: int, stop: th
     session = RobotSession(scene, surface, robot, create_session(out, scene, links))
     try:
         write_atomically(out / TRUTH_NAME, json.dumps(robot.truth(), indent=1).encode() + b"\n")
-        client = PokingClient(robot, surface, session.targets.answer)
+        client = make_client(robot, surface, session.targets.answer)
         session.targets.answer(client.pace)
         while not (stop.is_set() or session.is_enough or _count_pokes(session.pipeline) >= (pokes or float("inf"))):
             while (line := session.targets.poll()) is not None:

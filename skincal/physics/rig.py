@@ -23,9 +23,9 @@ SENSOR_GRAIN_N = 0.005
 """N, sd of one reading of a sensor without noise: its last digit. Readings that never change look like a frozen sensor."""
 MOMENT_OF_FORCE_M = 0.02
 """m, noise of a moment over that of a force: 0.005 N m for 0.25 N (FT45)."""
-TURN_SPEED, TURN_ACCELERATION = 1.0, 3.0
+MAX_TURN_SPEED, MAX_TURN_ACCELERATION = 1.0, 3.0
 """rad/s and rad/s^2, largest with which the tip's direction turns."""
-ACCELERATION = 0.5
+MAX_ACCELERATION = 0.5
 """m/s^2, largest acceleration of the commanded tip."""
 CARRIED_SHARE = 0.3
 """Share of these limits for a part that the arm carries: it presses on its sensor when it accelerates."""
@@ -79,11 +79,13 @@ class SimulatedRobot:
         self._angles = layout.start.copy()
         self._goal = self._aim = self._believed()
         self._speed, self._speeds = 0.0, (0.0, 0.0)
-        self._share = CARRIED_SHARE if layout.plan.part_is_actuated else 1.0
         self._servo = self._aim.position.copy(), np.zeros(3)
         self._filtered: FloatArray | None = None
         # A robot that turns its part compensates the weight, as the controllers of UR and of the iCub do.
-        self._payload = (1.0 + PAYLOAD_ERROR * sensor.standard_normal()) * layout.plan.part_is_actuated
+        self.carries_part = layout.plan.part_is_actuated
+        """The part moves with the arm against a fixed tip."""
+        self._payload = (1.0 + PAYLOAD_ERROR * sensor.standard_normal()) * self.carries_part
+        self._share = CARRIED_SHARE if self.carries_part else 1.0
         self._late: deque[FloatArray] = deque(maxlen=1 + (round(SENSOR_DELAY_S / PERIOD_S) if effects.low_pass else 0))
         self._wrench: WrenchReading | None = None
         self._pose: tuple[FloatArray, FloatArray] | None = None
@@ -241,9 +243,9 @@ def _moved_towards(
     way = goal.position - aim.position
     distance, cosine = length_of(way), float(np.clip(aim.direction @ goal.direction, -1.0, 1.0))
     angle = float(np.arccos(cosine))
-    hasten, spin = share * ACCELERATION, share * TURN_ACCELERATION
+    hasten, spin = share * MAX_ACCELERATION, share * MAX_TURN_ACCELERATION
     move = min(speed, before[0] + hasten * PERIOD_S, float(np.sqrt(2.0 * hasten * distance)))
-    turn = min(share * TURN_SPEED, before[1] + spin * PERIOD_S, float(np.sqrt(2.0 * spin * angle)))
+    turn = min(share * MAX_TURN_SPEED, before[1] + spin * PERIOD_S, float(np.sqrt(2.0 * spin * angle)))
     # The slower of both sets the pace, so that they end together.
     periods = max(length / (pace * PERIOD_S) if length else 0.0 for length, pace in ((distance, move), (angle, turn)))
     if periods <= 1.0:

@@ -6,8 +6,8 @@ from typing import Any
 
 from skincal.mesh.surface import Surface
 from skincal.physics.devices import PERIODS_PER_BLOCK, RobotDevices
-from skincal.physics.poking_client import PokingClient
 from skincal.physics.rig import SimulatedRobot
+from skincal.physics.session import make_client
 from skincal.robot.target_client import TargetClient
 
 
@@ -22,7 +22,7 @@ class PokingDevices(RobotDevices):
 
     def __init__(self, robot: SimulatedRobot, surface: Surface, host: str, port: int) -> None:
         super().__init__(robot)
-        self.client = PokingClient(robot, surface, lambda line: self._connection.say(line))
+        self.client = make_client(robot, surface, lambda line: self._connection.say(line))
         self._connection = TargetClient(host, port, self.client.receive_line, (self.client.pace,), self.client.lose_connection)
 
     def advance(self) -> list[tuple[int, str, bytes]]:

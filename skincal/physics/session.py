@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, cast
 
 from skincal.journal.writer import JournalWriter
@@ -11,6 +11,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.readings import Chunk, LinkEvent, LinkState
 from skincal.model.scene import Scene
 from skincal.physics.devices import RobotDevices
+from skincal.physics.poking_client import PokeSettings, PokingClient
 from skincal.physics.rig import SimulatedRobot
 from skincal.robot.target_lines import AskedLine, RobotLine
 from skincal.robot.target_server import RobotChange
@@ -22,6 +23,8 @@ from skincal.taxels.result import Method
 if TYPE_CHECKING:
     from skincal.robot.target_server import TargetServer
 
+CARRIED_SPEED = 0.05
+"""m/s, travel of a part that the arm carries: its inertia would look like a press."""
 START_NS = 1_000_000_000
 """ns, host's clock at the start; any value works."""
 
@@ -103,6 +106,12 @@ class RobotSession:
         for link in self._links:
             self.pipeline.feed(LinkEvent(link.name, now_ns, LinkState.ENDED))
         self.pipeline.close()
+
+
+def make_client(robot: SimulatedRobot, surface: Surface, answer: Callable[[RobotLine], object]) -> PokingClient:
+    """Make the client of a simulated robot; a robot that carries the part moves slowly."""
+    slow = PokeSettings(travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED)
+    return PokingClient(robot, surface, answer, slow if robot.carries_part else None)
 
 
 def links_of(devices: RobotDevices) -> list[LinkSpec]:

@@ -22,8 +22,7 @@ from skincal.palette import BLUE, VERMILION
 from skincal.physics.effects import EFFECT_NAMES, Effects
 from skincal.physics.engine import load_mujoco
 from skincal.physics.layouts import make_robot
-from skincal.physics.poking_client import PokeSettings, PokingClient
-from skincal.physics.session import RobotSession
+from skincal.physics.session import RobotSession, make_client
 from skincal.plotting import Axes, Figure
 from skincal.robot.target_lines import Judged
 from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
@@ -40,8 +39,6 @@ QUICK_CASES, QUICK_POKES = ("none", "all"), 40
 """Cases of the quick study, and its pokes in each session at most."""
 MAX_POKES = 252
 """Pokes of a session at most: three for each taxel."""
-CARRIED_SPEED = 0.05
-"""m/s, travel of a part that the arm carries: its inertia would look like a press."""
 MAX_MINUTES = 30.0
 """Simulated minutes of a session at most."""
 MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN = 1.0, 0.90, 0.85
@@ -117,8 +114,7 @@ def run_session(task: Task) -> Row:
         surface = load_surface(scene.surface)[0]
     robot = make_robot(scene, surface, effects, task.seed)
     session = RobotSession(scene, surface, robot, method=Method.MODULES)
-    settings = PokeSettings() if task.rig == "arm" else PokeSettings(travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED)
-    client = PokingClient(robot, surface, session.targets.answer, settings)
+    client = make_client(robot, surface, session.targets.answer)
     session.targets.answer(client.pace)
     judged: list[Judged] = []
     while not session.is_enough and len(judged) < task.max_pokes and robot.time_s < 60.0 * MAX_MINUTES:
