@@ -129,7 +129,7 @@ class Route:
     """An example of an address, for sentences and the manual. The word before its colon is the scheme."""
     form: Form
     transport: str
-    """Name in `skincal.streams.transports.TRANSPORTS`."""
+    """Name in `skincal.streams.transports.FILE_OF_TRANSPORT`."""
     format: str = AUTO
     """Name of the decoder."""
     port: int = 0

@@ -1,4 +1,4 @@
-"""Transports, one file each. `TRANSPORTS` lists them; a file is imported when a link needs it.
+"""Transports, one file each. `FILE_OF_TRANSPORT` lists them; a file is imported when a link needs it.
 
 A file has `open_transport(opening)`, which returns an open `Link` or raises LinkError.
 """
@@ -15,7 +15,7 @@ from skincal.devices.family import AUTO, DeviceAddress
 from skincal.devices.link import Link
 from skincal.model.readings import Stream
 
-TRANSPORTS: Mapping[str, str] = MappingProxyType(
+FILE_OF_TRANSPORT: Mapping[str, str] = MappingProxyType(
     {
         "serial": "serial_port",
         "tcp": "tcp",
@@ -42,6 +42,6 @@ class Opening:
 
 def open_transport(opening: Opening) -> Link:
     """Open the transport of an address. Raises LinkError."""
-    module: Any = import_module(f"skincal.streams.transports.{TRANSPORTS[opening.address.route.transport]}")
+    module: Any = import_module(f"skincal.streams.transports.{FILE_OF_TRANSPORT[opening.address.route.transport]}")
     link: Link = module.open_transport(opening)
     return link

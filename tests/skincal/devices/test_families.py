@@ -12,7 +12,7 @@ from skincal.devices.family import AUTO
 from skincal.devices.registry import CHECKSUMMED_FORMATS, FAMILIES, FORMATS, load_family, parse_device
 from skincal.model.readings import Loss
 from skincal.streams.decoders.auto_detect import LinkDecoder, make_decoder
-from skincal.streams.transports import TRANSPORTS
+from skincal.streams.transports import FILE_OF_TRANSPORT
 
 ROUTES = [route for file in FAMILIES for route in load_family(file).routes]
 VECTORS = [vector for file in FAMILIES for vector in load_family(file).vectors]
@@ -47,7 +47,7 @@ def test_the_example_of_a_route_is_an_address_of_it(route):
     address = route.usage.partition(" or ")[0]
     found = parse_device(address)
     assert (found.text, found.route) == (address, route)
-    assert route.transport in TRANSPORTS
+    assert route.transport in FILE_OF_TRANSPORT
     assert route.format in (AUTO, *FORMATS)
 
 
