@@ -39,8 +39,8 @@ QUICK_CASES, QUICK_POKES = ("none", "all"), 40
 """Cases of the quick study, and its pokes in each session at most."""
 MAX_POKES = 252
 """Pokes of a session at most: three for each taxel."""
-MAX_MINUTES = 30.0
-"""Simulated minutes of a session at most."""
+MAX_SECONDS_PER_POKE = 6.0
+"""Simulated time of a session at most, over its pokes at most. The arm needs 3.2 s a poke."""
 MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN = 1.0, 0.90, 0.85
 PREDICTED_RANGE = (0.7, 1.5)
 """Allowed ratio of predicted to true error, rms over the sessions with all imperfections."""
@@ -117,7 +117,7 @@ def run_session(task: Task) -> Row:
     client = make_client(robot, surface, session.targets.answer)
     session.targets.answer(client.pace)
     judged: list[Judged] = []
-    while not session.is_enough and len(judged) < task.max_pokes and robot.time_s < 60.0 * MAX_MINUTES:
+    while not session.is_enough and len(judged) < task.max_pokes and robot.time_s < task.max_pokes * MAX_SECONDS_PER_POKE:
         while (line := session.targets.poll()) is not None:
             if isinstance(line, Judged):
                 judged.append(line)
