@@ -124,7 +124,7 @@ def test_what_it_cannot_reach_it_skips_with_the_reason(bench):
 def test_a_stop_lets_go_and_stays(bench, line):
     bench.ask(1).until_pressed()
     bench.server.send([line])
-    bench.until(lambda: bench.arm.place[2] > bench.example.STANDOFF - 3e-3)
+    bench.until(lambda: bench.arm.place[2] > bench.example.STANDOFF - 1e-9)
     count = len(bench.arm.course)
     time.sleep(0.1)
     assert len(bench.arm.course) == count
