@@ -15,6 +15,7 @@ from app.panels.widgets import FittedLabel
 from app.session.opening import OpenRequest
 from skincal.contacts.outcome import PressPhase
 from skincal.guide.guidance import Target
+from skincal.session.guiding import ModulesEnough
 from skincal.taxels.result import Method
 from tests.app.guide_support import guidance, target
 from tests.app.scene3d_support import estimate, laid
@@ -161,7 +162,7 @@ def test_large_type_becomes_smaller_before_it_is_cut(qtbot):
 # In the window
 
 
-def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
+def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded, monkeypatch):
     bench.open(OpenRequest(session=recorded))
     bench.until_all_is_there()
     session_view = bench.window.session_view
@@ -190,6 +191,17 @@ def test_a_session_is_guided_as_soon_as_it_is_open(bench, qtbot, recorded):
     decided = bench.snapshot.decisions.closings, bench.snapshot.history.entries
     session_view.check_again()
     assert (bench.snapshot.decisions.closings, bench.snapshot.history.entries) == decided, "there is nothing to check"
+    # That the modules method needs no more pokes is said until that method is shown.
+    bench.window.messages.dismiss()
+    bench.key(Key.Key_V)
+    with monkeypatch.context() as enough:
+        enough.setattr(ModulesEnough, "is_news", lambda *_, **__: True)
+        session_view.follow_again()
+    bench.until(lambda: approved("modules_check.pokes_on_every_module") in bench.window.messages.text.text(), 5000)
+    for _ in range(2):
+        bench.key(Key.Key_V)
+    assert session_view.state.method is Method.MODULES
+    bench.until(lambda: not bench.window.messages.isVisible(), 5000)
     bench.window.messages.dismiss()
     qtbot.wait(100)
     paints = Paints(bench.window)
