@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import zip_longest
 from pathlib import Path
 
 from skincal.devices.link import FailureKind, LinkError
@@ -92,11 +93,15 @@ class DdsLink:
         if self._participant.wait(timeout_s):
             time.sleep(GATHER_S)
         arrival_ns, now_s = time.time_ns(), time.monotonic()
-        packets: list[bytes] = []
-        for topic, reader in enumerate(self._readers):
-            messages = self._take_messages(reader)
-            packets += [write_message(topic, message.source_ns, arrival_ns, message.data) for message in messages]
-            self._last_s[topic] = now_s if messages else self._last_s[topic]
+        waiting = [self._take_messages(reader) for reader in self._readers]
+        self._last_s = [now_s if messages else last for messages, last in zip(waiting, self._last_s, strict=True)]
+        # In turn: the patches of one moment stay together, although several messages of each are read at once.
+        packets = [
+            write_message(topic, message.source_ns, arrival_ns, message.data)
+            for turn in zip_longest(*waiting)
+            for topic, message in enumerate(turn)
+            if message is not None
+        ]
         if now_s - self._check_s >= CHECK_S:
             self._check_s = now_s
             lost, dropped = map(sum, zip(*(reader.take_losses() for reader in self._readers), strict=True))
