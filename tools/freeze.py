@@ -108,7 +108,9 @@ def _build() -> None:
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
     options += [f"--collect-submodules={name}" for name in WHOLE_PACKAGES]
-    options += [f"--hidden-import={name}" for name in (*BY_NAME, *(f"vtkmodules.vtk{name}" for name in BY_NAME_VTK))]
+    options += [
+        f"--hidden-import={name}" for name in (*BY_NAME, *(f"vtkmodules.vtk{name}" for name in BY_NAME_VTK), *pyvista_vtk())
+    ]
     options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA_FILES.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in left_out()]
@@ -130,6 +132,14 @@ def _slim() -> None:
     if strip is not None:
         for path in libraries:
             subprocess.run([strip, "--strip-unneeded", str(path)], check=True)
+
+
+def pyvista_vtk() -> list[str]:
+    """List the VTK modules that pyvista imports by name, from its own table, without those that are left out."""
+    from pyvista import _vtk
+
+    names = {f"vtkmodules.{name}" for name in vars(_vtk)["_VTK_CLASS_TO_MODULE"].values()}
+    return sorted(names - set(left_out()))
 
 
 def left_out() -> list[str]:
