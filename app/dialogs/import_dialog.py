@@ -73,8 +73,8 @@ KILL_STOPPED_IMPORT_AFTER_MS = 500
 FILE_FILTER = f"Recordings (*{' *'.join(suffix for each in RECORDING_IMPORTERS for suffix in each.suffixes)});;All files (*)"
 STREAM_TITLES = {Stream.WRENCH: "&Force/torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
 STREAM_HINTS = {
-    Stream.WRENCH: "a folder with data.log, or a table",
-    Stream.SKIN: "a folder with data.log, or a table",
+    Stream.WRENCH: "a folder with data.log, a table, or BAG::TOPIC",
+    Stream.SKIN: "a folder with data.log, a table, or BAG::TOPIC",
     Stream.JOINTS: "optional",
 }
 
@@ -224,7 +224,8 @@ class ImportDialog(QDialog):
             return
         self.kind.setText(READING_TEXT)
         self._finds.renew()
-        self._finds.submit(lambda: _find_streams(paths), self._show_files, lambda why: self._take_preview(None, why))
+        channels = 0 if self._scene is None else self._scene.skin.channels
+        self._finds.submit(lambda: _find_streams(paths, channels), self._show_files, lambda why: self._take_preview(None, why))
 
     def _show_files(self, found: RecordingFiles) -> None:
         if self.importing:
@@ -422,9 +423,9 @@ def force_points(preview: RecordingPreview) -> FloatArray:
     return np.column_stack([times / max(float(preview.times[-1]), 1e-9), force / max(float(force.max()), 1e-9)])
 
 
-def _find_streams(paths: Sequence[Path]) -> RecordingFiles:
+def _find_streams(paths: Sequence[Path], channels: int) -> RecordingFiles:
     try:
-        return guess_streams(paths)
+        return guess_streams(paths, channels)
     except OSError as error:
         raise InputError(str(error)) from error
 

@@ -180,7 +180,9 @@ class RecordingPreview:
             found.append("No row of the force/torque recording has fx fy fz mx my mz; choose another file.")
         if scene.arm is not None and joints is None and pose not in scene.arm.poses:
             found.append("The scene has an arm; name the recording of its joints, or choose the arm pose.")
-        if scene.arm is not None and joints is not None and joints <= max(scene.arm.arm.joints):
+        # Topics name their joints: then the import finds those of a robot by their names.
+        has_columns = self.importer.one_stream or scene.robot is None
+        if has_columns and scene.arm is not None and joints is not None and joints <= max(scene.arm.arm.joints):
             number = plural(max(scene.arm.arm.joints) + 1, "joint")
             found.append(f"A row of the joints has {plural(joints, 'value')}; the scene's arm needs {number} or more.")
         return tuple(found)

@@ -55,7 +55,8 @@ class Tape:
 
     def _write_run(self, values: FloatArray) -> None:
         # Half the bytes for skins, whose raw values single precision holds.
-        single = values.astype(np.float32)
+        with np.errstate(over="ignore"):
+            single = values.astype(np.float32)
         is_single = np.array_equal(single, values, equal_nan=True)
         self._runs.append((*values.shape, 2 if is_single else 1))
         try:

@@ -162,7 +162,7 @@ def test_a_slow_disk_never_holds_the_page(bench, scene, samples, tmp_path, monke
     threads = []
     for module, name in ((form_widgets, "load_scene"), (import_dialog, "guess_streams"), (import_dialog, "missing_folders")):
         real = getattr(module, name)
-        monkeypatch.setattr(module, name, lambda arg, real=real: threads.append(threading.current_thread()) or real(arg))
+        monkeypatch.setattr(module, name, lambda *given, real=real: threads.append(threading.current_thread()) or real(*given))
     dialog.folder.setText(str(tmp_path / "elsewhere"))
     dialog.scene.setEditText("flat-patch")
     dialog.take([tmp_path / "log"])

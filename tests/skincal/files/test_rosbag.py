@@ -329,6 +329,26 @@ def test_bags_that_are_cut_off_say_so(tmp_path, kind):
         assert len(found) == len(expected) or any("damaged" in each or "announces" in each for each in opened.findings)
 
 
+@pytest.mark.parametrize("kind", ["mcap-zstd", "sqlite3", "ros1-lz4"])
+def test_damaged_bytes_give_readings_or_a_sentence(tmp_path, rng, kind):
+    path = write_small(tmp_path / "bag", kind, seconds=1.0)
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    outcomes = set()
+    for file in files:
+        whole = file.read_bytes()
+        for at in rng.integers(0, len(whole), 40).tolist():
+            length = int(rng.integers(1, 9))
+            file.write_bytes(whole[:at] + rng.bytes(length) + whole[at + length :])
+            try:
+                guess_streams([path])
+                readings(open_bag(path))
+                outcomes.add("readings")
+            except InputError:
+                outcomes.add("sentence")
+        file.write_bytes(whole)
+    assert outcomes == {"readings", "sentence"}
+
+
 def test_the_command_is_stopped_and_leaves_nothing(tmp_path):
     path = write_small(tmp_path / "bag", seconds=60.0)
     scene = load_scene(resource("scenes/flat-patch/scene.toml"))
