@@ -58,8 +58,6 @@ UNUSED_FILES = (
 """Files of packages that the program never opens: translations, other fonts, displays without X11 and Wayland."""
 CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
 """Modules that pyvista imports by name for the canvas of a graphics card."""
-BY_NAME_VTK = (*CARD_VTK, "FiltersPython", "RenderingMatplotlib", "InteractionWidgets")
-"""Modules of VTK that pyvista imports at run time; PyInstaller cannot see them."""
 VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
 """Name prefixes of the VTK modules that compute and draw. Readers, accelerators and web parts are left out."""
 UNUSED_VTK = (
@@ -108,9 +106,7 @@ def _build() -> None:
     options = ["--noconfirm", "--clean", "--name=skincal", "--contents-directory=parts", "--log-level=WARN"]
     options += [f"--distpath={DIST}", f"--workpath={BUILD}", f"--specpath={BUILD}", f"--paths={checkout.CHECKOUT}"]
     options += [f"--collect-submodules={name}" for name in WHOLE_PACKAGES]
-    options += [
-        f"--hidden-import={name}" for name in (*BY_NAME, *(f"vtkmodules.vtk{name}" for name in BY_NAME_VTK), *pyvista_vtk())
-    ]
+    options += [f"--hidden-import={name}" for name in (*BY_NAME, *kept_vtk())]
     options += [f"--add-data={checkout.CHECKOUT / source}{os.pathsep}{target}" for source, target in DATA_FILES.items()]
     options += [f"--add-binary={library}{os.pathsep}{library.parent.relative_to(packages)}" for library in libraries]
     options += [f"--exclude-module={name}" for name in left_out()]
@@ -134,12 +130,12 @@ def _slim() -> None:
             subprocess.run([strip, "--strip-unneeded", str(path)], check=True)
 
 
-def pyvista_vtk() -> list[str]:
-    """List the VTK modules that pyvista imports by name, from its own table, without those that are left out."""
-    from pyvista import _vtk
+def kept_vtk() -> list[str]:
+    """List the VTK modules that are not left out: pyvista imports them by name, where PyInstaller cannot see it."""
+    import vtkmodules
 
-    names = {f"vtkmodules.{name}" for name in vars(_vtk)["_VTK_CLASS_TO_MODULE"].values()}
-    return sorted(names - set(left_out()))
+    names = {path.name.partition(".")[0] for path in Path(vtkmodules.__file__).parent.glob("vtk*.*") if path.suffix != ".pyi"}
+    return sorted({f"vtkmodules.{name}" for name in names} - set(left_out()))
 
 
 def left_out() -> list[str]:
