@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from PySide6.QtCore import QLocale, QSignalBlocker, Signal
 from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSpinBox, QWidget
 
-from app.panels.widgets import compact_combo, secondary_label
+from app.panels.widgets import compact_combo, escape_tooltip, secondary_label
 from app.theme import WIDGET_GAP_PX
 from skincal.model.tables import MAX_LENGTH_M
 
@@ -97,7 +97,7 @@ def button(text: str, name: str = "") -> QPushButton:
     made.setAutoDefault(False)
     if name:
         made.setAccessibleName(name)
-        made.setToolTip(name)
+        made.setToolTip(escape_tooltip(name))
     return made
 
 

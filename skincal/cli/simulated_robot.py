@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from skincal.model.scene import Scene
 
 if TYPE_CHECKING:
     from skincal.mesh.surface import Surface
+    from skincal.model.scene import Scene
     from skincal.physics.rig import SimulatedRobot
     from skincal.physics.serving import PokingDevices
     from skincal.session.pipeline import Pipeline

@@ -165,8 +165,8 @@ def test_a_robot_pokes_the_shipped_demo_to_enough_over_the_lines(example):
     assert len(accepted) == len(counted), "a verdict for each poke that counts, and for no other"
     assert len(robot.verdicts) == len(snapshot.pokes)
     asked = [robot.asked[int(verdict.split()[1])] for verdict in accepted]
-    hits = [each.strongest_channel == at for each, at in zip(counted, asked, strict=True) if at is not None]
-    assert np.mean(hits) >= 0.6, "most pokes are those that were asked for; by chance one of 84 would be"
+    hits = [at in each.channels for each, at in zip(counted, asked, strict=True) if at is not None]
+    assert np.mean(hits) >= 0.8, "the taxel that was asked for answers nearly always; by chance three of 84 do"
     assert errors_of(snapshot.estimates[Method.MODULES], rig).mean() < 0.0035
 
 

@@ -128,7 +128,7 @@ def number(name):
 @pytest.mark.parametrize(
     ("name", "here"),
     [
-        ("PUSHED_FACE_MIN_COSINE", PUSHED_FACE_MIN_COSINE),
+        ("GRAZING", PUSHED_FACE_MIN_COSINE),
         ("ROUND", search.NODE_RADIUS_MARGIN_SHARE),
         ("WIDTH", search.WIDTH),
         ("LEVELS", search.SEARCH_TREE_MAX_DEPTH),

@@ -155,7 +155,7 @@ def test_xela_counts_missing_messages_and_refuses_what_is_no_reading():
 def test_every_decoder_names_its_values_and_their_unit():
     for name in NAMES[1:]:
         # Those of files carry one stream.
-        units = make_decoder(name, None, (Stream.SKIN,) if name.startswith(("yarp", "csv")) else tuple(Stream)).units
+        units = make_decoder(name, None, (Stream.SKIN,) if name.startswith(("yarp", "csv", "records")) else tuple(Stream)).units
         assert units[Stream.WRENCH] == "Fx Fy Fz in N, Mx My Mz in N m"
         assert "degrees" in units[Stream.JOINTS]
         assert units[Stream.SKIN]
