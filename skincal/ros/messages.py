@@ -133,7 +133,8 @@ class MessageReader:
         """Names of the joints, in the order of the values; empty before the first `JointState`, and for other types."""
         self.seen_joints: dict[str, float] = {}
         """Last position of each joint that came, rad."""
-        self._by_name = self.type_name == JOINT_STATE and stream is Stream.JOINTS and field in ("", "position")
+        self.by_name = self.type_name == JOINT_STATE and stream is Stream.JOINTS and field in ("", "position")
+        """Joints are found by their names."""
         try:
             self.field = find_field(types, self.type_name, field)
             """Path of the values; empty for all numbers."""
@@ -146,9 +147,7 @@ class MessageReader:
     def stamp_of(self, message: Any) -> float | None:
         """Return the stamp that the sender wrote, seconds of its clock; `None` if there is none or it is 0."""
         try:
-            stamp = message
-            for step in self._stamp or ():
-                stamp = getattr(stamp, step.name) if step.index < 0 and type(stamp) is not dict else _step_into(stamp, step)
+            stamp = self.find_stamp(message)
             if isinstance(stamp, float):
                 seconds = stamp
             elif isinstance(stamp, dict):
@@ -160,6 +159,15 @@ class MessageReader:
             return None
         return seconds if seconds > 0 and math.isfinite(seconds) else None
 
+    def find_stamp(self, message: Any) -> Any:
+        """Return the field with the stamp; `None` if the type has none. Raises MessageError, AttributeError: it is missing."""
+        if self._stamp is None:
+            return None
+        stamp = message
+        for step in self._stamp:
+            stamp = getattr(stamp, step.name) if step.index < 0 and type(stamp) is not dict else _step_into(stamp, step)
+        return stamp
+
     def values_of(self, message: Any) -> FloatArray | None:
         """Return the values of a message, (n,) float: N and N m, raw values of the skin, or degrees.
 
@@ -167,7 +175,7 @@ class MessageReader:
 
         Raises MessageError: the message has not the fields of its type.
         """
-        if self._by_name:
+        if self.by_name:
             angles = self._angles(message)
             return None if angles is None else np.degrees(angles)
         if self._forces is not None:
@@ -178,11 +186,34 @@ class MessageReader:
         values = self._get(message)
         return np.degrees(values) if self.stream is Stream.JOINTS else values
 
+    def numbers_of(self, message: Any) -> FloatArray:
+        """Return the numbers of a message as they are in it, (n,) float; of a `JointState` all positions.
+
+        Raises MessageError: the message has not the fields of its type.
+        """
+        return _numbers(_member(message, "position")) if self.by_name else self._get(message)
+
+    def rows_of(self, numbers: FloatArray, names: Sequence[str]) -> FloatArray:
+        """Make the values of n messages, one after the other, from their (n, numbers), see `numbers_of`.
+
+        Parameters
+        ----------
+        names : of the joints of a `JointState`, the same in all messages; `values_of` read one with them before
+        """
+        if self.by_name:
+            columns = dict(zip(names, range(len(names)), strict=True))
+            self.seen_joints.update(zip(names, numbers[-1].tolist(), strict=True))
+            rows = np.empty((len(numbers), len(self.joints)))
+            for joint, name in enumerate(self.joints):
+                rows[:, joint] = numbers[:, columns[name]] if name in columns else self.seen_joints[name] if name else 0.0
+            return np.degrees(rows)
+        return np.degrees(numbers) if self.stream is Stream.JOINTS else numbers
+
     @property
     def missing_joints(self) -> str:
         """Sentence on the wanted joints that never came; empty if all did."""
         missing = [name for name in self.joints if name and name not in self.seen_joints]
-        if not self._by_name or not missing:
+        if not self.by_name or not missing:
             return ""
         seen = ", ".join(list(self.seen_joints)[:SHOWN_NAMES]) or "none"
         return f"No position of {', '.join(missing)} came; the messages have {seen}. Check the joint names of the scene."

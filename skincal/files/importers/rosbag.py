@@ -14,7 +14,7 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +26,11 @@ from skincal.files.importers.timeline import OpenRecording, Timeline, check_over
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
+from skincal.ros.layouts import MessageLayout, find_layout
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TopicChoice
-from skincal.ros.types import MessageError
+from skincal.ros.types import MessageError, MessageTypes
 from skincal.streams.links import LinkSpec
 
 PROBED_MESSAGES = 100
@@ -42,6 +43,12 @@ MAX_DELAY_SPREAD_S = 0.1
 """Of 80 % of the delays of a stream whose sender has another clock; beyond it the arrival is the better time."""
 GO_ON_MESSAGES = 2000
 """Messages between two reports of progress: some 0.05 s."""
+WAITING_MESSAGES = 1024
+"""Messages of a stream that are read together."""
+WAITING_BYTES = 1 << 20
+"""Bounds their memory."""
+MIN_RUN_MESSAGES = 8
+"""For fewer, finding a layout takes longer than reading them one by one."""
 LATE_S = 2.0
 """A stream that starts or ends by more than this after or before the others is reported."""
 SHOWN_TOPICS = 8
@@ -132,12 +139,50 @@ class _Recorded:
     unreadable: int = 0
     why_unreadable: str = ""
 
-    def add(self, bag: Bag, topic: str, arrival_ns: int, data: bytes) -> None:
-        """Read a message."""
+    layouts: dict[str, MessageLayout] = field(default_factory=dict[str, MessageLayout])
+    """Of the last messages, by topic."""
+    _waiting: list[tuple[str, int, bytes]] = field(default_factory=list[tuple[str, int, bytes]])
+    _waiting_bytes: int = 0
+
+    def add(self, types: MessageTypes, topic: str, arrival_ns: int, data: bytes) -> None:
+        """Take a message. It may wait for others, which are faster to read together; see `read_waiting`."""
+        self._waiting.append((topic, arrival_ns, data))
+        self._waiting_bytes += len(data)
+        if len(self._waiting) >= WAITING_MESSAGES or self._waiting_bytes >= WAITING_BYTES:
+            self.read_waiting(types)
+
+    def read_waiting(self, types: MessageTypes) -> None:
+        """Read the messages that wait."""
+        waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        for (topic, _), group in groupby(waiting, lambda message: (message[0], len(message[2]))):
+            run = [(arrival_ns, data) for _, arrival_ns, data in group]
+            self.messages[topic] += len(run)
+            # Patches of a skin wait for each other, one message at a time.
+            if self.patches is not None or len(run) < MIN_RUN_MESSAGES or not self._read_run(types, topic, run):
+                for message in run:
+                    self._read_message(types, topic, *message)
+
+    def _read_run(self, types: MessageTypes, topic: str, run: Sequence[tuple[int, bytes]]) -> bool:
+        """Read messages of one length together. Returns False, and takes nothing, if they have not one layout."""
+        messages = [data for _, data in run]
+        layout = self.layouts.get(topic)
+        read = layout.read(messages) if layout is not None else None
+        if read is None:
+            layout = find_layout(types, self.readers[topic], messages[0])
+            read = layout.read(messages) if layout is not None else None
+            if layout is None or read is None:
+                return False
+            self.layouts[topic] = layout
+        values, stamps = read
+        self.tape.add_many(values)
+        self.arrivals.frombytes((np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9).tobytes())
+        self.stamps.frombytes(stamps.tobytes())
+        return True
+
+    def _read_message(self, types: MessageTypes, topic: str, arrival_ns: int, data: bytes) -> None:
         reader = self.readers[topic]
-        self.messages[topic] += 1
         try:
-            message = bag.types.decode(data, reader.type_name)
+            message = types.decode(data, reader.type_name)
             values = reader.values_of(message)
         except MessageError as error:
             self.unreadable += 1
@@ -249,9 +294,11 @@ def _read_messages(bag: Bag, streams: Sequence[_Recorded], go_on: Callable[[floa
     total = max(1, sum(bag.topics[name].messages for name in of_topic))
     for count, (topic, arrival_ns, data) in enumerate(bag.messages(of_topic.keys())):
         for each in of_topic[topic]:
-            each.add(bag, topic, arrival_ns, data)
+            each.add(bag.types, topic, arrival_ns, data)
         if count % GO_ON_MESSAGES == 0 and not go_on(min(1.0, count / total)):
             raise StoppedError
+    for each in streams:
+        each.read_waiting(bag.types)
 
 
 def _require_readings(bag: Bag, each: _Recorded) -> None:

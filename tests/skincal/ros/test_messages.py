@@ -7,7 +7,8 @@ import pytest
 
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from skincal.ros.messages import MessageReader, find_field, streams_of
+from skincal.ros.layouts import find_layout
+from skincal.ros.messages import JOINT_STATE, MessageReader, find_field, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TopicChoice
 from skincal.ros.types import MessageError, MessageTypes
@@ -82,6 +83,38 @@ def test_bytes_and_json_give_the_same_values_and_stamp(types, type_name, field, 
         assert reader.stamp_of(each) == (SECONDS if has_stamp else None)
 
 
+def serialized(types, type_name, content, little_endian=True):
+    message = make_message(types, type_name, content)
+    if types.ros == 1:
+        return bytes(types._store.serialize_ros1(message, type_name))
+    return bytes(types._store.serialize_cdr(message, type_name, little_endian=little_endian))
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+@pytest.mark.parametrize("frame", ["", "ft", "odd_frame_é"])
+@pytest.mark.parametrize(("type_name", "field", "content", "stream", "expected"), CASES)
+def test_many_messages_are_read_as_one_by_one(types, type_name, field, content, stream, expected, frame, little_endian):
+    content = content | {"header": HEADER | {"frame_id": frame}} if "header" in content else content
+    good = serialized(types, type_name, content, little_endian)
+    many, one = (MessageReader(types, type_name, stream, field) for _ in range(2))
+    layout = find_layout(types, many, good)
+    np.testing.assert_allclose(layout.read([good])[0], [expected], rtol=1e-15)
+    # Any bytes where texts and lengths are not: numbers, NaN, and padding.
+    messages = [good, *np.random.default_rng(1).integers(0, 256, (40, len(good)), np.uint8)]
+    for each in messages[1:]:
+        each[layout.fixed_at] = layout.fixed
+    messages = [bytes(each) for each in messages]
+    with np.errstate(all="ignore"):
+        values, stamps = layout.read(messages)
+        singles = [types.decode(each, type_name) for each in messages]
+        np.testing.assert_array_equal(values, [one.values_of(each) for each in singles])
+    np.testing.assert_array_equal(stamps, [np.nan if (s := one.stamp_of(each)) is None else s for each in singles])
+    for at in layout.fixed_at:
+        other = good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :]
+        assert layout.read([good, other]) is None
+    assert layout.read([good, good + b"\0"]) is None
+
+
 def test_joints_are_found_by_name_also_in_parts_of_the_robot(types):
     reader = MessageReader(types, "sensor_msgs/JointState", Stream.JOINTS, joints=("a", "b", "c"))
     assert reader.values_of(JOINTS) is None
@@ -93,6 +126,19 @@ def test_joints_are_found_by_name_also_in_parts_of_the_robot(types):
     assert reader.values_of(JOINTS | {"position": []}) is None
     with pytest.raises(MessageError, match="3 names and 1 positions"):
         reader.values_of(JOINTS | {"position": [1.0]})
+
+
+def test_many_joint_states_of_a_part_take_the_other_joints_as_they_were(types):
+    def data(names, position):
+        return serialized(types, JOINT_STATE, JOINTS | {"name": names, "position": position})
+
+    reader = MessageReader(types, JOINT_STATE, Stream.JOINTS, joints=("a", "", "c"))
+    first, second = data(["a", "x", "a"], [7.0, 8.0, 0.5]), data(["a", "x", "a"], [7.0, 8.0, 0.75])
+    assert find_layout(types, reader, first) is None  # c did not come yet
+    reader.values_of(types.decode(data(["c"], [2.0]), JOINT_STATE))
+    values, _ = find_layout(types, reader, first).read([first, second])
+    np.testing.assert_array_equal(values, np.degrees([[0.5, 0, 2], [0.75, 0, 2]]))
+    assert reader.seen_joints == {"a": 0.75, "x": 8.0, "c": 2.0}
 
 
 def test_json_of_a_bridge_has_bytes_in_base64_and_null_for_nan(types):
