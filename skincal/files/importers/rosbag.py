@@ -243,6 +243,8 @@ def open_recording(
             )
         findings += _missing_messages(bag, streams)
     times, clock_findings = place_in_time(streams)
+    for each in streams:
+        each.arrivals, each.stamps = array("d"), array("d")
     timelines = [Timeline(each.stream.value, [seconds]) for each, seconds in zip(streams, times, strict=True)]
     for each, timeline in zip(streams, timelines, strict=True):
         findings += [*each.findings(), *timeline.sentences()]
@@ -252,7 +254,7 @@ def open_recording(
         tuple(LinkSpec(each.stream.value, f"file:{bag.path}::{each.choice}", (each.stream,), "records") for each in streams),
         tuple(timelines),
         tuple(
-            lambda each=each, seconds=seconds: each.tape.lines(seconds) for each, seconds in zip(streams, times, strict=True)
+            lambda tape=each.tape, seconds=seconds: tape.lines(seconds) for each, seconds in zip(streams, times, strict=True)
         ),
         tuple(findings),
     )
@@ -340,22 +342,20 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[
     -------
     (rows,) seconds for each stream, and sentences on the clocks.
     """
-    arrivals = [np.array(each.arrivals) for each in streams]
-    stamps = [np.array(each.stamps) for each in streams]
-    delays = [arrival - stamp for arrival, stamp in zip(arrivals, stamps, strict=True)]
-    offsets = [float(np.median(delay[np.isfinite(delay)])) if np.isfinite(delay).any() else np.nan for delay in delays]
+    offsets = [_usual_delay(each) for each in streams]
     # NaN if a stream has no stamps.
     have_one_clock = max(offsets) - min(offsets) <= MAX_CLOCK_DIFFERENCE_S and not np.isnan(offsets).any()
     times: list[FloatArray] = []
     findings: list[str] = []
-    for each, arrival, stamp, delay, offset in zip(streams, arrivals, stamps, delays, offsets, strict=True):
+    for each, offset in zip(streams, offsets, strict=True):
+        arrival, stamp = np.frombuffer(each.arrivals), np.frombuffer(each.stamps)
         name, shift, unstamped = each.stream.value, 0.0, int(np.isnan(stamp).sum())
         if unstamped == len(stamp):
             findings.append(f"{name}: its messages have no stamp; they are placed by their arrival at the recorder.")
             times.append(arrival)
             continue
         if not have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
-            low, high = np.nanquantile(delay, [0.1, 0.9])
+            low, high = np.nanquantile(arrival - stamp, [0.1, 0.9])
             if high - low > MAX_DELAY_SPREAD_S:
                 findings.append(
                     f"{name}: its stamps differ from the arrival by {low:.3f} to {high:.3f} s; it is placed by its arrival."
@@ -368,8 +368,16 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[
             findings.append(f"{name}: it is placed by the stamps of its sender, {-offset:+.3f} s from the recorder's clock.")
         if unstamped:
             findings.append(f"{name}: {plural(unstamped, 'message')} without a stamp: placed by the arrival.")
-        times.append(np.where(np.isnan(stamp), arrival - offset, stamp) + shift)
+        times.append(np.where(np.isnan(stamp), arrival - offset, stamp) + shift if unstamped or shift else stamp)
     return times, findings
+
+
+def _usual_delay(each: _Recorded) -> float:
+    """Median time from the stamp of a message to its arrival, s; NaN without stamps."""
+    delays = np.frombuffer(each.arrivals) - np.frombuffer(each.stamps)
+    if np.isnan(delays).any():
+        delays = delays[np.isfinite(delays)]
+    return float(np.median(delays, overwrite_input=True)) if len(delays) else np.nan
 
 
 def _late_streams(timelines: Sequence[Timeline]) -> list[str]:

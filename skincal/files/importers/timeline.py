@@ -48,6 +48,8 @@ CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
 INTERVAL_STEPS = 500
 """Number of steps in the median for the usual interval: 5 s at 100 Hz."""
+BLOCK_LINES = 1 << 16
+"""Lines that are placed together: bounds the memory."""
 MAX_LISTED_JUMPS = 3
 START_NS = 1_000_000_000
 """A recording begins at this time of the host's clock; 0 would mean never."""
@@ -82,13 +84,16 @@ class Timeline:
 
     def __init__(self, name: str, stamps: Iterable[FloatArray]) -> None:
         self.name = name
-        self.stamps: FloatArray = np.concatenate([np.empty(0), *stamps])
+        blocks = list(stamps)
+        # An hour has millions of stamps: one block is not copied.
+        self.stamps: FloatArray = (
+            np.asarray(blocks[0], np.float64) if len(blocks) == 1 else np.concatenate([np.empty(0), *blocks])
+        )
         self.lines = len(self.stamps)
-        steps = np.diff(self.stamps)
-        self.earlier = int(np.count_nonzero(steps < 0))
+        self.earlier = int(np.count_nonzero(self.stamps[1:] < self.stamps[:-1]))
         """Lines with a stamp before that of the line before."""
-        forward = steps[steps >= 0][:INTERVAL_STEPS]
-        self.interval = float(np.median(forward)) if len(forward) else 0.0
+        forward = np.flatnonzero(self.stamps[1:] >= self.stamps[:-1])[:INTERVAL_STEPS]
+        self.interval = float(np.median(self.stamps[forward + 1] - self.stamps[forward])) if len(forward) else 0.0
         """Usual time from line to line, s; 0 if there is none."""
         self.out_of_order = 0
         self.jumps: dict[int, float] = {}
@@ -129,7 +134,7 @@ class Timeline:
             self._highest = float(highest[steady])
             at += steady
             # After a jump the next one may be near; a steady clock is read in ever larger blocks.
-            size = 2 * size
+            size = min(2 * size, BLOCK_LINES)
             if len(far):
                 self._begin_jump(at, float(self.stamps[at]))
                 at, size = at + 1, 16
@@ -216,13 +221,22 @@ class Timeline:
 
     def host_ns(self, origin: float) -> IntArray:
         """Place the lines on the host's clock, (lines,) nanoseconds, never backwards; `origin` (s) becomes `START_NS`."""
-        shifts = np.zeros(self.lines)
-        for line, shift in self.jumps.items():
-            shifts[line] = shift
-        # Stamps have microseconds; more digits would be those of the double.
-        times = START_NS + np.rint((self.stamps + np.cumsum(shifts) - origin) * 1e6).astype(np.int64) * 1000
+        times = np.empty(self.lines, np.int64)
+        shift = 0.0
+        for begin in range(0, self.lines, BLOCK_LINES):
+            block = slice(begin, begin + BLOCK_LINES)
+            shifts = np.zeros(len(times[block]))
+            shifts[0] = shift
+            for line, more in self.jumps.items():
+                if begin <= line < begin + len(shifts):
+                    shifts[line - begin] += more
+            shifts = np.cumsum(shifts)
+            shift = float(shifts[-1])
+            # Stamps have microseconds; more digits would be those of the double.
+            times[block] = START_NS + np.rint((self.stamps[block] + shifts - origin) * 1e6).astype(np.int64) * 1000
         times[list(self.outliers)] = START_NS
-        return np.maximum.accumulate(np.maximum(times, START_NS))
+        np.maximum(times, START_NS, out=times)
+        return np.maximum.accumulate(times, out=times)
 
 
 def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
@@ -304,9 +318,13 @@ def merged_chunks(timelines: Sequence[Timeline], sources: Sequence[Lines], early
     host_ns = np.concatenate(ends_ns)
     lines = [chain.from_iterable(source()) for source in sources]
     order = np.lexsort((files, host_ns))
-    chunks: list[tuple[int, int, int]] = np.stack([files, host_ns, counts], axis=1)[order].tolist()
-    for file, end_ns, count in chunks:
-        yield Chunk(timelines[file].name, end_ns, b"".join(islice(lines[file], count)))
+    chunks = np.stack([files, host_ns, counts], axis=1)[order]
+    # The chunks are read for minutes: nothing with a row for each line remains here.
+    del times, starts, ends_ns
+    for begin in range(0, len(chunks), BLOCK_LINES):
+        part: list[tuple[int, int, int]] = chunks[begin : begin + BLOCK_LINES].tolist()
+        for file, end_ns, count in part:
+            yield Chunk(timelines[file].name, end_ns, b"".join(islice(lines[file], count)))
 
 
 def _last_lines(starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -320,10 +338,17 @@ def _chunk_starts(timeline: Timeline, host_ns: IntArray) -> NDArray[np.bool_]:
     The decoder dates every line of a chunk by the chunk's arrival and keeps the smallest delay. A chunk has the time of its
     last line, so only earlier lines look late. The first line after a clock change gets a chunk of its own.
     """
-    jumped = np.abs(np.diff(timeline.stamps, prepend=-np.inf)) > MAX_TIME_STEP_BACK_S
-    starts = jumped.copy()
-    starts[1:] |= jumped[:-1]
-    starts |= np.diff((host_ns - START_NS) // CHUNK_NS, prepend=-1) > 0
+    starts = np.ones(timeline.lines, np.bool_)
+    for begin in range(1, timeline.lines, BLOCK_LINES):
+        end = min(begin + BLOCK_LINES, timeline.lines)
+        steps = np.diff(timeline.stamps[max(begin - 2, 0) : end])
+        jumped = np.abs(steps) > MAX_TIME_STEP_BACK_S
+        # The first line has no step before it; the second comes after a change.
+        before = jumped[:-1] if begin > 1 else np.append(True, jumped[:-1])
+        ticks = (host_ns[begin - 1 : end] - START_NS) // CHUNK_NS
+        starts[begin:end] = jumped[-(end - begin) :] | before | (np.diff(ticks) > 0)
     firsts = np.flatnonzero(starts)
-    position = np.arange(len(starts)) - firsts[np.cumsum(starts) - 1]
-    return starts | (position % CHUNK_MAX_LINES == 0)
+    sizes = np.diff(np.append(firsts, timeline.lines))
+    for chunk in np.flatnonzero(sizes > CHUNK_MAX_LINES).tolist():
+        starts[firsts[chunk] : firsts[chunk] + sizes[chunk] : CHUNK_MAX_LINES] = True
+    return starts

@@ -192,3 +192,16 @@ def test_a_clock_that_is_set_again_much_later_or_by_another_amount_was_set_twice
     assert sorted(timed("skin", later).jumps) == [100]
     other = [0.02 * k + 5.0 * (100 <= k < 150) - 2.0 * (k >= 150) for k in range(300)]
     assert timed("skin", other).jumps == {150: pytest.approx(7.0)}
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 64])
+def test_blocks_of_lines_do_not_change_the_chunks(size):
+    random = np.random.default_rng(2)
+    stamps = np.cumsum(random.choice([0.0001, 0.001, 0.3], 700))
+    stamps[200:] -= 3.0  # set back
+    stamps[[400, 401, 650]] += 1e3  # wrong for a moment
+    stamps[500:550] += 2.0  # set, and set back
+    files = {"wrench": stamps.tolist(), "joints": stamps[::7].tolist()}
+    expected = together(("joints",), **files)
+    with patch("skincal.files.importers.timeline.BLOCK_LINES", size):
+        assert together(("joints",), **files) == expected
