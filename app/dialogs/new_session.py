@@ -226,6 +226,11 @@ class NewSessionDialog(QDialog):
         self.proposal = QPushButton()
         """Uses the topics of ROS 2 that look like the rig; hidden without them."""
         self.proposal.setVisible(False)
+        self.topics_note = QLabel()
+        """Why topics of ROS 2 are missing; hidden if none is."""
+        self.topics_note.setWordWrap(True)
+        self.topics_note.setTextFormat(Qt.TextFormat.PlainText)
+        self.topics_note.setVisible(False)
         self.swap = QPushButton(f"E&xchange force/torque sensor and skin  ({SWAP_KEY})")
         self.objection = QLabel()
         self.objection.setWordWrap(True)
@@ -271,6 +276,7 @@ class NewSessionDialog(QDialog):
         for row in self.rows.values():
             row.add_to(form)
         form.addWidget(self.proposal, form.rowCount(), 1, 1, 3, Qt.AlignmentFlag.AlignLeft)
+        form.addWidget(self.topics_note, form.rowCount(), 1, 1, 3)
         at = form.rowCount()
         form.addWidget(self.swap, at, 1, 1, 3, Qt.AlignmentFlag.AlignLeft)
         form.addWidget(self.pose_label, at + 1, 0)
@@ -334,8 +340,11 @@ class NewSessionDialog(QDialog):
         self._ports = ports
         self._list_addresses()
 
-    def _set_topics(self, topics: list[FoundTopic]) -> None:
+    def _set_topics(self, found: tuple[list[FoundTopic], str]) -> None:
+        topics, trouble = found
         self._topics = topics
+        self.topics_note.setText(trouble)
+        self.topics_note.setVisible(bool(trouble))
         proposed = propose_topics(topics)
         names = ", ".join(plain_text(proposed[stream].topic) for stream in Stream if stream in proposed)
         self.proposal.setText(f"Use the &ROS 2 topics {shortened(names, MAX_PORT_NAME_CHARS)}")

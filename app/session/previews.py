@@ -34,12 +34,13 @@ def list_ports() -> list[tuple[str, str]]:
     return [*serial_ports(), *ports]
 
 
-def list_topics() -> list[FoundTopic]:
-    """List the topics of ROS 2 that can be read; takes two seconds. Empty if DDS is not installed."""
+def list_topics() -> tuple[list[FoundTopic], str]:
+    """List the topics of ROS 2 that can be read, and a sentence if some or all are missing; takes two seconds."""
     try:
-        return list_ros_topics()
-    except InputError:
-        return []
+        found, left_out = list_ros_topics()
+    except InputError as error:
+        return [], str(error)
+    return found, f"{left_out} more topics of ROS 2 are not listed; type their addresses." if left_out else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -253,12 +253,13 @@ def _yarp_ports() -> tuple[list[tuple[str, tuple[str, int]]], str]:
 
 
 def _ros_topics() -> tuple[list[tuple[str, str]], dict[str, str], str]:
-    """Return address and description of each topic, the proposed address of each stream, or why there are none."""
+    """Return address and description of each topic, the proposed address of each stream, and why there are none or more."""
     try:
         from skincal.streams.ros_topics import list_ros_topics, propose_topics
 
-        found = list_ros_topics()
+        found, left_out = list_ros_topics()
     except InputError as error:
         return [], {}, str(error)
     proposed = {stream.value: each.address for stream, each in propose_topics(found).items()}
-    return [(each.address, each.words) for each in found], proposed, ""
+    more = f"{plural(len(found), 'topic')} of ROS 2, and {left_out} more that are not listed" if left_out else ""
+    return [(each.address, each.words) for each in found], proposed, more

@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,8 +29,8 @@ from skincal.robot.target_lines import (
     RobotLine,
     read_answer_line,
 )
-from skincal.robot.target_server import RobotChange
-from skincal.ros.dds import Participant, default_domain, read_domain
+from skincal.robot.target_server import LINES_PER_S_MAX, REPEAT_AFTER_S, SAME_SENTENCE_CHARS, RobotChange
+from skincal.ros.dds import DdsError, Message, Participant, TopicWriter, default_domain, read_domain
 from skincal.ros.types import MessageError
 from skincal.taxels.result import Estimate, State
 
@@ -39,10 +40,14 @@ POSE, STRING = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/String"
 POINT, MARKERS = "geometry_msgs/msg/Point", "visualization_msgs/msg/MarkerArray"
 SPHERE_LIST = 7
 """`Marker.SPHERE_LIST`."""
+DELETE_ALL = 3
+"""`Marker.DELETEALL`."""
 TAXEL_DIAMETER_M = 0.004
 TAXEL_COLOR = (0.1, 0.6, 0.3, 1.0)
 """Red, green, blue and opacity."""
 ANSWER_MAX_CHARS = 512
+LAST_WORDS_MAX_S = 0.5
+"""s for the robot to receive that the session is over."""
 
 
 def parse_ros_targets(text: str) -> int:
@@ -112,33 +117,67 @@ class RosTargets:
         """For sentences."""
         self._has_robot = False
         self._said: list[str] = []
+        self._reported_s: dict[str, float] = {}
+        """By the beginning of a sentence: when it was last reported, host's monotonic clock, seconds."""
+        self._answer_times_ns: deque[int] = deque(maxlen=LINES_PER_S_MAX)
         self._shown: Sequence[Estimate] = ()
 
     def send(self, lines: Sequence[AskedLine]) -> None:
-        """Publish lines. Raises InputError."""
+        """Publish lines. `take` reports if DDS refuses."""
         for line in lines:
             if isinstance(line, PokeTarget):
-                self._target.write(self._pose_of(line))
-            self._verdict.write(self._types.make(STRING, data=json.dumps(line_as_json(line))))
+                self._write(self._target, self._pose_of(line))
+            self._write(self._verdict, self._types.make(STRING, data=json.dumps(line_as_json(line))))
 
     def take(self) -> list[RobotLine | RobotChange | str]:
         """Return the answers since the last call, and sentences on robots that connected or left."""
-        found: list[RobotLine | RobotChange | str] = [*self._said]
-        self._said.clear()
+        found: list[RobotLine | RobotChange | str] = []
         has_robot = self._answers.publishers > 0
         if has_robot != self._has_robot:
             self._has_robot = has_robot
             found += [RobotChange.CAME, "A robot came, by ROS 2."] if has_robot else [RobotChange.LEFT, "The robot left ROS 2."]
-        for message in self._answers.take_messages():
+        for message in self._take_messages():
             try:
                 text = str(self._types.decode(message.data, STRING).data)
                 answer = read_answer_line(text[:ANSWER_MAX_CHARS])
             except (InputError, MessageError) as error:
-                found.append(plain_text(f"A message on /skincal/reached is not used: {error}"))
+                self._report(f"A message on /skincal/reached is not used: {error}")
                 continue
             if answer is not None:
                 found.append(answer)
+        found += self._said
+        self._said.clear()
         return found
+
+    def _take_messages(self) -> list[Message]:
+        """Take the answers, as many in a second as over TCP."""
+        try:
+            messages = self._answers.take_messages()
+        except DdsError as error:
+            self._report(str(error))
+            return []
+        taken: list[Message] = []
+        for message in messages:
+            times = self._answer_times_ns
+            # By the robot's clock: answers wait here while the program is busy.
+            if len(times) == LINES_PER_S_MAX and message.source_ns - times[0] < 10**9:
+                self._report(f"The robot sends more than {LINES_PER_S_MAX} lines in a second; those beyond are not used.")
+                continue
+            times.append(message.source_ns)
+            taken.append(message)
+        return taken
+
+    def _write(self, writer: TopicWriter, message: Any) -> None:
+        try:
+            writer.write(message)
+        except DdsError as error:
+            self._report(str(error))
+
+    def _report(self, sentence: str) -> None:
+        kind, now_s = sentence[:SAME_SENTENCE_CHARS], time.monotonic()
+        if now_s - self._reported_s.get(kind, -REPEAT_AFTER_S) >= REPEAT_AFTER_S:
+            self._reported_s[kind] = now_s
+            self._said.append(plain_text(sentence))
 
     def refuse(self, reason: str) -> None:
         """Tell the robot that its answer is impossible."""
@@ -151,10 +190,12 @@ class RosTargets:
             return
         self._shown = estimates
         places = [each.position for each in estimates if each.state is State.ESTIMATED and each.position is not None]
-        self._taxels.write(self._types.make(MARKERS, markers=[self._marker(frame, places)]))
+        self._write(self._taxels, self._types.make(MARKERS, markers=[self._marker(frame, places)]))
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Withdraw the target, tell the robot to stop, and leave the graph."""
+        self.send([NoTarget.WAIT, NoTarget.STOP])
+        self._verdict.wait_for_readers(LAST_WORDS_MAX_S)
         self._participant.close()
 
     def _header(self, frame: str) -> Any:
@@ -179,6 +220,7 @@ class RosTargets:
             header=self._header(frame),
             ns="skincal",
             type=SPHERE_LIST,
+            action=0 if places else DELETE_ALL,
             pose=self._pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
             scale=self._vector("geometry_msgs/msg/Vector3", "xyz", [TAXEL_DIAMETER_M] * 3),
             color=self._vector("std_msgs/msg/ColorRGBA", "rgba", TAXEL_COLOR),

@@ -291,6 +291,11 @@ class TopicWriter:
         if code < 0:
             raise DdsError(f"DDS does not write a {self._type_name} ({code}).")
 
+    def wait_for_readers(self, timeout_s: float) -> None:
+        """Wait at most `timeout_s` until all readers have what was written."""
+        with contextlib.suppress(_module("core").DDSException):
+            self._writer.wait_for_acks(_module("util").duration(seconds=timeout_s))
+
     @property
     def readers(self) -> int:
         """Number of readers that get the messages."""

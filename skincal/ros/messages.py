@@ -37,7 +37,7 @@ import numpy as np
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
-from skincal.ros.types import HEADER_TYPE, TIME_TYPES, Field, MessageError, MessageTypes, full_type_name
+from skincal.ros.types import HEADER_TYPE, TIME_TYPES, XELA_PACKAGES, Field, MessageError, MessageTypes, full_type_name
 
 MAX_DEPTH = 12
 """Nested messages in a field path; a type that contains itself has no end."""
@@ -53,7 +53,7 @@ _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
     JOINT_STATE: ((Stream.JOINTS,), "position"),
     "sensor_msgs/msg/ChannelFloat32": ((Stream.SKIN,), "values"),
     "tactile_msgs/msg/TactileState": ((Stream.SKIN,), "sensors.values"),
-    "xela_server_ros2/msg/SensStream": ((Stream.SKIN,), _XELA_RAW),
+    **{f"{package}/msg/SensStream": ((Stream.SKIN,), _XELA_RAW) for package in XELA_PACKAGES},
     **{
         f"std_msgs/msg/{kind}MultiArray": (_ANY_STREAM, "data")
         for kind in ("Float32", "Float64", "Byte", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))

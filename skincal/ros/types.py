@@ -26,18 +26,21 @@ SECTION_END = "=" * 80
 TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 HEADER_TYPE = "std_msgs/msg/Header"
 _STORE_NAMES: dict[int, str] = {1: "ros1_noetic", 2: "ros2_humble"}
+XELA_PACKAGES = ("xela_server_ros2", "xela_server_ros")
+"""Of ROS 2 and ROS 1."""
+_XELA_DEFINITIONS = {
+    "Forces": "float32 x\nfloat32 y\nfloat32 z\n",
+    "Taxel": "uint16 x\nuint16 y\nuint16 z\n",
+    "SensorFull": "uint32 message\nfloat64 time\nstring model\nuint8 sensor_pos\nTaxel[] taxels\nForces[] forces\n",
+    "SensStream": "SensorFull[] sensors\n",
+}
 _SKIN_DEFINITIONS = {
     "tactile_msgs/msg/TactileState": "std_msgs/Header header\nsensor_msgs/ChannelFloat32[] sensors\n",
-    "xela_server_ros2/msg/Forces": "float32 x\nfloat32 y\nfloat32 z\n",
-    "xela_server_ros2/msg/Taxel": "uint16 x\nuint16 y\nuint16 z\n",
-    "xela_server_ros2/msg/SensorFull": (
-        "uint32 message\nfloat64 time\nstring model\nuint8 sensor_pos\nTaxel[] taxels\nForces[] forces\n"
-    ),
-    "xela_server_ros2/msg/SensStream": "SensorFull[] sensors\n",
+    **{f"{package}/msg/{name}": text for package in XELA_PACKAGES for name, text in _XELA_DEFINITIONS.items()},
 }
 _NAME_RE = re.compile(r"[A-Za-z]\w*/(?:msg/)?[A-Za-z]\w*")
-_PART_RE = re.compile(r"^\s*([A-Za-z]\w*)(?:\[[^\]]*\])?\s+[a-z]\w*", re.MULTILINE)
-"""A field of a type without a package. Base types match, too; no file has their names."""
+_PART_RE = re.compile(r"^\s*(?:([A-Za-z]\w*)/(?:msg/)?)?([A-Za-z]\w*)(?:\[[^\]]*\])?\s+[a-z]\w*", re.MULTILINE)
+"""A field: package, or `None`, and type. Base types match, too; no file has their names."""
 
 
 class MessageError(ValueError):
@@ -66,20 +69,26 @@ def full_type_name(name: str) -> str:
 
 
 def read_definition(path: Path, type_name: str) -> str:
-    """Read the definition of a type from its `.msg` file, with those of its parts next to it, as a bag carries it.
+    """Read the definition of a type from its `.msg` file, with those of its parts, as a bag carries it.
+
+    Parts of the same package are next to it; those of another one are in `../../PACKAGE/msg`.
 
     Raises InputError: a file cannot be read.
     """
-    package = full_type_name(type_name).split("/")[0]
-    texts, waiting = dict[str, str](), [path]
+    path = path.absolute()
+    own = (full_type_name(type_name).split("/")[0], path.stem)
+    texts, waiting = dict[tuple[str, str], str](), {own: path}
     while waiting:
-        file = waiting.pop()
+        key, file = waiting.popitem()
         data = read_regular(file, MAX_DEFINITION_BYTES, advice="expected the .msg file of the type")
-        texts[file.stem] = text = data.decode(errors="replace")
-        parts = {found[1] for found in _PART_RE.finditer(text)} - texts.keys()
-        waiting += [near for part in sorted(parts) if (near := file.with_name(f"{part}.msg")).is_file()]
-    own = texts.pop(path.stem)
-    return "\n".join([own, *(f"{SECTION_END}\nMSG: {package}/{part}\n{text}" for part, text in texts.items())])
+        texts[key] = text = data.decode(errors="replace")
+        for found in _PART_RE.finditer(text):
+            part = (found[1] or key[0], found[2])
+            folder = file.parent if part[0] == key[0] else file.parent.parent.parent / part[0] / "msg"
+            if part not in texts and (near := folder / f"{part[1]}.msg").is_file():
+                waiting[part] = near
+    first = texts.pop(own)
+    return "\n".join([first, *(f"{SECTION_END}\nMSG: {'/'.join(key)}\n{text}" for key, text in sorted(texts.items()))])
 
 
 class MessageTypes:

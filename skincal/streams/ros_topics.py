@@ -6,6 +6,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
 from skincal.model.readings import Stream
@@ -37,6 +39,10 @@ class FoundTopic:
     """Messages per second while it was listed."""
     values: FloatArray | None
     """(n,) float, newest values: N and N m, raw values of a skin, or degrees. `None` before the first message."""
+    is_dedicated: bool = False
+    """Its type is made for the stream; other types only have numbers."""
+    has_changed: bool = False
+    """Its messages were not all equal."""
 
     @property
     def address(self) -> str:
@@ -58,38 +64,48 @@ class _Listened:
     type_name: str
     reader: TopicReader | None
     count: int = 0
+    first: bytes = b""
     newest: bytes = b""
     times_ns: list[int] = field(default_factory=list[int])
     """Publisher's clock at the first and the newest message."""
 
 
-def list_ros_topics() -> list[FoundTopic]:
+def list_ros_topics() -> tuple[list[FoundTopic], int]:
     """Listen to the domain of `ROS_DOMAIN_ID` for `LISTEN_S` and list the topics that can be read, by name.
+
+    Returns the topics, and the number of those beyond `MAX_TOPICS` that were left out.
 
     Raises InputError: DDS is not installed or refuses.
     """
     participant = Participant(default_domain())
     types = participant.types
     heard: dict[str, _Listened] = {}
+    left_out = set[str]()
     try:
         end_s = time.monotonic() + LISTEN_S
         while time.monotonic() < end_s:
-            for topic, name in participant.publishers():
-                if topic not in heard and name and len(heard) < MAX_TOPICS and _can_be_read(types, name):
+            new = [each for each in participant.publishers() if each[0] not in heard and _can_be_read(types, each[1])]
+            for topic, name in sorted(new, key=lambda each: len(streams_of(types, each[1])) or len(Stream) + 1):
+                if sum(each.reader is not None for each in heard.values()) < MAX_TOPICS:
                     heard[topic] = _Listened(name, _open_reader(participant, topic, name))
+                else:
+                    left_out.add(topic)
             time.sleep(POLL_S)
             for each in heard.values():
                 for message in [] if each.reader is None else each.reader.take_messages():
-                    each.count, each.newest = each.count + 1, message.data
+                    each.count, each.first, each.newest = each.count + 1, each.first or message.data, message.data
                     each.times_ns = [*each.times_ns[:1], message.source_ns]
     finally:
         participant.close()
-    return [_describe(types, topic, each) for topic, each in sorted(heard.items())]
+    return [_describe(types, topic, each) for topic, each in sorted(heard.items())], len(left_out)
 
 
 def _can_be_read(types: MessageTypes, type_name: str) -> bool:
-    """Leave out types that ROS defines and that no sensor or skin is published as."""
-    return bool(streams_of(types, type_name)) or not types.is_standard(type_name)
+    """Leave out types that ROS defines and that no sensor or skin is published as, and names that ROS does not allow."""
+    try:
+        return bool(streams_of(types, type_name)) or not types.is_standard(type_name)
+    except InputError:
+        return False
 
 
 def _open_reader(participant: Participant, topic: str, type_name: str) -> TopicReader | None:
@@ -101,31 +117,41 @@ def _open_reader(participant: Participant, topic: str, type_name: str) -> TopicR
 
 def _describe(types: MessageTypes, topic: str, heard: _Listened) -> FoundTopic:
     streams = streams_of(types, heard.type_name)
-    values = None
+    values, has_changed = None, False
     if heard.newest and streams:
         try:
             # As a skin: the values of any type without a meaning.
             reader = MessageReader(types, heard.type_name, streams[0] if len(streams) == 1 else Stream.SKIN)
+            first = reader.values_of(types.decode(heard.first, heard.type_name))
+            first = None if first is None else first.copy()
             values = reader.values_of(types.decode(heard.newest, heard.type_name))
+            has_changed = first is not None and values is not None and not np.array_equal(first, values, equal_nan=True)
         except (MessageError, InputError):
             streams = ()
     stream = streams[0] if streams else None
     if len(streams) > 1 and values is not None and len(values) == WRENCH_VALUES:
         stream = Stream.WRENCH
     passed_s = (heard.times_ns[-1] - heard.times_ns[0]) * 1e-9 if len(heard.times_ns) > 1 else 0.0
-    return FoundTopic(topic, heard.type_name, stream, (heard.count - 1) / passed_s if passed_s > 0 else 0.0, values)
+    rate = (heard.count - 1) / passed_s if passed_s > 0 else 0.0
+    return FoundTopic(topic, heard.type_name, stream, rate, values, len(streams) == 1, has_changed)
 
 
 def propose_topics(found: Sequence[FoundTopic]) -> dict[Stream, FoundTopic]:
-    """Choose a topic for each stream: of those that send, the widest skin, and the fastest wrench and joints."""
+    """Choose a topic for each stream of those that send: the widest skin, and the fastest wrench and joints.
+
+    A type that is made for the stream comes first, then a topic whose values change.
+    """
     proposed: dict[Stream, FoundTopic] = {}
     for stream in Stream:
         sending = [(each, each.values) for each in found if each.stream is stream and each.values is not None]
         if sending:
-            by_width = stream is Stream.SKIN
-            best = max(sending, key=lambda pair: (len(pair[1]) if by_width else 0, pair[0].rate, pair[0].topic))
-            proposed[stream] = best[0]
+            proposed[stream] = max(sending, key=lambda pair: _rank(stream, *pair))[0]
     return proposed
+
+
+def _rank(stream: Stream, found: FoundTopic, values: FloatArray) -> tuple[bool, bool, int, float, str]:
+    width = len(values) if stream is Stream.SKIN else 0
+    return found.is_dedicated, found.has_changed, width, found.rate, found.topic
 
 
 def read_robot_description(address: str) -> bytes:

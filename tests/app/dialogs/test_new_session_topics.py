@@ -1,5 +1,7 @@
 """Topics of a running ROS 2 robot in the dialog for a new session: found, proposed, previewed."""
 
+import sys
+
 import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
@@ -8,6 +10,7 @@ from app.dialogs.new_session import NewSessionDialog
 from app.session.previews import list_topics
 from skincal.model.readings import SENSOR_STREAMS, LinkAnswer, Stream
 from skincal.model.scene import resource
+from skincal.ros import dds
 from tests.skincal.ros.dds_peer import DOMAIN, process
 
 WAIT_MS = 60_000
@@ -36,3 +39,17 @@ def test_topics_of_a_robot_are_proposed_and_previewed_with_one_click(qtbot, tmp_
         qtbot.waitUntil(are_good, timeout=WAIT_MS)
         assert [rows[stream].address for stream in SENSOR_STREAMS] == ["ros2:/ft", "ros2:/taxels", "ros2:/joint_states"]
         dialog.reject()
+
+
+def test_a_missing_package_is_said_where_the_proposal_stands(qtbot, tmp_path, monkeypatch):
+    monkeypatch.setattr("app.dialogs.new_session.list_topics", list_topics)
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    dds._module.cache_clear()
+    dialog = NewSessionDialog(resource("scenes/flat-patch/scene.toml"), tmp_path / "new")
+    qtbot.addWidget(dialog)
+    with qtbot.waitExposed(dialog):
+        dialog.open()
+    qtbot.waitUntil(dialog.topics_note.isVisible, timeout=WAIT_MS)
+    assert "pip install 'skincal[ros2]'" in dialog.topics_note.text()
+    assert not dialog.proposal.isVisible()
+    dialog.reject()

@@ -11,11 +11,11 @@ import pytest
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 from skincal.model.errors import InputError
-from skincal.robot.ros_targets import RosTargets, parse_ros_targets, quaternion_of
+from skincal.robot.ros_targets import STRING, RosTargets, parse_ros_targets, quaternion_of
 from skincal.robot.target_lines import Answer, AnswerKind, Held, Judged, NoTarget, PokeTarget
-from skincal.robot.target_server import RobotChange, TargetServer
+from skincal.robot.target_server import LINES_PER_S_MAX, RobotChange, TargetServer
 from skincal.robot.targets import check_targets, open_targets
-from skincal.ros.dds import Participant
+from skincal.ros.dds import Message, Participant
 from skincal.taxels.result import State
 from tests.skincal.meanwhile import PATIENCE_S
 from tests.skincal.ros.dds_peer import DOMAIN, Peer, PoseStamped, String
@@ -75,6 +75,29 @@ def test_a_robot_reads_targets_and_verdicts_also_later_and_answers():
         assert until([], targets.take, 1) == ["An answer on /skincal/reached is not used: it answers 9"]
         peer.drop("/skincal/reached")
         assert RobotChange.LEFT in until([], targets.take, 2)
+    last = [json.loads(each.data) for each in until([], lambda: words.take(10), 3)]
+    assert last[1:] == [{"state": "wait"}, {"state": "stop"}]
+
+
+def test_a_flood_and_refused_writes_are_one_sentence_each(monkeypatch):
+    with closing(RosTargets(DOMAIN)) as targets:
+        flood = [Message(k * 10**6, targets._types.encode(String(f"reached {k}"), STRING)) for k in range(300)]
+        monkeypatch.setattr(targets._answers, "take_messages", lambda: flood)
+        found = targets.take()
+        assert sum(isinstance(each, Answer) for each in found) == LINES_PER_S_MAX
+        assert [each for each in found if isinstance(each, str)] == [
+            "The robot sends more than 50 lines in a second; those beyond are not used."
+        ]
+        monkeypatch.setattr(targets._answers, "take_messages", list)
+        for writer in (targets._target, targets._verdict, targets._taxels):
+            monkeypatch.setattr(writer, "_write", lambda *_: -10)
+        targets.send([TARGET, TARGET, NoTarget.WAIT])
+        targets.show_taxels("forearm", [SimpleNamespace(state=State.UNSEEN, position=None)])
+        (sentence, *_) = found = targets.take()
+        assert sentence.startswith("DDS does not write a geometry_msgs/msg/PoseStamped")
+        targets.send([TARGET, NoTarget.WAIT])
+        assert len(found) == 3
+        assert targets.take() == []
 
 
 def test_positions_of_taxels_are_latched_markers():
@@ -91,8 +114,12 @@ def test_positions_of_taxels_are_latched_markers():
         found = until([], reader.take_messages, 1)
         assert len(found) == 1
         (marker,) = viewer.types.decode(found[0].data, "visualization_msgs/msg/MarkerArray").markers
+        targets.show_taxels("forearm", estimates[1:2])
+        (last,) = until([], reader.take_messages, 1)
+        (none,) = viewer.types.decode(last.data, "visualization_msgs/msg/MarkerArray").markers
     assert (marker.header.frame_id, marker.type, marker.action, marker.scale.x) == ("forearm", 7, 0, 0.004)
     assert [(each.x, each.y, each.z) for each in marker.points] == [tuple(PLACE), tuple(-PLACE)]
+    assert none.action == 3
 
 
 @pytest.mark.parametrize("push", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -0.6, -0.8)])

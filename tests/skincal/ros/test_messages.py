@@ -52,6 +52,7 @@ CASES = (
     ("tactile_msgs/msg/TactileState", "sensors[1].values", {"header": HEADER, "sensors": SENSORS}, Stream.SKIN, [0.25]),
     ("xela_server_ros2/msg/SensStream", "", xela([[], []]), Stream.SKIN, [3, 6, 9]),
     ("xela_server_ros2/msg/SensStream", "", xela([[vector((1, 2, 0.5))], [vector((1, 2, 0.75))]]), Stream.SKIN, [0.5, 0.75]),
+    ("xela_server_ros/msg/SensStream", "", xela([[], []]), Stream.SKIN, [3, 6, 9]),
     ("xela_server_ros2/msg/SensStream", "sensors.taxels", xela([[], []]), Stream.SKIN, [1, 2, 3, 4, 5, 6, 7, 8, 9]),
     (LAB_TYPE, "", LAB, Stream.SKIN, [3.0, 4.5]),
     (LAB_TYPE, "cells.raw", LAB, Stream.SKIN, [7, 200, 7, 200]),
@@ -162,6 +163,18 @@ def test_own_types_without_an_array_give_all_numbers():
     assert find_field(types, "a/P") == ""
     reader = MessageReader(types, "a/P", Stream.SKIN)
     assert reader.values_of({"left": 1.5, "q": {"right": -3}}).tolist() == [1.5, -3]
+
+
+@pytest.mark.parametrize("part", ["Taxel", "lab_msgs/Taxel", "lab_msgs/msg/Taxel", "other_pkg/Taxel", "other_pkg/msg/Taxel"])
+def test_definitions_of_parts_are_found_by_their_package(tmp_path, part):
+    for package in ("lab_msgs", "other_pkg"):
+        (tmp_path / package / "msg").mkdir(parents=True)
+    (tmp_path / "lab_msgs/msg/Skin.msg").write_text(f"{part}[] taxels\n")
+    (tmp_path / ("other_pkg" if "other" in part else "lab_msgs") / "msg/Taxel.msg").write_text("Cell cell\n")
+    (tmp_path / ("other_pkg" if "other" in part else "lab_msgs") / "msg/Cell.msg").write_text("float32[] raw\n")
+    types = MessageTypes()
+    types.add_file(tmp_path / "lab_msgs/msg/Skin.msg", "lab_msgs/Skin")
+    assert find_field(types, "lab_msgs/Skin") == "taxels.cell.raw"
 
 
 @pytest.mark.parametrize("type_name", ["sensor_msgs/msg/Image", "std_msgs/msg/String", "nobody/msg/Knows"])

@@ -12,6 +12,8 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
+from cyclonedds.idl import make_idl_struct
+
 from skincal.cli import devices, main
 from skincal.devices import ros2
 from skincal.devices.link import FailureKind, LinkError
@@ -19,6 +21,7 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.ros import dds
+from skincal.streams import ros_topics
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
 from skincal.streams.ros_topics import read_robot_description
@@ -268,17 +271,53 @@ def test_topics_are_listed_with_rate_and_values_and_proposed(monkeypatch, capsys
     monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
     wanted = {"wrench": "ros2:/ft/wrench", "skin": "ros2:/skin/all", "joints": "ros2:/joint_states"}
     topics = [("/ft/wrench", wrench), ("/skin/all", partial(skin, channels=48)), ("/skin/few", skin), ("/joint_states", joints)]
-    others = [("/robot_description", lambda _: String("<robot/>")), ("/cells", cells)]
+    # Names that ROS does not allow, and a wide array that stands still.
+    odd = make_idl_struct("T_", "my-pkg::msg::dds_::T_", {"data": str})
+    others = [
+        ("/robot_description", lambda _: String("<robot/>")),
+        ("/cells", cells),
+        ("/odd", lambda _: odd("x")),
+        ("/still", lambda _: skin(1, 90)),
+    ]
     with publishing(*topics, *others, hz=50):
         main(["devices", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert found["proposed"] == wanted
     words = {each["address"]: each["what"] for each in found["devices"]}
-    assert set(words) == {*wanted.values(), "ros2:/skin/few", "ros2:/cells"}
+    assert set(words) == {*wanted.values(), "ros2:/skin/few", "ros2:/cells", "ros2:/still"}
     assert words["ros2:/cells"] == "lab_msgs/Cells, its definition is needed: ?msg=FILE"
     kind, rate, values, *_ = words["ros2:/ft/wrench"].split(", ")
     assert (kind, values.split(":")[0]) == ("geometry_msgs/WrenchStamped", "6 values")
     assert 5.0 < float(rate.removesuffix("/s")) < 60.0
+
+
+def test_topics_beyond_the_limit_are_counted_and_known_types_come_first(monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.setattr(devices, "_ports", list)
+    monkeypatch.setattr(devices, "_yarp_ports", lambda: ([], ""))
+    monkeypatch.setattr(ros_topics, "MAX_TOPICS", 1)
+    with publishing(("/a", cells), ("/b", wrench), ("/c", wrench), hz=50):
+        main(["devices"])
+    said = capsys.readouterr()
+    assert "more that are not listed" in said.err
+    assert sum("/s, 6 values" in line for line in said.out.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("stream", "topics", "best"),
+    [
+        (Stream.SKIN, ["/array 96 0 1", "/taxels 24 1 0"], "/taxels"),
+        (Stream.SKIN, ["/map 96 0 0", "/array 24 0 1"], "/array"),
+        (Stream.SKIN, ["/hand 24 0 1", "/arm 96 0 1"], "/arm"),
+        (Stream.WRENCH, ["/six 6 0 1", "/ft 6 1 0"], "/ft"),
+    ],
+)
+def test_made_types_and_changing_values_are_proposed_first(stream, topics, best):
+    found = []
+    for topic, width, is_dedicated, has_changed in map(str.split, topics):
+        values, flags = np.zeros(int(width)), (is_dedicated == "1", has_changed == "1")
+        found.append(ros_topics.FoundTopic(topic, "a/msg/T", stream, 50.0, values, *flags))
+    assert ros_topics.propose_topics(found)[stream].topic == best
 
 
 URDF = """<robot name="r">
