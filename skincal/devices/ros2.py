@@ -6,8 +6,8 @@ their order: the publisher's clock and this machine's time of day at the arrival
 message as it came (CDR). Kind 255 counts lost messages.
 
 A reading is dated by the stamp in its header, or by the clock of its publisher (`TopicClock`). Several topics are joined to
-one skin, their values one after the other: a frame is complete when each topic has sent a new message, and has the stamp of the
-last one. Messages that a newer one replaced before the frame was complete are counted as missing.
+one skin, their values one after the other: a frame has a message of each topic, whose stamps agree, and the stamp of the first
+topic (`SkinPatches`). Messages that find no partners are counted as missing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSpl
 from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
-from skincal.ros.dds import message_types
+from skincal.ros.dds import message_types, read_domain
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
@@ -34,8 +34,9 @@ HEAD_KIND, LOSS_KIND = 0, 255
 TOPICS_MAX = 100
 TIMES_STRUCT = struct.Struct("<2q")
 LOSSES_STRUCT = struct.Struct("<2I")
-PACE_TIME_S, PACE_ERROR_MAX = 4.0, 0.1
-"""Stamps are compared with the publisher's clock over this time. A delay of 0.3 s passes."""
+PACE_TIME_S, PACE_ERROR_MAX = 4.0, 0.015
+"""s, and relative error. Stamps are compared with the publisher's clock over this time. The error is below the difference of
+speeds that `ConvexHullClock` follows (`MAX_CLOCK_RATE_DIFFERENCE`)."""
 CLOCK_DIFFERENCE = "stamps ahead of this machine's clock, ms"
 
 
@@ -65,11 +66,13 @@ class TopicClock:
     """Clock of one topic: the stamps in its messages, or that of its publisher once they are of no use.
 
     Stamps are of no use if they are missing, stand still, or do not keep pace with the publisher's clock, as in a simulation
-    that runs slower than real time.
+    that runs slower than real time. Their pace is that of the least delay between stamp and publishing, so that a message that
+    was published late does not matter.
     """
 
     def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
+        self._begin_s = math.nan
+        self._least_delay_s, self._delay_before_s = math.inf, math.nan
         self._last = math.nan
         self._has_stamps = True
 
@@ -81,13 +84,19 @@ class TopicClock:
         return stamp if stamp is not None and self._has_stamps else source_s
 
     def _keeps_pace(self, stamp: float, source_s: float) -> bool:
-        first = self._first = self._first or (stamp, source_s)
-        passed_s = source_s - first[1]
-        # NaN fails the comparison: without a publisher's clock there is nothing to compare with.
-        if not passed_s > PACE_TIME_S:
+        if math.isnan(source_s):
             return True
-        self._first = stamp, source_s
-        return abs(stamp - first[0] - passed_s) < PACE_ERROR_MAX * passed_s
+        if math.isnan(self._begin_s):
+            self._begin_s = source_s
+        passed_s = source_s - self._begin_s
+        if passed_s < PACE_TIME_S:
+            self._least_delay_s = min(self._least_delay_s, source_s - stamp)
+            return True
+        change_s = self._least_delay_s - self._delay_before_s
+        self._begin_s, self._delay_before_s = source_s, self._least_delay_s
+        self._least_delay_s = source_s - stamp
+        # NaN, after the first time, is no error.
+        return not abs(change_s) > PACE_ERROR_MAX * passed_s
 
 
 class TopicDecoder(FrameDecoder):
@@ -159,6 +168,8 @@ class TopicDecoder(FrameDecoder):
         reader = self._readers[topic]
         try:
             values = reader.values_of(message)
+            if values is not None and not len(values):
+                raise MessageError("it has no values")
         except MessageError as error:
             self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
@@ -171,16 +182,15 @@ class TopicDecoder(FrameDecoder):
         if values is None:
             self._status = reader.missing_joints
             return None
-        self._status = self._type_problem
-        before = self._patches.superseded[topic]
-        frame = self._patches.add(topic, values)
-        if self._patches.superseded[topic] > before:
-            self._count_missing(1)
-            self._status = (
-                self._type_problem
-                or f"The skin waits for {', '.join(self._patches.waiting_for)}; the slowest topic sets its rate"
-            )
-        return None if frame is None else self._add(self._stream, NO_SEQ, stamp, frame)
+        self._status = self._type_problem or reader.silent_joints
+        if len(self._patches.topics) == 1:
+            return self._add(self._stream, NO_SEQ, stamp, values)
+        before = sum(self._patches.superseded)
+        frame = self._patches.add(topic, values, stamp)
+        if unpaired := sum(self._patches.superseded) - before:
+            self._count_missing(unpaired)
+            self._status = self._type_problem or self._patches.problem
+        return None if frame is None else self._add(self._stream, NO_SEQ, self._patches.stamp_s, frame)
 
 
 class Ros2Decoder(TopicDecoder):
@@ -230,8 +240,11 @@ def has_topics(address: DeviceAddress) -> bool:
 
 
 def _has_domain(address: DeviceAddress) -> bool:
-    number = address.options.get("domain", "0")
-    return has_topics(address) and number.isascii() and number.isdigit() and len(number) < 4 and int(number) <= 232
+    try:
+        read_domain(address.options.get("domain", "0"), "domain")
+    except InputError:
+        return False
+    return has_topics(address)
 
 
 _VECTOR_CDR = bytes.fromhex(
@@ -252,6 +265,7 @@ FAMILY = Family(
             format="ros2",
             options=("domain", *TOPIC_OPTIONS),
             check=_has_domain,
+            needs_every_byte=True,
         ),
     ),
     decoders={"ros2": Ros2Decoder},

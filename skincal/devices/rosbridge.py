@@ -165,6 +165,7 @@ FAMILY = Family(
             options=("type", *TOPIC_OPTIONS),
             message_max=MESSAGE_MAX_BYTES,
             check=has_topics,
+            needs_every_byte=True,
             prepare=_with_handshake,
         ),
     ),

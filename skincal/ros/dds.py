@@ -107,6 +107,7 @@ class _StructBuilder:
 
     def __init__(self, types: MessageTypes) -> None:
         self._types, self._made = types, dict[str, Any]()
+        self._begun: set[str] = set()
         names = _module("idl.types")
         numbers = ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
         bytes_ = dict.fromkeys(("char", "byte", "octet"), names.uint8)
@@ -114,19 +115,26 @@ class _StructBuilder:
 
     def struct(self, type_name: str) -> Any:
         """Make the type of a message. Raises MessageError: DDS cannot carry it, or it has no definition."""
+        if type_name in self._begun:
+            raise MessageError(f"the type {type_name} contains itself, which DDS cannot carry; correct its .msg file")
         if type_name not in self._made:
-            names, fields = _module("idl.types"), dict[str, Any]()
-            for field in self._types.fields_of(type_name):
-                if field.kind != "message" and field.type_name not in self._base:
-                    raise MessageError(f"the type {type_name} has a {field.type_name} ({field.name}), which is not read here")
-                kind = self.struct(field.type_name) if field.kind == "message" else self._base[field.type_name]
-                if field.is_array:
-                    kind = names.array[kind, field.length] if field.length else names.sequence[kind]
-                fields[field.name] = kind
-            self._made[type_name] = _module("idl").make_idl_struct(
-                f"{type_name.split('/')[-1]}_", dds_type_name(type_name), fields
-            )
+            self._begun.add(type_name)
+            try:
+                self._made[type_name] = self._make(type_name)
+            finally:
+                self._begun.discard(type_name)
         return self._made[type_name]
+
+    def _make(self, type_name: str) -> Any:
+        names, fields = _module("idl.types"), dict[str, Any]()
+        for field in self._types.fields_of(type_name):
+            if field.kind != "message" and field.type_name not in self._base:
+                raise MessageError(f"the type {type_name} has a {field.type_name} ({field.name}), which is not read here")
+            kind = self.struct(field.type_name) if field.kind == "message" else self._base[field.type_name]
+            if field.is_array:
+                kind = names.array[kind, field.length] if field.length else names.sequence[kind]
+            fields[field.name] = kind
+        return _module("idl").make_idl_struct(f"{type_name.split('/')[-1]}_", dds_type_name(type_name), fields)
 
 
 @contextlib.contextmanager

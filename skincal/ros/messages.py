@@ -45,6 +45,8 @@ LAYOUT_TYPE = "std_msgs/msg/MultiArrayLayout"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SHOWN_NAMES = 8
 """Names that a sentence lists."""
+JOINT_SILENT_MAX_S = 1.0
+"""s by the stamps, after which a joint that other messages do not have is reported."""
 _XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
 _ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS)
 _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
@@ -132,7 +134,8 @@ class MessageReader:
         self.joints = tuple(joints)
         """Names of the joints, in the order of the values; empty before the first `JointState`, and for other types."""
         self.seen_joints: dict[str, float] = {}
-        """Last position of each joint that came, rad."""
+        """Last position of each wanted joint that came, rad, and of a few others."""
+        self._joint_stamps: dict[str, float] = {}
         self.by_name = self.type_name == JOINT_STATE and stream is Stream.JOINTS and field in ("", "position")
         """Joints are found by their names."""
         try:
@@ -155,7 +158,7 @@ class MessageReader:
                 seconds = float(parts.get("sec", parts.get("secs", 0))) + 1e-9 * parts.get("nanosec", parts.get("nsecs", 0))
             else:
                 seconds = stamp.sec + 1e-9 * stamp.nanosec
-        except (AttributeError, MessageError, TypeError, ValueError):
+        except (AttributeError, MessageError, TypeError, ValueError, LookupError, OverflowError):
             return None
         return seconds if seconds > 0 and math.isfinite(seconds) else None
 
@@ -175,6 +178,14 @@ class MessageReader:
 
         Raises MessageError: the message has not the fields of its type.
         """
+        try:
+            return self._values_of(message)
+        except MessageError:
+            raise
+        except (AttributeError, TypeError, ValueError, LookupError, OverflowError):
+            raise MessageError("a field is of another kind than in the definition of its type") from None
+
+    def _values_of(self, message: Any) -> FloatArray | None:
         if self.by_name:
             angles = self._angles(message)
             return None if angles is None else np.degrees(angles)
@@ -202,7 +213,7 @@ class MessageReader:
         """
         if self.by_name:
             columns = dict(zip(names, range(len(names)), strict=True))
-            self.seen_joints.update(zip(names, numbers[-1].tolist(), strict=True))
+            self._keep_joints(names, numbers[-1].tolist())
             rows = np.empty((len(numbers), len(self.joints)))
             for joint, name in enumerate(self.joints):
                 rows[:, joint] = numbers[:, columns[name]] if name in columns else self.seen_joints[name] if name else 0.0
@@ -218,16 +229,34 @@ class MessageReader:
         seen = ", ".join(list(self.seen_joints)[:SHOWN_NAMES]) or "none"
         return f"No position of {', '.join(missing)} came; the messages have {seen}. Check the joint names of the scene."
 
+    @property
+    def silent_joints(self) -> str:
+        """Sentence on the wanted joints whose last position is over a second older than the newest; empty if none is."""
+        newest_s = max(self._joint_stamps.values(), default=0.0)
+        silent = [name for name, stamp in self._joint_stamps.items() if newest_s - stamp > JOINT_SILENT_MAX_S]
+        return (
+            f"No position of {', '.join(silent)} comes any more; the last one is used. Check its publisher." if silent else ""
+        )
+
+    def _keep_joints(self, names: Sequence[str], positions: Sequence[float]) -> None:
+        for name, position in zip(names, positions, strict=True):
+            if name in self.joints or name in self.seen_joints or len(self.seen_joints) < SHOWN_NAMES:
+                self.seen_joints[name] = position
+
     def _angles(self, message: Any) -> FloatArray | None:
         """Return the wanted positions, rad. Several nodes may publish parts of a robot: each joint's last position counts."""
-        names, positions = list(_member(message, "name")), _numbers(_member(message, "position"))
+        found, positions = list(_member(message, "name")), _numbers(_member(message, "position"))
+        names = [name for name in found if isinstance(name, str)]
         if len(names) != len(positions):
             if not len(positions):
                 return None  # velocities alone
             raise MessageError(f"a joint state has {len(names)} names and {len(positions)} positions")
         self.joints = self.joints or tuple(names)
-        self.seen_joints.update(zip(names, positions.tolist(), strict=True))
+        self._keep_joints(names, positions.tolist())
         wanted = [name for name in self.joints if name]
+        stamp = self.stamp_of(message)
+        if stamp is not None:
+            self._joint_stamps.update((name, stamp) for name in wanted if name in names)
         if not any(name in names for name in wanted) or any(name not in self.seen_joints for name in wanted):
             return None
         return np.array([self.seen_joints[name] if name else 0.0 for name in self.joints])

@@ -73,7 +73,7 @@ class HandshakeLink:
 
     def __init__(self, address: str, transport: Link, handshake: Handshake, first_bytes: bytes = b"") -> None:
         self._address, self._transport, self._handshake = address, transport, handshake
-        self._early = first_bytes
+        self._early, self._is_open = first_bytes, False
         self._last_data_s = time.monotonic()
         try:
             opening = handshake.opening()
@@ -88,6 +88,7 @@ class HandshakeLink:
         except BaseException:
             transport.close()
             raise
+        self._is_open = True
 
     def _receive(self, timeout_s: float) -> bytes:
         data = self._transport.read(max(timeout_s, 0.0))
@@ -95,8 +96,9 @@ class HandshakeLink:
             try:
                 answer = self._handshake.on_data(data)
             except HandshakeError as error:
-                sentence = f"{self._address}: {error}. It is read no further."
-                raise LinkError(FailureKind.PROTOCOL_ERROR, sentence) from error
+                # While it is being opened, it is tried again.
+                ending = " It is read no further." if self._is_open else ""
+                raise LinkError(FailureKind.PROTOCOL_ERROR, f"{self._address}: {error}.{ending}") from error
             if answer:
                 self._transport.write(answer)
         return data

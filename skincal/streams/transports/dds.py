@@ -7,7 +7,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from skincal.devices.link import FailureKind, LinkError
-from skincal.devices.ros2 import topics_of, write_head, write_losses, write_message
+from skincal.devices.ros2 import MESSAGE_MAX_BYTES, TIMES_STRUCT, topics_of, write_head, write_losses, write_message
 from skincal.model.errors import InputError
 from skincal.ros.dds import DdsError, Message, Participant, TopicReader, default_domain
 from skincal.ros.types import MessageError, read_definition
@@ -61,6 +61,9 @@ class DdsLink:
         self._check_s = time.monotonic()
         self._last_s = [self._check_s] * len(self._readers)
         """When each topic sent last."""
+        self._too_long = 0
+        self._failure: LinkError | None = None
+        """Raised once the messages that came before it are read."""
 
     def _find_types(self, opening: Opening) -> list[str]:
         """Wait for a publisher of each topic and return the types. Raises LinkError."""
@@ -90,6 +93,8 @@ class DdsLink:
         if self._head:
             head, self._head = self._head, b""
             return head
+        if self._failure is not None:
+            raise self._failure
         if self._participant.wait(timeout_s):
             time.sleep(GATHER_S)
         arrival_ns, now_s = time.time_ns(), time.monotonic()
@@ -105,17 +110,24 @@ class DdsLink:
         if now_s - self._check_s >= CHECK_S:
             self._check_s = now_s
             lost, dropped = map(sum, zip(*(reader.take_losses() for reader in self._readers), strict=True))
+            dropped, self._too_long = dropped + self._too_long, 0
             if lost or dropped:
                 packets.append(write_losses(lost, dropped))
-            if not packets:
+            try:
                 self._check_publishers(now_s)
+            except LinkError as failure:
+                self._failure = failure
         return b"".join(packets)
 
     def _take_messages(self, reader: TopicReader) -> list[Message]:
         try:
-            return reader.take_messages()
+            found = reader.take_messages()
         except DdsError as error:
             raise LinkError(FailureKind.VANISHED, f"{self._label}: {error}") from error
+        # A longer packet would make all that follow unreadable.
+        short = [each for each in found if len(each.data) + TIMES_STRUCT.size <= MESSAGE_MAX_BYTES]
+        self._too_long += len(found) - len(short)
+        return short
 
     def _check_publishers(self, now_s: float) -> None:
         """Raise LinkError if a silent topic has no publisher, or a new one of another type."""

@@ -12,7 +12,7 @@ from websockets.uri import parse_uri
 from skincal.devices.decoding import pack
 from skincal.devices.link import FailureKind, Link, LinkError
 from skincal.streams.transports import Opening
-from skincal.streams.transports.tcp import TcpLink
+from skincal.streams.transports.tcp import TcpLink, closed_sentence
 
 HANDSHAKE_TIMEOUT_S = 0.8
 
@@ -78,10 +78,16 @@ class WebSocketLink:
         if self._protocol.parser_exc is not None:
             why = f"{self._address}: it breaks the websocket protocol ({self._protocol.parser_exc}). It is read no further."
             raise LinkError(FailureKind.PROTOCOL_ERROR, why)
+        self._require_open()
         return self._receive_frames(self._transport.read(timeout_s))
+
+    def _require_open(self) -> None:
+        if self._protocol.state is not State.OPEN:
+            raise LinkError(FailureKind.VANISHED, closed_sentence(self._address))
 
     def write(self, data: bytes) -> None:
         """Send each line as a text message."""
+        self._require_open()
         for line in data.splitlines():
             self._protocol.send_text(line)
         self._send()

@@ -59,6 +59,13 @@ def test_a_vector_gives_its_readings(vector):
     assert decoder.device_message == ""
 
 
+@pytest.mark.parametrize("route", [each for each in ROUTES if each.format in FIRST], ids=lambda route: route.usage)
+def test_a_link_that_is_unreadable_without_its_first_bytes_is_opened_again_after_a_gap(route):
+    vector = FIRST[route.format]
+    rows, _ = decode(vector, vector.repeat * 5)
+    assert rows or not vector.repeat or route.needs_every_byte
+
+
 def stream_of(vector, repeats=5):
     return vector.data + vector.repeat * repeats
 

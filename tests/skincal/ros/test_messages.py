@@ -125,6 +125,12 @@ def test_joints_are_found_by_name_also_in_parts_of_the_robot(types):
     np.testing.assert_allclose(reader.values_of(part), np.degrees([-1.0, 0.5, 0.25]))
     assert reader.missing_joints == ""
     assert reader.values_of(JOINTS | {"position": []}) is None
+    assert reader.silent_joints == ""
+    later = {"header": {"stamp": {"sec": STAMP["sec"] + 2, "nanosec": 0}}, "name": ["c", "a"], "position": [0.0, 0.0]}
+    reader.values_of(later)
+    assert reader.silent_joints.startswith("No position of b comes any more")
+    reader.values_of(later | {"name": [f"other{n}" for n in range(1000)], "position": [0.0] * 1000})
+    assert len(reader.seen_joints) < 20
     with pytest.raises(MessageError, match="3 names and 1 positions"):
         reader.values_of(JOINTS | {"position": [1.0]})
 
@@ -147,6 +153,26 @@ def test_json_of_a_bridge_has_bytes_in_base64_and_null_for_nan(types):
     assert reader.values_of({"data": "AP8="}).tolist() == [0, 255]
     reader = MessageReader(types, "std_msgs/Float32MultiArray", Stream.SKIN)
     assert math.isnan(reader.values_of({"data": [1.0, None]})[1])
+    wrench, tactile, joints = (
+        MessageReader(types, name, stream, field)
+        for name, stream, field in (
+            ("geometry_msgs/WrenchStamped", Stream.WRENCH, ""),
+            ("tactile_msgs/TactileState", Stream.SKIN, "sensors[0].values"),
+            (JOINT_STATE, Stream.JOINTS, ""),
+        )
+    )
+    whole = MessageReader(types, "tactile_msgs/TactileState", Stream.SKIN)
+    hostile = (
+        *((joints, {"position": [1.0], "name": name}) for name in (5, None, [[1]], [None])),
+        *((each, {"sensors": sensors}) for each in (tactile, whole) for sensors in (None, 5, {"a": 1}, [5])),
+        (tactile, {"sensors": {}}),
+        (wrench, {"wrench": 7}),
+    )
+    for each, message in hostile:
+        with pytest.raises(MessageError):
+            each.values_of(message)
+    for stamp in (5, {"sec": 10**400}, {"sec": 1, "nanosec": 10**400}, {"sec": None}, {"sec": {}}, [], {"nanosec": "5"}):
+        assert wrench.stamp_of({"header": {"stamp": stamp}}) is None
     for damaged in ({}, {"data": "AP8"}, {"data": [[1.0]]}, {"data": {"a": 1}}, {"data": ["x"]}, [], None):
         with pytest.raises(MessageError):
             reader.values_of(damaged)
@@ -250,6 +276,48 @@ def test_patches_make_frames_in_the_order_of_their_topics():
     assert patches.add(0, np.array([1.0, 2.0])).tolist() == [1, 2, 4]
     assert patches.superseded == [0, 1]
     assert patches.add(0, np.array([9.0, 9.0])) is None
+
+
+def joined(arrivals):
+    """Frames of (patch, stamp), with the stamp as value; and the patches."""
+    patches = SkinPatches(["/a", "/b"])
+    frames = [patches.add(patch, np.array([stamp]), stamp) for patch, stamp in arrivals]
+    return [each.tolist() for each in frames if each is not None], patches
+
+
+@pytest.mark.parametrize(
+    ("lost", "late_s", "ahead_s"),
+    [
+        (set(), 0.1, 0.0),
+        ({(0, 5)}, 0.1, 0.0),
+        ({(1, 5)}, 0.1, 0.0),
+        ({(0, 5), (1, 8), (1, 9)}, 0.4, 0.0),
+        ({(0, 5)}, 0.1, -3.3),
+    ],
+)
+def test_a_lost_message_shifts_no_patch(lost, late_s, ahead_s):
+    arrivals = [(patch, n + patch * late_s) for n in range(40) for patch in (0, 1) if (patch, n) not in lost]
+    # Messages of one patch come in groups: no order of arrival may matter.
+    arrivals.sort(key=lambda each: each[1] + each[0] * ahead_s)
+    frames, patches = joined(arrivals)
+    complete = [n for n in range(40) if not {(0, n), (1, n)} & lost]
+    # Before the period is known, messages are joined as they come.
+    assert [each for each in frames if each[0] > 4] == [[n, n + late_s] for n in complete if n > 4]
+    assert patches.stamp_s == frames[-1][0]
+    assert len(frames) * 2 + sum(patches.superseded) + sum(map(len, patches._waiting)) == len(arrivals)
+
+
+def test_the_slowest_patch_sets_the_rate_and_takes_the_nearest_of_the_others():
+    arrivals = sorted([(0, n / 4) for n in range(80)] + [(1, n + 0.55) for n in range(20)], key=lambda each: each[1])
+    frames, _ = joined(arrivals)
+    assert [each for each in frames if each[1] > 3] == [[n + 0.5, n + 0.55] for n in range(3, 20)]
+
+
+def test_patches_with_stamps_of_two_clocks_are_joined_as_they_come():
+    frames, patches = joined([(patch, n + 1000.0 * patch) for n in range(200) for patch in (0, 1)])
+    assert {round(b - a) for a, b in frames[50:]} <= {999, 1000}
+    assert len(frames) > 120
+    assert "different clocks" in patches.problem
 
 
 @pytest.mark.parametrize(

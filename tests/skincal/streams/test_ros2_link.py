@@ -22,6 +22,7 @@ from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.ros import dds
 from skincal.streams import ros_topics
+from skincal.streams.clocks import MAX_CLOCK_RATE_DIFFERENCE
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import ChunkQueue, LinkSpec, Reader, open_link, parse_address
 from skincal.streams.ros_topics import read_robot_description
@@ -233,11 +234,13 @@ HEAD = {"topics": ["/s"], "types": ["std_msgs/msg/Float32MultiArray"], "definiti
         ({**HEAD, "field": "depth"}, "not known as wrench"),
         ({**HEAD, "topics": 3}, "The first packet cannot be read"),
         ([], "The first packet cannot be read"),
+        ({**HEAD, "types": ["std_msgs/msg/Int8MultiArray"]}, "A message cannot be read: it has no values"),
     ],
 )
 def test_a_topic_that_is_no_sensor_says_so(head, problem):
-    data = ros2.pack(ros2.HEAD_KIND, json.dumps(head).encode()) + ros2.write_message(0, 1, 1, bytes(12))
+    data = ros2.pack(ros2.HEAD_KIND, json.dumps(head).encode()) + ros2.write_message(0, 1, 1, bytes(16))
     _, decoder = decode(data, Stream.WRENCH)
+    assert decoder.valid_records == 0
     assert problem in decoder.device_message
     assert decoder.counts[Loss.UNREADABLE] >= 1
 
@@ -249,12 +252,53 @@ def test_a_topic_that_is_no_sensor_says_so(head, problem):
         ([5.0, 5.0, 6.0], [5.0, 101.0, 102.0]),
         ([None, 1.0], [100.0, 101.0]),
         ([9e9, 1.0], [100.0, 101.0]),
-        ([5.0, 5.5, 6.0, 6.5, 7.0, 7.5, 8.0], [5.0, 5.5, 6.0, 6.5, 7.0, 105.0, 106.0]),
     ],
 )
-def test_stamps_that_stand_still_are_absurd_or_too_slow_are_not_used(stamps, used):
+def test_stamps_that_stand_still_or_are_absurd_are_not_used(stamps, used):
     clock = ros2.TopicClock()
     assert [clock.time_of(stamp, 100.0 + at) for at, stamp in enumerate(stamps)] == used
+
+
+@pytest.mark.parametrize(("speed", "is_used"), [(1.0, True), (0.99, True), (0.975, False), (0.95, False), (0.5, False)])
+def test_stamps_that_the_clock_cannot_follow_are_not_used(speed, is_used):
+    clock = ros2.TopicClock()
+    # Every tenth message is published half a second late.
+    times = [(5.0 + speed * n / 100, 100.0 + n / 100 + 0.5 * (n % 10 == 3)) for n in range(6000)]
+    used = [clock.time_of(*each) == each[0] for each in times]
+    assert all(used[:400])
+    assert (used[-1], all(used[900:])) == (is_used, is_used)
+    assert is_used or not any(used[900:])
+    assert ros2.PACE_ERROR_MAX < MAX_CLOCK_RATE_DIFFERENCE
+
+
+def test_one_of_two_topics_that_ends_is_noticed_while_the_other_sends():
+    gone = Peer()
+    gone.publish("/gone", skin(1))
+    with publishing(("/kept", skin)), closing(open_link(spec("/kept+/gone", Stream.SKIN))) as link:
+        read(link)
+        gone.drop("/gone")
+        with pytest.raises(LinkError, match="the publisher of /gone is gone") as raised:
+            read(link, 10**9)
+    assert raised.value.kind is FailureKind.VANISHED
+
+
+def test_a_message_that_is_too_long_is_skipped_and_counted(monkeypatch):
+    monkeypatch.setattr("skincal.streams.transports.dds.MESSAGE_MAX_BYTES", 10_000)
+    channels = lambda number: 4 if number % 10 else 5000  # noqa: E731
+    with publishing(("/s", lambda number: skin(number, channels(number)))), closing(open_link(spec("/s", Stream.SKIN))) as link:
+        data = read(link, 20_000)
+    (batch,), decoder = decode(data, Stream.SKIN)
+    skipped = set(range(int(batch.values[0, 0]), int(batch.values[-1, 0]))) - set(batch.values[:, 0].astype(int))
+    assert skipped
+    assert all(number % 10 == 0 for number in skipped)
+    assert decoder.counts[Loss.DROPPED] >= 1
+    assert decoder.counts[Loss.UNREADABLE] == 0
+
+
+def test_a_type_that_contains_itself_is_a_sentence(tmp_path):
+    (tmp_path / "Cells.msg").write_text("uint8[3] id\nCells[] pairs\n")
+    with publishing(("/cells", cells)), pytest.raises(LinkError, match="lab_msgs/msg/Cells contains itself"):
+        open_link(spec("/cells", Stream.SKIN, field="id", msg=tmp_path / "Cells.msg"))
 
 
 @pytest.mark.parametrize(

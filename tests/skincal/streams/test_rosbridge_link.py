@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
 
-from skincal.devices.link import LinkError
+from skincal.devices.link import FailureKind, LinkError
 from skincal.model.readings import LinkState, Stream
 from skincal.streams.decoders.auto_detect import make_decoder
 from skincal.streams.links import LinkSpec, open_link
@@ -123,6 +123,31 @@ def test_a_server_that_goes_away_is_connected_again():
         assert [state for state, _ in link.states] == [LinkState.OPEN, LinkState.LOST, LinkState.OPEN]
         (batch,) = make_decoder("rosbridge", None, (Stream.WRENCH,)).feed(link.data)
         assert batch.values[-1][:3].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_server_that_closes_at_once_is_lost_and_not_a_fault():
+    def close_after_answers(client):
+        for _ in range(2):
+            asked = json.loads(client.recv())
+            answer = {"op": "service_response", "id": asked["id"], "values": {"type": "geometry_msgs/WrenchStamped"}}
+            client.send(json.dumps(answer))
+        client.close()
+
+    with serve(close_after_answers, "127.0.0.1", 0) as server:
+        Thread(target=server.serve_forever).start()
+        address = f"rosbridge://127.0.0.1:{server.socket.getsockname()[1]}/ft+/skin"
+
+        def read_on():
+            with closing(open_link(LinkSpec("link", address, (Stream.SKIN,)))) as link:
+                end_s = time.monotonic() + PATIENCE_S
+                while time.monotonic() < end_s:
+                    link.read(0.1)
+                    link.write(b"{}")
+
+        with pytest.raises(LinkError) as raised:
+            read_on()
+        server.shutdown()
+    assert raised.value.kind is FailureKind.VANISHED
 
 
 @pytest.mark.parametrize(
