@@ -86,8 +86,9 @@ def test_messages_of_a_publisher_become_readings(topics, messages, stream, optio
     (batch,), decoder = decode(data, stream, names=names)
     assert batch.stream is stream
     assert batch.values[-1][-len(last) :].tolist() == last
-    assert decoder.counts.total() <= (1 if "+" in topics else 0)
-    assert decoder.device_message == ""
+    # A busy machine may publish two patches half a period apart, which are then no pair.
+    assert decoder.counts.total() == (decoder.counts[Loss.MISSING] if "+" in topics else 0)
+    assert "+" in topics or decoder.device_message == ""
     # Dated by the publisher's clock, which is this machine's.
     assert np.all(np.diff(batch.device_s) > 0)
     assert abs(batch.device_s[-1] - time.time()) < PATIENCE_S
