@@ -613,7 +613,7 @@ class Window(QMainWindow):
         self.controller.open(request)
 
     def _confirm_unsaved(self, then: Callable[[], object]) -> None:
-        """Ask whether to keep a provisional session that has pokes, or a part that was not saved; then call `then`."""
+        """Ask whether to keep an unsaved session or part; call `then` after the answer, unless it is Cancel."""
         if self.builder is not None and self.builder.is_changed:
             self._offer("Part not saved", PART_NOT_SAVED, "Do not save", then)
             return

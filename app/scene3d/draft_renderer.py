@@ -27,7 +27,7 @@ from skincal.session.draft_preview import FIRST_SIDE, PartPreview
 from skincal.session.robot_shape import RobotShape
 
 AXIS_SHARE = 0.28  # Length of the chosen sensor's axes, of the part's longest side
-MIN_AXIS_M = 0.03
+MIN_DRAWN_AXIS_LENGTH_M = 0.03
 OTHER_AXIS_SHARE = 0.4  # Of other sensors' axes, of the chosen one's
 MARK_SHARE = 0.025  # Radius of landmarks and picked points, of the part's longest side
 BOX_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -132,7 +132,7 @@ class SensorsLayer(Layer):
         super().__init__(plotter, static)
         self.chosen, self.others = Segments(plotter, FRONT, 4.0), Segments(plotter, FRONT, 2.0)
         self._picture: DraftPicture | None = None
-        self.size = MIN_AXIS_M
+        self.size = MIN_DRAWN_AXIS_LENGTH_M
 
     def show_picture(self, picture: DraftPicture) -> None:
         self._picture = picture
@@ -183,7 +183,7 @@ class MarksLayer(Layer):
         self.wrong, self.answered = Dots(plotter, FRONT, 9.0), Dots(plotter, FRONT, 11.0)
         self._picture: DraftPicture | None = None
         self._normals = NO_PLACES
-        self.size = MIN_AXIS_M
+        self.size = MIN_DRAWN_AXIS_LENGTH_M
 
     def show_picture(self, picture: DraftPicture) -> None:
         self._picture = picture
@@ -274,7 +274,7 @@ class DraftRenderer(SceneRenderer):
         if is_new or self.static.surface is not preview.surface:
             self.static = DraftStatic(preview.surface, preview.layout, preview.laid)
         self._show_layout(picture)
-        size = max(MIN_AXIS_M, AXIS_SHARE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3))
+        size = max(MIN_DRAWN_AXIS_LENGTH_M, AXIS_SHARE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3))
         self.sensors.size = self.marks.size = size
         for layer in (self.links, self.sensors, self.marks):
             layer.show_picture(picture)

@@ -38,7 +38,7 @@ def difference_words(summary: Summary | None, pair: tuple[str, str], names: Chan
 
 
 def motion_words(motion: CommonMotion | None) -> str:
-    """Describe the common motion between two sets, and the rest; empty if unknown."""
+    """Describe the common motion between two sets of positions and the remaining differences; empty if unknown."""
     if motion is None:
         return ""
     left = f"{millimetres(motion.mean)} mean, {millimetres(motion.largest)} largest"

@@ -62,7 +62,7 @@ _SHORT_VERDICTS = {
 
 
 _SHORT_NAMES = {"wrench": "sensor"}
-"""Short names of links, for large type."""
+"""Short names of devices, for the large line of the window."""
 
 
 class Tone(Enum):

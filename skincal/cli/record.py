@@ -273,7 +273,7 @@ class LinkReports:
         self._reported: dict[str, str] = {}
 
     def new(self, links: Sequence[LinkHealth], events: Collection[str], now_ns: int) -> list[str]:
-        """Return the sentences that were not reported yet; `events` names the links whose state was reported before."""
+        """List new sentences about the device connections; `events` names those whose state was printed already."""
         new: list[str] = []
         for link in links:
             problem, before = self._problem(link, events, now_ns), self._reported.get(link.link, "")

@@ -226,7 +226,7 @@ class ContactDetector:
         return ArmPose(link_from_sensor, name, angles)
 
     def _gap_before(self, sample: Sample) -> float:
-        """Compute the length of a gap before this sample, else 0; update the period."""
+        """Compute the gap before this sample, s, 0 without one; update the sample period."""
         if self._last is None:
             return 0.0
         step = sample.host_s - self._last.host_s

@@ -145,7 +145,7 @@ def begin_document(tag: str, attributes: dict[str, str], calibration: Calibratio
 
 
 def add_comment(root: ET.Element, line: str) -> None:
-    """Append a comment; two hyphens would end it."""
+    """Append a comment; replace double hyphens, which XML forbids in it."""
     root.append(ET.Comment(f" {xml_name(line).replace('--', '- -')} "))
 
 

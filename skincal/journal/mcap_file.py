@@ -114,7 +114,7 @@ class McapFile:
 
 
 def is_item(topic: str) -> bool:
-    """Whether messages of a topic are items of a segment: events, or bytes of a link."""
+    """Whether a topic holds recorded input: bytes of a device, or events of its connection."""
     return topic == EVENT_TOPIC or topic.startswith(RAW_TOPIC)
 
 

@@ -32,7 +32,7 @@ from skincal.taxels.contact_table import ContactTable
 from skincal.taxels.result import FORCE_AXIS_MAX_MISS_M, POSITION_MAX_SD_M, Cause, Estimate, Method, State, StateReason
 from skincal.taxels.shared_errors import NormalEquations, SharedRows, add_covariances, variance_factors
 
-POSE_SEARCH_MAX_LAST_STEP_M = 2e-4
+POSE_SEARCH_CONVERGENCE_STEP_M = 2e-4
 """A pose whose last step is longer is not known. Over an edge of a mesh a search goes to and fro by micrometres; without a
 surface, from few pokes, by up to centimetres."""
 MIN_UNDETERMINED_MOTION_SHARE = 1e-6
@@ -148,7 +148,7 @@ def _trouble(touches: Touches, fitted: Fitted, module: int) -> StateReason | Non
     """Find the reason why a module has no pose; `None` if it has one."""
     if fitted.misses[module] > FORCE_AXIS_MAX_MISS_M:
         return StateReason(Cause.MODULE_OFF, size=float(fitted.misses[module]))
-    if fitted.moving[module] > POSE_SEARCH_MAX_LAST_STEP_M:
+    if fitted.moving[module] > POSE_SEARCH_CONVERGENCE_STEP_M:
         return StateReason(Cause.MODULE_MOVING, size=float(fitted.moving[module]))
     own = touches.of == module
     push = np.sum(fitted.trust[own, None] * touches.evidence.directions[touches.rows[own]], axis=0)

@@ -130,7 +130,7 @@ class Clearance:
         return (enters + leaves) / 2.0 if (leaves - enters) * length_of(goal - start) > 1e-4 else None
 
     def _outline(self, middle: FloatArray, along: FloatArray, aside: FloatArray) -> list[ViaPoint]:
-        """List the corners of the section of the enlarged hull by a half plane, from against `along` to along it.
+        """List the corners where a half plane cuts the enlarged hull, ordered along the direction `along`.
 
         With the origin inside, the lines a x = 1 around a convex polygon are the corners of its dual polygon.
         """

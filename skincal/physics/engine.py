@@ -19,7 +19,7 @@ from skincal.mesh.surface import Surface
 from skincal.model.errors import InputError
 from skincal.physics.mjcf import (
     CONTACT_IMPEDANCE,
-    LAYER_DAMPING_S,
+    LAYER_DAMPING_TIME_S,
     LAYER_STIFFNESS,
     LAYER_THICKNESS_M,
     TIMESTEP_S,
@@ -123,7 +123,7 @@ class Engine:
         """
         inverse_mass = float(self.model.body_invweight0[[self._facet, self._wrist], 0].sum())
         stiffness = LAYER_STIFFNESS * (1.0 - CONTACT_IMPEDANCE) * inverse_mass
-        self.model.pair_solref[0] = -stiffness, -stiffness * LAYER_DAMPING_S
+        self.model.pair_solref[0] = -stiffness, -stiffness * LAYER_DAMPING_TIME_S
 
     def advance(self) -> None:
         """Advance by one period."""

@@ -23,7 +23,7 @@ LAYER_THICKNESS_M = 0.0025
 """m, from the taxels to the outer face: 2 to 3 mm of foam and fabric on an iCub."""
 CONTACT_IMPEDANCE = 0.9
 """Constant impedance d of the contact: it makes the contact a linear spring (`contact_reference`)."""
-LAYER_DAMPING_S = 0.004
+LAYER_DAMPING_TIME_S = 0.004
 """s, damping of the layer over its stiffness."""
 WRIST_STIFFNESS = 3000.0
 """N/m, along the tip's direction: a rubber buffer or a passive compliance of a small arm. Assumed."""

@@ -40,7 +40,7 @@ POKE_TO_LANDMARK_SD_M = 0.003
 """m, sd of an axis from its landmark, each direction, on a right rig: hand, sensor noise, a landmark off by 4 mm in space."""
 MOUNT_TURN_SD, MOUNT_SHIFT_SD_M = float(np.radians(15.0)), 0.030
 """rad and m, sd of a wrong mounting, each axis: a turned bracket, a wrong length."""
-PUSH_FROM_INSIDE_COST = 9.0
+PUSH_FROM_INSIDE_CHI2 = 9.0
 """Cost of a push from inside the part, as a sum of squares: three standard deviations."""
 RIGHT_FRAME_COST_BONUS = 2.0
 """Prior of a right frame against any mistake, as a difference of twice the log likelihood: one session in four has a mistake.
@@ -236,14 +236,14 @@ class _Asked:
     def cost_of_sides(self, force: FloatArray, turns: FloatArray) -> FloatArray:
         """Cost (h, n) of pushes from inside the part, by force (h, n, 3), N, and link_from_sensor's rotations (n, 3, 3)."""
         out = np.sum((turns.transpose(0, 2, 1) @ self.normals[:, :, None])[:, :, 0] * force, axis=2) > 0
-        return PUSH_FROM_INSIDE_COST * out
+        return PUSH_FROM_INSIDE_CHI2 * out
 
 
 def _cost_of_size(force: FloatArray) -> FloatArray:
     """Cost (h,) of forces (h, n, 3), N, that no hand makes."""
     sizes = np.sqrt(np.sum(force * force, axis=2))
     return np.asarray(
-        PUSH_FROM_INSIDE_COST * np.sum((sizes < HAND_FORCE_RANGE_N[0]) | (sizes > HAND_FORCE_RANGE_N[1]), axis=1),
+        PUSH_FROM_INSIDE_CHI2 * np.sum((sizes < HAND_FORCE_RANGE_N[0]) | (sizes > HAND_FORCE_RANGE_N[1]), axis=1),
         dtype=np.float64,
     )
 

@@ -42,7 +42,7 @@ class ClosingProgress:
 
 
 def closings_of(snapshot: Snapshot, noise: NoiseSettings) -> tuple[Closing, ...]:
-    """Collect the results of the closing checks in their order; a check with too few repeated places has none."""
+    """List the results of the final checks for movement, oldest first; one with too few repeated places is left out."""
     return tuple(each.found for each in closing_rounds(snapshot, noise) if each.found is not None)
 
 

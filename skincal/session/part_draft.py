@@ -59,7 +59,7 @@ class AnchorDraft:
         )
 
     def anchor(self) -> Anchor:
-        """Convert to metres and unit vectors."""
+        """Anchor of the layout in metres and unit vectors."""
         x, normal = np.array(self.x), np.array(self.normal)
         return Anchor(
             np.array(self.at_mm) * 1e-3,
@@ -248,7 +248,7 @@ _POLARITY_ENTRY_COMMENTS = {"up": "raw values rise under pressure", "down": "raw
 
 
 def _entries(draft: PartDraft, folder: Path) -> dict[Key, Any]:
-    """List what the file in `folder` says of a draft; entries without a value are left out.
+    """List the entries of the scene file for a draft that is saved in `folder`; entries without a value are left out.
 
     A file that the opened text names in another way, such as `./part.stl`, keeps that name.
     """

@@ -175,7 +175,7 @@ class MakerOutlets:
         self._shared: tuple[TalkOutlet, TalkOutlet] | None = None
 
     def open(self, maker: str, stream: Stream, *, tcp: bool) -> MakerOutlet:
-        """Open the outlet of a maker's device; with `tcp`, serial devices get a TCP port, too."""
+        """Open the port where a simulated device sends its bytes; with `tcp`, serial devices get a TCP port instead."""
         match maker:
             case "yarp":
                 if self._shared is None:

@@ -48,7 +48,7 @@ class Differences(NamedTuple):
 
 
 class _StreamHistory:
-    """Arrival of one stream's readings, and how their bits changed."""
+    """Arrival times of one stream's readings, and whether their values change or repeat."""
 
     def __init__(self, last: NDArray[np.uint64], host_ns: int) -> None:
         self.last_ns = self._changed_ns = host_ns

@@ -67,7 +67,7 @@ FORCE_MOMENT_CROSSTALK_ARM_M = 0.35
 """m: entries of E between force and moment count a moment as a force times this, as `RigPrior` assumes."""
 SLOW_NOISE_CORRELATION_POKES = 30.0
 """Pokes over which slow noise remembers: about a minute, as a sensor that warms up in a moving room."""
-MESH_BUMP_LENGTH_M = 0.020
+MESH_BUMP_CORRELATION_LENGTH_M = 0.020
 """m: how far bumps of a mesh reach: it bends between the points it was scanned or drawn at."""
 FINGER_WIDTH_M = 0.008
 """m between the two places that a finger touches: its breadth, a little more than the pitch of the taxels."""
@@ -118,7 +118,7 @@ class RigModel:
     mesh_inflate: float = 0.0
     """m, outward."""
     mesh_bumps: float = 0.0
-    """m rms along the normal, smooth over `MESH_BUMP_LENGTH_M`."""
+    """m rms along the normal, smooth over `MESH_BUMP_CORRELATION_LENGTH_M`."""
     # ---- skin
     mount_shift: float = 3 * MM
     """sd in each direction of the skin's offset from its plan: the calibration has to find it, it is no error."""
@@ -340,8 +340,8 @@ class SmoothSurface:
     def wrong(self, world: RigModel, rng: np.random.Generator) -> FloatArray:
         """Draw the vertices (nv, 3) of the mesh that the program gets."""
         shift = world.mesh_shift * unit(rng.standard_normal(3))
-        waves, phases = rng.standard_normal((200, 3)) / MESH_BUMP_LENGTH_M, rng.uniform(0, 2 * np.pi, 200)
-        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 MESH_BUMP_LENGTH_M^2).
+        waves, phases = rng.standard_normal((200, 3)) / MESH_BUMP_CORRELATION_LENGTH_M, rng.uniform(0, 2 * np.pi, 200)
+        # Many waves of drawn lengths: a smooth field of variance one whose correlation is exp(-r^2 / 2 l^2), l that length.
         bumps = np.cos(self.vertices @ waves.T + phases).sum(axis=1) * np.sqrt(2 / len(waves))
         return self.vertices + shift + (world.mesh_inflate + world.mesh_bumps * bumps)[:, None] * self.normals
 

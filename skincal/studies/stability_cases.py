@@ -62,7 +62,7 @@ class Readings:
 
     @property
     def strongest(self) -> FloatArray:
-        """(n,) float: max_y t_y of a taxel's contacts."""
+        """(n,) float: largest response in each of the taxel's n contacts."""
         return np.maximum(self.responses, self.other_response)
 
     def ordered(self, order: IntArray) -> Readings:
@@ -350,7 +350,7 @@ def _counts(rng: np.random.Generator, sizes: CaseSizes) -> Cases:
 
 
 def sheet(rng: np.random.Generator, squares: int, bend: float = 20.0, side: float = 0.06) -> RawMesh:
-    """Make a square sheet of 2 squares^2 triangles in a general direction, its middle at `TAXEL_POINT`.
+    """Make a square mesh of `squares` x `squares` x 2 triangles, randomly turned, with its middle at `TAXEL_POINT`.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ def misfit_sentence(misfit: MisplacedModule) -> str:
         MisplacementKind.SWAPPED: f"is at the position of module {misfit.other}: give that module its first_channel",
     }[misfit.kind]
     off = f"{misfit.after * 1e3:.0f} mm from the layout instead of {misfit.before * 1e3:.0f} mm"
-    return f"Module {misfit.module} {what}. Its taxels are then {off}."
+    return f"Module {misfit.module} {what}. With this corrected, its taxels are {off}."
 
 
 def change_words(change: ModuleChange) -> str:

@@ -62,7 +62,7 @@ def state_sentence(reason: StateReason | None) -> str:
         mm=0.0 if size is None else size * 1e3,
         degrees=max(float(np.degrees(reason.angle)), 0.1),
         depth="is unknown" if size is None else f"is only known to {coarse}",
-        tell="do not fix its pose" if size is None else f"fix its pose only to worse than {POSITION_MAX_SD_M * 1e3:.0f} mm",
+        tell="do not determine its pose" if size is None else f"determine its pose only to {POSITION_MAX_SD_M * 1e3:.0f} mm",
         left_out=f"; {reason.blind} left out as undetermined" if reason.blind else "",
         inner=state_sentence(reason.inner),
         text=reason.text,
