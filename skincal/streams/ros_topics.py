@@ -101,7 +101,7 @@ def list_ros_topics() -> tuple[list[FoundTopic], int]:
 
 
 def _can_be_read(types: MessageTypes, type_name: str) -> bool:
-    """Leave out types that ROS defines and that no sensor or skin is published as, and names that ROS does not allow."""
+    """Leave out types of ROS without readings of a sensor or skin, and names that ROS does not allow."""
     try:
         return bool(streams_of(types, type_name)) or not types.is_standard(type_name)
     except InputError:
