@@ -7,7 +7,7 @@ recorder was killed has no `metadata.yaml`: then its files are read one after th
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from heapq import merge
 from pathlib import Path
@@ -53,7 +53,7 @@ class Bag:
         self.findings: list[str] = []
         """Sentences on the state of the bag."""
         self.damage = ""
-        """Why reading ended before the end of the bag; empty if it did not."""
+        """Why reading ended before the end of a file of the bag; empty if it did not."""
         self._stack = contextlib.ExitStack()
         self._readers: list[Any] = []
         try:
@@ -69,14 +69,19 @@ class Bag:
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
 
+        broken: list[InputError] = []
         for file in self._files():
             try:
                 reader = (Reader1 if self.ros == 1 else Reader2)(file)
                 reader.open()
             except Exception as error:  # noqa: BLE001 - a damaged file can raise anything in the library
-                raise self._broken(file, error) from None
+                broken.append(self._broken(file, error))
+                continue
             self._readers.append(reader)
             self._stack.callback(reader.close)
+        if broken and not self._readers:
+            raise broken[0]
+        self.findings += [f"{error} Its messages are missing." for error in broken]
 
     def _files(self) -> list[Path]:
         path = self.path
@@ -121,19 +126,24 @@ class Bag:
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time of arrival (ns) and bytes of the messages of some topics, in order of arrival.
 
-        Where the bag is damaged they end, and `damage` says why.
+        Where a file is damaged its messages end, and `damage` says why; those of the other files go on.
         """
         self.damage = ""
         sources = [
-            reader.messages(connections=wanted)
+            self._messages_of(reader, wanted)
             for reader in self._readers
             if (wanted := [each for each in reader.connections if each.topic in topics])
         ]
+        for connection, arrival_ns, data in sources[0] if len(sources) == 1 else merge(*sources, key=_arrival_of):
+            yield connection.topic, arrival_ns, data
+
+    def _messages_of(self, reader: Any, wanted: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
         try:
-            for connection, arrival_ns, data in sources[0] if len(sources) == 1 else merge(*sources, key=_arrival_of):
-                yield connection.topic, arrival_ns, data
+            yield from reader.messages(connections=wanted)
         except Exception as error:  # noqa: BLE001 - a damaged file can raise anything in the library
-            self.damage = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+            why = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+            where = f"{reader.path.name}: " if len(self._readers) > 1 else ""
+            self.damage = "; ".join(filter(None, [self.damage, where + why]))
 
     @property
     def span_ns(self) -> tuple[int, int]:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,11 @@ SEPARATOR_TEXT = "::"
 """Between the names of nested channels."""
 MAX_DEPTH_OF_CHANNELS = 8
 MAX_CHANNELS_OF_LOG = 5000
+"""With the groups that hold them."""
+MAX_ROWS_OF_LOG = 50_000_000
+"""Of a channel: a day at 500 Hz has 43 million."""
+MAX_WIDTH_OF_LOG = 100_000
+"""Values of a channel in a row."""
 BLOCK_ROWS_OF_LOG = 4096
 RADIANS_ROOT = "robot_logger_device"
 """Group of YarpRobotLoggerDevice, whose angles are radians; telemetryDeviceDumper logs degrees."""
@@ -47,8 +53,7 @@ class _Channel:
     name: str
     group: str
     """Path of its group in the file."""
-    stamps: FloatArray
-    """(rows,) seconds."""
+    rows: int
     width: int
     has_rows_first: bool
     """The first axis of the data is time, as the loggers write it; else the last one is."""
@@ -111,14 +116,15 @@ def open_recording(
     findings: list[str] = []
     for stream, place in places.items():
         channel = _find_channel(path, channels, stream, place.topic)
-        timeline = Timeline(stream.value, [channel.stamps])
+        stamps = _read_stamps(path, channel)
+        timeline = Timeline(stream.value, [stamps])
         columns, names = _columns(path, channel, stream, joints)
         factor, unit_finding = _factor(channel, stream, root)
         findings += [f"{stream.value}: channel {channel.name}.", *timeline.sentences()]
         findings += [f"{stream.value}: {sentence}" for sentence in (names, unit_finding) if sentence]
         links.append(LinkSpec(stream.value, f"file:{path}::{channel.name}", (stream,), "records"))
         timelines.append(timeline)
-        sources.append(lambda channel=channel, columns=columns, factor=factor: _lines(path, channel, columns, factor))
+        sources.append(partial(_lines, path, channel, stamps, columns, factor))
     check_overlap(timelines)
     return OpenRecording(tuple(links), tuple(timelines), tuple(sources), tuple(findings))
 
@@ -134,6 +140,11 @@ def _find_channel(path: Path, channels: Mapping[str, _Channel], stream: Stream, 
     channel = channels.get(name)
     if channel is None:
         raise InputError(f"{path}: has no channel {name}; it has {_list_names(channels)}.")
+    if channel.rows > MAX_ROWS_OF_LOG or channel.width > MAX_WIDTH_OF_LOG:
+        raise InputError(
+            f"{path}: channel {name} announces {channel.rows} rows of {plural(channel.width, 'value')}; expected at most "
+            f"{MAX_ROWS_OF_LOG} rows of {MAX_WIDTH_OF_LOG} values. The file is damaged, or no log."
+        )
     if stream is Stream.WRENCH and channel.width != WRENCH_VALUES:
         raise InputError(f"{path}: channel {name} has {plural(channel.width, 'value')}; expected six, fx fy fz mx my mz.")
     return channel
@@ -166,19 +177,33 @@ def _factor(channel: _Channel, stream: Stream, root: str) -> tuple[float, str]:
     return float(np.degrees(1.0)) if is_radians else 1.0, assumed
 
 
-def _lines(path: Path, channel: _Channel, columns: Sequence[int], factor: float) -> Iterator[Sequence[bytes]]:
+def _read_stamps(path: Path, channel: _Channel) -> FloatArray:
+    """Read the times of a channel, (rows,) seconds. Raises InputError: they cannot be read, or are no times."""
+    with _open(path) as file:
+        try:
+            stamps = np.asarray(file[channel.group]["timestamps"], np.float64).ravel()
+        except (OSError, RuntimeError, MemoryError, OverflowError) as error:
+            raise InputError(f"{path}: the times of channel {channel.name} cannot be read ({error}).") from None
+    if not np.isfinite(stamps).all():
+        raise InputError(f"{path}: channel {channel.name} has times that are no numbers; choose another channel.")
+    return stamps
+
+
+def _lines(
+    path: Path, channel: _Channel, stamps: FloatArray, columns: Sequence[int], factor: float
+) -> Iterator[Sequence[bytes]]:
     """Yield blocks of records."""
     with _open(path) as file:
-        data, rows = file[channel.group]["data"], len(channel.stamps)
+        data, rows = file[channel.group]["data"], channel.rows
         for begin in range(0, rows, BLOCK_ROWS_OF_LOG):
             end = min(begin + BLOCK_ROWS_OF_LOG, rows)
             try:
                 block = data[begin:end] if channel.has_rows_first else np.moveaxis(data[..., begin:end], -1, 0)
-            except (OSError, RuntimeError) as error:
+            except (OSError, RuntimeError, MemoryError, OverflowError) as error:
                 raise InputError(f"{path}: channel {channel.name} cannot be read ({error}); the file is damaged.") from None
             values = np.asarray(block, np.float64).reshape(end - begin, channel.width) * factor
             values = np.column_stack([values, np.zeros(end - begin)])[:, list(columns)]
-            yield pack_records(np.arange(begin, end), channel.stamps[begin:end], values)
+            yield pack_records(np.arange(begin, end), stamps[begin:end], values)
 
 
 # ------------------------------------------------------------------ file
@@ -208,51 +233,72 @@ def _open(path: Path) -> Any:
 
 
 def _read_channels(path: Path) -> tuple[dict[str, _Channel], str]:
-    """Read names, times and shapes of all channels, and the name of the group that holds them."""
+    """Read names and shapes of all channels, and the name of the group that holds them."""
     with _open(path) as file:
         try:
             roots = [name for name in file if name != "#refs#" and hasattr(file[name], "items")]
             root = RADIANS_ROOT if RADIANS_ROOT in roots else roots[0] if roots else ""
-            channels = {channel.name: channel for channel in _walk(file, file[root], "", 0)} if root else {}
+            found = [_channel(file, name, group) for name, group in (_walk(file[root]) if root else ())]
+            channels = {channel.name: channel for channel in found if channel is not None}
             description = _texts(file, file[root].get("description_list")) if root else ()
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        except (
+            OSError,
+            RuntimeError,
+            MemoryError,
+            ArithmeticError,
+            LookupError,
+            ValueError,
+            TypeError,
+            AttributeError,
+        ) as error:
             raise InputError(f"{path}: its channels cannot be read ({error}); the file is damaged.") from None
     if not channels:
         raise InputError(f"{path}: has no channel with data and timestamps; expected a log of robometry.")
     for name, channel in channels.items():
         if _POSITIONS_RE.search(name) and not channel.elements:
             # Older logs have the names of the joints once for all channels.
-            channels[name] = _Channel(
-                name, channel.group, channel.stamps, channel.width, channel.has_rows_first, description, channel.unit
-            )
+            channels[name] = replace(channel, elements=description)
     return channels, root
 
 
-def _walk(file: Any, group: Any, prefix: str, depth: int) -> Iterator[_Channel]:
-    """Yield the channels of a group, at most `MAX_CHANNELS_OF_LOG`."""
-    for index, name in enumerate(group):
-        each = group[name]
-        if index >= MAX_CHANNELS_OF_LOG or not hasattr(each, "items"):
+def _walk(root: Any) -> Iterator[tuple[str, Any]]:
+    """Yield name and group of each channel. A group counts once, and links are left out: they may lead back."""
+    import h5py  # pyright: ignore[reportMissingTypeStubs]
+
+    h5: Any = h5py
+
+    waiting: list[tuple[str, Any, int]] = [("", root, 0)]
+    seen, members = set[int](), 0
+    while waiting:
+        prefix, group, depth = waiting.pop()
+        address: int = h5.h5o.get_info(group.id).addr
+        if address in seen:
             continue
-        full = f"{prefix}{SEPARATOR_TEXT}{name}" if prefix else name
-        if "data" in each and "timestamps" in each:
-            channel = _channel(file, full, each)
-            if channel is not None:
-                yield channel
-        elif depth < MAX_DEPTH_OF_CHANNELS:
-            yield from _walk(file, each, full, depth + 1)
+        seen.add(address)
+        if "data" in group and "timestamps" in group:
+            yield prefix, group
+            continue
+        inner: list[tuple[str, Any, int]] = []
+        for name in group if depth <= MAX_DEPTH_OF_CHANNELS else ():
+            members += 1
+            if members > MAX_CHANNELS_OF_LOG:
+                raise ValueError(f"more than {MAX_CHANNELS_OF_LOG} groups and arrays")
+            if isinstance(group.get(name, getlink=True), h5.HardLink) and hasattr(group[name], "items"):
+                inner.append((f"{prefix}{SEPARATOR_TEXT}{name}" if prefix else name, group[name], depth + 1))
+        waiting += reversed(inner)
 
 
 def _channel(file: Any, name: str, group: Any) -> _Channel | None:
     """Describe a channel; `None` if it holds no numbers, or not as many rows as times."""
-    data, stamps = group["data"], np.asarray(group["timestamps"], np.float64).ravel()
-    if not hasattr(data, "shape") or data.dtype.kind not in "iuf" or not len(stamps) or not np.isfinite(stamps).all():
+    data, stamps = group["data"], group["timestamps"]
+    if not hasattr(data, "shape") or data.dtype.kind not in "iuf" or not getattr(stamps, "size", 0):
         return None
-    has_rows_first = bool(data.shape) and data.shape[0] == len(stamps)
-    if not has_rows_first and (not data.shape or data.shape[-1] != len(stamps)):
+    rows = int(stamps.size)
+    has_rows_first = bool(data.shape) and data.shape[0] == rows
+    if not has_rows_first and (not data.shape or data.shape[-1] != rows):
         return None
     names, units = _texts(file, group.get("elements_names")), _texts(file, group.get("units_of_measure"))
-    return _Channel(name, group.name, stamps, data.size // len(stamps), has_rows_first, names, units[0] if units else "")
+    return _Channel(name, group.name, rows, data.size // rows, has_rows_first, names, units[0] if units else "")
 
 
 def _texts(file: Any, dataset: Any) -> tuple[str, ...]:

@@ -99,6 +99,16 @@ def test_likely_channels_are_proposed(tmp_path):
     assert RecordedPlace.parse(str(found.wrench)) == found.wrench
 
 
+def test_groups_that_link_to_themselves_and_other_files_are_walked_once(tmp_path):
+    log = MatFile(tmp_path / "log.mat")
+    for k in range(20):
+        log.root[f"again{k}"] = log.root
+        log.root[f"soft{k}"] = h5py.SoftLink("/robot_logger_device")
+        log.root[f"other{k}"] = h5py.ExternalLink("gone.mat", "/")
+    log.channel("FTs::l_arm_ft_sensor", np.zeros((ROWS, 6)))
+    assert [place.topic for place in guess_streams([log.close()]).places.values()] == ["FTs::l_arm_ft_sensor"]
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -123,6 +133,16 @@ def test_other_and_damaged_files_give_a_sentence(tmp_path, rng):
     empty = MatFile(tmp_path / "empty.mat").close()
     with pytest.raises(InputError, match="no channel with data and timestamps"):
         guess_streams([empty])
+    for name, shape, words in (
+        ("rows", (10**11, 6), "announces 100000000000 rows of 6 values; expected at most"),
+        ("width", (10, 2**40), "announces 10 rows of 1099511627776 values; expected at most"),
+    ):
+        huge = MatFile(tmp_path / f"{name}.mat")
+        group = huge.root.create_group("FTs::l_arm")
+        for field, size in (("data", shape), ("timestamps", shape[:1])):
+            group.create_dataset(field, size, "f8", chunks=tuple(min(n, 1000) for n in size))
+        with pytest.raises(InputError, match=words):
+            readings(open_log(huge.close(), "FTs::l_arm", "FTs::l_arm", "FTs::l_arm"))
     whole = write_log(tmp_path / "log.mat").read_bytes()
     damaged, expected = tmp_path / "damaged.mat", 0
     for at in [*rng.integers(0, len(whole), 40).tolist(), *range(512, 1100, 29)]:

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import subprocess
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from skincal.cli import main
+from skincal.files.importers.bag_reader import Bag
 from skincal.files.importers.preview import RecordingFiles, guess_streams, preview_recording
 from skincal.files.importers.registry import RecordedPlace, StoppedError, importer_of
 from skincal.files.importers.tape import Tape
@@ -327,6 +329,23 @@ def test_bags_that_are_cut_off_say_so(tmp_path, kind):
         found = readings(opened)[0]["wrench"][1]
         assert np.array_equal(found, expected[: len(found)])
         assert len(found) == len(expected) or any("damaged" in each or "announces" in each for each in opened.findings)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
+def test_damage_in_one_file_of_a_folder_leaves_the_others(tmp_path, kind, share):
+    path = write_small(tmp_path / "bag", kind)
+    with Bag(path) as bag:
+        expected = list(bag.messages(["/ft/wrench"]))
+    (path / "metadata.yaml").unlink()
+    file = next(path.iterdir())
+    whole = file.read_bytes()
+    at = int(share * len(whole))
+    file.with_stem("a_damaged").write_bytes(whole[:at] + b"\xff" * 4000 + whole[at + 4000 :])
+    with Bag(path) as bag:
+        found = list(bag.messages(["/ft/wrench"]))
+        assert Counter(found) >= Counter(expected)
+        assert "a_damaged" in bag.damage + "".join(bag.findings)
 
 
 @pytest.mark.parametrize("kind", ["mcap-zstd", "sqlite3", "ros1-lz4"])
