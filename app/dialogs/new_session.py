@@ -227,7 +227,7 @@ class NewSessionDialog(QDialog):
         """Uses the topics of ROS 2 that look like the rig; hidden without them."""
         self.proposal.setVisible(False)
         self.topics_note = QLabel()
-        """Why topics of ROS 2 are missing; hidden if none is."""
+        """Reason for missing topics of ROS 2; hidden without one."""
         self.topics_note.setWordWrap(True)
         self.topics_note.setTextFormat(Qt.TextFormat.PlainText)
         self.topics_note.setVisible(False)
