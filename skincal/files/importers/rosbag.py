@@ -37,8 +37,10 @@ PROBED_MESSAGES = 100
 """Messages of a topic that are read to guess its stream."""
 MIN_RATE_HZ = 5.0
 """A topic with fewer messages a second is hardly a sensor: a press lasts a second."""
-MAX_CLOCK_DIFFERENCE_S = 0.5
-"""Clocks that differ by less are taken for one clock: a message may wait for as long before it is recorded."""
+MAX_CLOCK_DIFFERENCE_S = 0.02
+"""Clocks that differ by less are taken for one clock: a message may usually wait for as long before it is recorded."""
+MAX_WAIT_S = 0.5
+"""An unsteady delay below this is that of messages, not of a clock: stamps are the better time."""
 MAX_DELAY_SPREAD_S = 0.1
 """Of 80 % of the delays of a stream whose sender has another clock; beyond it the arrival is the better time."""
 GO_ON_MESSAGES = 2000
@@ -356,14 +358,16 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[
             continue
         if not have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
             low, high = np.nanquantile(arrival - stamp, [0.1, 0.9])
-            if high - low > MAX_DELAY_SPREAD_S:
+            is_steady = high - low <= MAX_DELAY_SPREAD_S
+            if not is_steady and abs(offset) > MAX_WAIT_S:
                 findings.append(
                     f"{name}: its stamps differ from the arrival by {low:.3f} to {high:.3f} s; it is placed by its arrival."
                 )
                 times.append(arrival)
                 continue
-            shift = offset
-            findings.append(f"{name}: its clock differs from the recorder's by {-offset:+.3f} s; this was corrected.")
+            shift = offset if is_steady else 0.0
+            corrected = "this was corrected" if is_steady else "this was not corrected, since it changes"
+            findings.append(f"{name}: its clock differs from the recorder's by {-offset:+.3f} s; {corrected}.")
         elif have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
             findings.append(f"{name}: it is placed by the stamps of its sender, {-offset:+.3f} s from the recorder's clock.")
         if unstamped:
