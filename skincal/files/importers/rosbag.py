@@ -190,13 +190,15 @@ class _Recorded:
             self.unreadable += 1
             self.why_unreadable = self.why_unreadable or str(error)
             return
+        stamp = reader.stamp_of(message)
+        stamp_s = np.nan if stamp is None else stamp
         if values is not None and self.patches is not None:
-            values = self.patches.add(self.choice.topics.index(topic), values)
+            values = self.patches.add(self.choice.topics.index(topic), values, stamp_s)
+            stamp_s = self.patches.stamp_s
         if values is not None:
-            stamp = reader.stamp_of(message)
             self.tape.add(values)
             self.arrivals.append(arrival_ns * 1e-9)
-            self.stamps.append(np.nan if stamp is None else stamp)
+            self.stamps.append(stamp_s)
 
     def findings(self) -> list[str]:
         """Sentences on the messages."""

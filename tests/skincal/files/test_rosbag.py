@@ -196,6 +196,20 @@ def test_patches_and_own_types_make_one_skin(tmp_path):
     assert guess_streams([bag.path], 3).skin == RecordedPlace(bag.path, "/b")
 
 
+def test_a_lost_message_of_a_patch_costs_one_frame(tmp_path):
+    with BagFile(tmp_path / "bag", "mcap", {LAB_TYPE: LAB_DEFINITION}) as bag:
+        for k in range(50):
+            ns = START_NS + k * 20_000_000
+            bag.add("/ft", WRENCH_TYPE, ns, wrench_message(ns, [k, 0, 0, 0, 0, 0]))
+            lab = {"header": {"stamp": {"sec": ns // SECOND_NS, "nanosec": ns % SECOND_NS}, "frame_id": ""}, "cdc_length": 1}
+            for topic in ("/a", "/b"):
+                if (topic, k) != ("/a", 20):
+                    bag.add(topic, LAB_TYPE, ns + 1000, lab | {"cdc": [k]})
+    frames = readings(open_bag(bag.path, "/ft", "/a+/b"))[0]["skin"][1]
+    assert len(frames) == 49
+    assert (frames[:, 0] == frames[:, 1]).all()
+
+
 def test_types_without_a_definition_in_the_bag_come_from_their_file(tmp_path):
     path = write_small(tmp_path / "bag", "sqlite3")
     with BagFile(tmp_path / "lab", "sqlite3", {LAB_TYPE: LAB_DEFINITION}) as bag:
