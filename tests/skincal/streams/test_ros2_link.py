@@ -174,7 +174,7 @@ def test_ten_publishers_are_one_skin_in_the_order_of_the_address():
 @pytest.mark.parametrize(
     ("topic", "options", "message"),
     [
-        ("/nobody", {}, r"no publisher of /nobody is in ROS 2 domain \d+; 1 topics are there, such as /ft"),
+        ("/nobody", {}, r"no publisher of /nobody is in ROS 2 domain \d+; \d+ topics are there, such as /"),
         ("/ft", {"domain": 101}, r"no publisher is seen in ROS 2 domain 101\. .*ROS_DOMAIN_ID"),
     ],
 )
