@@ -58,6 +58,10 @@ class PokingArm(Protocol):
         """Read the newest wrench; `None` before the first one. An old time means that the sensor is silent."""
         ...
 
+    def link_from_sensor(self) -> FloatArray:
+        """Read the pose (4, 4) of the sensor in the part's frame, metres, as the joints report it."""
+        ...
+
     def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
         """Whether the tip's centre gets to `position` (3,), metres, with the unit `direction` (3,), within the joint limits."""
         ...

@@ -18,10 +18,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from skincal.geometry import FloatArray, length_of
+from skincal.geometry import FloatArray, crossed, length_of
 from skincal.guide.robot_order import RobotPace
 from skincal.mesh.surface import Surface
-from skincal.physics.arm import PokingArm
+from skincal.physics.aim_correction import AimCorrection
+from skincal.physics.arm import PokingArm, TipPose
 from skincal.physics.clearance import Clearance, ViaPoint
 from skincal.robot import target_lines
 from skincal.robot.target_lines import Answer, AnswerKind, AskedLine, Held, NoTarget, PokeTarget, Refused, RobotLine
@@ -68,7 +69,9 @@ class PokeSettings:
     force_gain: float = 4.0
     """1/s, of the force control, for the measured stiffness of the contact."""
     filter_s: float = 0.02
-    """s, time constant of the force's low-pass filter."""
+    """s, time constant of the low-pass filter of the force along the push."""
+    axis_filter_s: float = 0.1
+    """s, time constant of the low-pass filter of the wrench from which the aim is corrected."""
     fresh_s: float = 0.10
     """s. Older readings allow no motion towards the part."""
     silence_s: float = 1.0
@@ -147,8 +150,12 @@ class PokingClient:
         self._since_s = self._expected_s = self._reported_s = arm.time_s
         self._fresh_s = arm.time_s
         """Time of the newest reading."""
-        self._tare = np.zeros(3)
-        self._sum, self._count = np.zeros(3), 0
+        self._aim, self._shift = AimCorrection(), np.zeros(3)
+        """Correction of the robot's frame, and the one of the present poke: true less believed position, (3,), metres."""
+        self._tare = np.zeros(6)
+        self._sum, self._count = np.zeros(6), 0
+        self._wrench = np.zeros(6)
+        """(6,) N and N m about the part's origin, above the tare, filtered."""
         self._excess, self.force = 0.0, 0.0
         """N: newest reading above the tare, and the filtered force along the push."""
         self._setpoint = np.zeros(3)
@@ -224,12 +231,15 @@ class PokingClient:
         if reading is None or reading.time_s <= self._fresh_s:
             return
         passed_s, self._fresh_s = reading.time_s - self._fresh_s, reading.time_s
-        off = reading.force - self._tare
-        self._sum, self._count = self._sum + reading.force, self._count + 1
-        self._excess = length_of(off)
+        sensor = self.arm.link_from_sensor()[:3, 3]
+        wrench = np.concatenate([reading.force, reading.moment + crossed(sensor, reading.force)])
+        off = wrench - self._tare
+        self._sum, self._count = self._sum + wrench, self._count + 1
+        self._excess = length_of(off[:3])
+        self._wrench = self._wrench + (1.0 - np.exp(-passed_s / self.settings.axis_filter_s)) * (off - self._wrench)
         if self._plan is not None:
             share = 1.0 - np.exp(-passed_s / self.settings.filter_s)
-            self.force += float(share * (off @ self._plan.target.push - self.force))
+            self.force += float(share * (off[:3] @ self._plan.target.push - self.force))
 
     @property
     def _is_touching(self) -> bool:
@@ -255,6 +265,18 @@ class PokingClient:
             self._expected_s += self.arm.period_s
         return False
 
+    # The arm, in the part's frame: corrected by what the pokes so far show.
+
+    def _read_tip(self) -> TipPose:
+        tip = self.arm.read_tip()
+        return TipPose(tip.position + self._shift, tip.direction)
+
+    def _command(self, position: FloatArray, direction: FloatArray, speed: float) -> None:
+        self.arm.command(position - self._shift, direction, speed)
+
+    def _is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
+        return self.arm.is_reachable(position - self._shift, direction)
+
     # Phases
 
     def _enter(self, phase: Phase, expected_s: float = 0.0) -> None:
@@ -266,8 +288,8 @@ class PokingClient:
         plan = self._plan
         assert plan is not None
         direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
-        self.arm.command(position, direction, speed)
-        tip = self.arm.read_tip()
+        self._command(position, direction, speed)
+        tip = self._read_tip()
         is_turned = tip.direction @ direction > 0.999
         return length_of(tip.position - position) < self.settings.arrive and bool(is_turned)
 
@@ -275,6 +297,7 @@ class PokingClient:
         if self._goal is None or not self._is_fresh:
             return
         goal, self._goal = self._goal, None
+        self._shift = self._aim.shift_at(goal.place)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):
             self._say(Answer(AnswerKind.SKIP, goal.number, plan))
@@ -284,15 +307,15 @@ class PokingClient:
 
     def _plan_poke(self, target: PokeTarget) -> PokePlan | str:
         """Plan a poke, or give the reason why it is impossible."""
-        arm, own, push = self.arm, self.settings, target.push
-        touch = target.place - arm.tip_radius_m * push
+        own, push = self.settings, target.push
+        touch = target.place - self.arm.tip_radius_m * push
         standoff, deepest = touch - own.standoff * push, touch + own.search * push
         out = self._clearance.exit_point(touch, push)
-        if not (arm.is_reachable(touch, push) and arm.is_reachable(standoff, push) and arm.is_reachable(out, push)):
+        if not all(self._is_reachable(place, push) for place in (touch, standoff, out)):
             return OUT_OF_REACH
         if not self._clearance.is_approach_free(target.place, out):
             return WAY_BLOCKED
-        here = arm.read_tip()
+        here = self._read_tip()
         start, way = here.position, list[ViaPoint]()
         if not self._clearance.is_outside(start):
             if self._clearance.is_straight_way_free(start, standoff, own.standoff / 2.0):
@@ -313,12 +336,12 @@ class PokingClient:
                 direction = (1.0 - share) * a.direction + share * b.direction
                 size = length_of(direction)
                 place = a.position + share * (b.position - a.position)
-                if size > MIN_DIRECTION and not self.arm.is_reachable(place, direction / size):
+                if size > MIN_DIRECTION and not self._is_reachable(place, direction / size):
                     return False
         return True
 
     def _start_travel(self) -> None:
-        plan, here = self._plan, self.arm.read_tip()
+        plan, here = self._plan, self._read_tip()
         assert plan is not None
         way_s = length_of(plan.way[0].position - here.position) / plan.speed
         turn = float(np.arccos(np.clip(here.direction @ plan.way[0].direction, -1.0, 1.0)))
@@ -337,7 +360,7 @@ class PokingClient:
             self._fail(NOT_THERE)
 
     def _begin_tare(self) -> None:
-        self._sum, self._count = np.zeros(3), 0
+        self._sum, self._count = np.zeros(6), 0
         self._enter(Phase.TARE, self.settings.tare_s)
 
     def _take_tare(self) -> None:
@@ -360,7 +383,7 @@ class PokingClient:
         plan, own = self._plan, self.settings
         assert plan is not None
         if self.force > own.touch_force:
-            self._setpoint = self.arm.read_tip().position
+            self._setpoint = self._read_tip().position
             self._touch_depth = float(self._setpoint @ plan.target.push)
             self._enter(Phase.PRESS, own.settle_s)
         elif self._go(plan.deepest, own.approach_speed) or self.arm.time_s > self._expected_s + own.late_s:
@@ -399,12 +422,16 @@ class PokingClient:
         self._setpoint = self._setpoint + speed * self.arm.period_s * push
         beyond = float((self._setpoint - plan.deepest) @ push)
         self._setpoint = self._setpoint - max(beyond - own.search, 0.0) * push
-        self.arm.command(self._setpoint, push, own.press_speed)
+        self._command(self._setpoint, push, own.press_speed)
 
     def _let_go(self, answer: Answer | None) -> None:
         """Draw back along the push: to the standoff, or further out if the tip did not get there."""
         plan = self._plan
         assert plan is not None
+        is_reached = answer is not None and answer.kind is AnswerKind.REACHED
+        if is_reached and self.force > self.settings.slip_share * plan.target.force:
+            contact = self.arm.read_tip().position + self.arm.tip_radius_m * plan.target.push
+            self._aim.add_poke(contact, self._wrench[:3], self._wrench[3:])
         self._answer, self._setpoint = answer, plan.way[0].position if self.phase is Phase.ENTER else plan.standoff
         self._enter(Phase.RELEASE, 2.0 * (self.settings.clearance + self.settings.search) / self.settings.retreat_speed)
 

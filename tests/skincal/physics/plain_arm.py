@@ -8,6 +8,8 @@ from skincal.physics.arm import TipPose, WrenchReading
 STIFFNESS = 3000.0
 WEIGHT = np.array([1.0, -7.0, 2.0])
 """N, what the sensor reads without a contact."""
+SENSOR = np.eye(4)
+SENSOR[:3, 3] = 0.01, -0.08, 0.02
 
 
 class PlainArm:
@@ -26,6 +28,9 @@ class PlainArm:
     def read_wrench(self):
         return self.wrench
 
+    def link_from_sensor(self):
+        return SENSOR
+
     def is_reachable(self, position, direction):
         return self.reach(position, direction)
 
@@ -36,7 +41,7 @@ class PlainArm:
         self.goal = None
 
     def contact(self):
-        """Distance of the tip's outside from the part, and the force on the part."""
+        """Distance of the tip's outside from the part, the force on the part, and its place."""
         centre = self.position + self.tip_error
         (near,), (triangle,) = nearest_points(self.surface, centre[None])
         normal, away = self.surface.normals[triangle], centre - near
@@ -44,7 +49,7 @@ class PlainArm:
         force = -self.grip * STIFFNESS * max(0.0, -gap) * normal
         if self.obstacle is not None and self.obstacle(centre):
             force = force + np.array([0.0, 0.0, -40.0])
-        return gap, force
+        return gap, force, near
 
     def advance(self):
         self.time_s += self.period_s
@@ -57,7 +62,7 @@ class PlainArm:
             if np.linalg.norm(direction) < 1e-3:
                 direction = direction + np.array([0.01, 0.02, 0.0])
             self.direction = direction / np.linalg.norm(direction)
-        gap, force = self.contact()
+        gap, force, near = self.contact()
         self.course.append((self.position, gap, float(np.linalg.norm(force))))
         if not self.is_silent:
-            self.wrench = WrenchReading(self.time_s, WEIGHT + force, np.zeros(3))
+            self.wrench = WrenchReading(self.time_s, WEIGHT + force, np.cross(near - SENSOR[:3, 3], force))

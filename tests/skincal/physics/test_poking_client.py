@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from skincal.mesh.surface import make_surface
+from skincal.physics.aim_correction import AimCorrection
 from skincal.physics.clearance import Clearance
 from skincal.physics.poking_client import MEASURE_AGAIN, OUT_OF_REACH, WAY_BLOCKED, Phase, PokeSettings, PokingClient
 from skincal.robot.target_lines import Answer, AnswerKind, Held, NoTarget, PokeTarget, TipPose
@@ -194,6 +195,30 @@ def test_a_tip_that_is_wrong_by_five_millimetres_still_pokes(error):
     bench = Bench(tip_error=(0.003, 0.0, error)).ask(target(1)).run(answered)
     assert bench.answers == [Answer(AnswerKind.REACHED, 1)]
     assert bench.forces.max() < 1.2 * 9.5
+
+
+def test_the_aim_is_corrected_by_the_force_axes():
+    """The robot's base is 5 mm and 1.5 degrees wrong; half-way an axis comes from a second contact."""
+    rng, motion, turn = np.random.default_rng(1), np.array([0.004, -0.003, 0.001]), np.radians([1.0, -1.0, 0.5])
+    aim = AimCorrection()
+    for number in range(24):
+        place = HALF * np.roll([1.0, *rng.uniform(-1.0, 1.0, 2)], number % 3)
+        push = -np.eye(3)[number % 3]
+        axis = place + 0.0005 * rng.standard_normal(3) + (0.03 if number == 12 else 0.0) * np.roll(push, 1)
+        force = 9.0 * (push + 0.1 * rng.standard_normal(3))
+        aim.add_poke(place - motion - np.cross(turn, place), force, np.cross(axis, force))
+    off = aim.shift_at(place) - motion - np.cross(turn, place)
+    assert np.linalg.norm(off) < 1e-3 < np.linalg.norm(motion)
+
+
+def test_an_arm_that_is_wrong_by_five_millimetres_learns_where_it_presses():
+    bench, misses = Bench(tip_error=(0.004, -0.003, 0.0)), []
+    for number, place in enumerate([(0.0, 0.0), (0.015, 0.03), (-0.015, 0.04), (0.01, -0.03)], start=1):
+        bench.ask(target(number, (*place, 0.02))).until_phase(Phase.HOLD)
+        misses.append(np.linalg.norm(bench.arm.contact()[2][:2] - place))
+        bench.run(lambda bench, number=number: len(bench.answers) == number)
+    assert misses[0] > 0.0045
+    assert max(misses[1:]) < 0.001
 
 
 def test_a_tip_that_slips_lets_go_and_the_poke_is_left_to_skincal():

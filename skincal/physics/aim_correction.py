@@ -1,0 +1,42 @@
+"""Correction of a robot's aim by the force axes of its own pokes.
+
+The force axis of a poke passes its contact. If it misses the tip's place by the joints, the robot's base or tip is wrong. The
+small motion between the two frames (six unknowns) is the least-squares fit of all pokes so far, with a prior.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skincal.geometry import FloatArray, axis_point, cross_matrix, crossed, length_of
+
+SHIFT_SD_M, TURN_SD = 0.010, float(np.radians(1.0))
+"""Prior sd of the motion, along and about each axis of the part's frame."""
+AXIS_SD_M = 0.002
+"""m, sd of the distance between a force axis and the true contact: sensor noise, and the tip's radius under friction."""
+MAX_MISS_M = 0.020
+"""m. An axis that passes farther from the tip has another cause, such as a second contact: it is not used."""
+
+
+class AimCorrection:
+    """Motion from the frame that the robot believes to the frame of the part."""
+
+    def __init__(self) -> None:
+        self._information: FloatArray = np.diag(np.repeat([SHIFT_SD_M, TURN_SD], 3) ** -2.0)
+        self._sum = np.zeros(6)
+        self._motion: FloatArray = np.zeros(6)
+
+    def shift_at(self, place: FloatArray) -> FloatArray:
+        """Compute the true less the believed position, (3,) metres, at `place` (3,)."""
+        return self._motion[:3] + crossed(self._motion[3:], place)
+
+    def add_poke(self, contact: FloatArray, force: FloatArray, moment: FloatArray) -> None:
+        """Learn from a poke: believed contact (3,), metres; tared force (3,), N, and moment (3,), N m, about the origin."""
+        across = cross_matrix(force / length_of(force))
+        miss = across @ (axis_point(force, moment) - contact)
+        if length_of(miss) > MAX_MISS_M:
+            return
+        rows = np.hstack([across, -across @ cross_matrix(contact)]) / AXIS_SD_M
+        self._information += rows.T @ rows
+        self._sum += rows.T @ miss / AXIS_SD_M
+        self._motion = np.asarray(np.linalg.solve(self._information, self._sum), dtype=np.float64)
