@@ -83,7 +83,7 @@ def request_of(options: argparse.Namespace) -> OpenRequest:
     folder = options.new
     if folder is None and addresses:
         folder = dated_folder(documents_folder(), datetime.now().astimezone())
-    demo = scene is None and folder is None
+    demo = scene is None and not addresses
     server = server_command(scene)
     return OpenRequest(scene=scene, addresses=addresses, server=server, folder=folder, targets=options.targets, demo=demo)
 

@@ -10,12 +10,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import lzma
 import os
 import re
 import shutil
 import statistics
 import subprocess
 import sys
+import tarfile
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -48,28 +50,37 @@ UNUSED_MODULES = (
     "tkinter", "_tkinter", "IPython", "pytest", "_pytest", "hypothesis", "PIL.ImageQt", "PySide6.QtNetwork", "PySide6.QtQml",
     "PySide6.QtQuick", "PySide6.QtSql", "PySide6.QtTest", "matplotlib.backends.backend_qtagg", "trimesh", "quadprog",
     "pyqtgraph.examples", "pyqtgraph.opengl", "pyvista.trame", "cmcrameri", "sphinx", "docutils", "setuptools", "pip",
-    "yaml", "gi", "zstandard.backend_cffi", "zstandard._cffi", "mkdocs", "airo_models", "jvrc_description",
+    "yaml", "gi", "zstandard.backend_cffi", "zstandard._cffi", "mkdocs", "airo_models", "jvrc_description", "PIL._avif",
+    "PIL._webp", "PIL._imagingft", "PIL._imagingcms",
 )  # fmt: skip
 """Optional modules of packages that the program never imports."""
 UNUSED_FILES = (
     "PySide6/Qt/translations", "matplotlib/mpl-data/sample_data", "matplotlib/mpl-data/fonts/afm",
     "matplotlib/mpl-data/fonts/pdfcorefonts", "PySide6/Qt/plugins/platforms/libq[elnv]*", "PySide6/Qt/plugins/egl*",
+    "PySide6/Qt/plugins/generic", "PySide6/Qt/plugins/platformthemes/libqgtk3*", "PySide6/Qt/plugins/imageformats/libq[jtw]*",
+    "PySide6/Qt/plugins/networkinformation", "PySide6/Qt/plugins/tls",
 )  # fmt: skip
-"""Files of packages that the program never opens: translations, other fonts, displays without X11 and Wayland."""
+"""Files of packages that the program never opens: translations, other fonts, displays without X11 and Wayland, pictures."""
 CARD_VTK = ("ChartsCore", "PythonContext2D", "ViewsContext2D", "ViewsCore")
 """Modules that pyvista imports by name for the canvas of a graphics card."""
 VTK_ROOMS = ("Common", "DataModel", "Filters", "Imaging", "Interaction", "Rendering", "ParallelCore", "IOCore", "IOImage")
 """Name prefixes of the VTK modules that compute and draw. Readers, accelerators and web parts are left out."""
 UNUSED_VTK = (
     "FiltersParallel", "FiltersVerdict", "RenderingVR", "RenderingVtkJS", "RenderingWebXR", "RenderingParallel",
-    "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid", "CommonPython",
+    "RenderingLICOpenGL2", "RenderingGL2PS", "RenderingExternal", "RenderingCellGrid", "CommonPython", "FiltersPoints",
+    "FiltersMeshing", "FiltersFlowPaths", "FiltersCellGrid", "FiltersGeometryPreview", "FiltersAMR",
+    "FiltersGeneric", "FiltersHyperTree", "FiltersSMP", "FiltersT", "FiltersImaging", "FiltersSelection",
+    "FiltersProgrammable", "ImagingMorphological", "ImagingStencil", "ImagingFourier", "ImagingStatistics", "ImagingOpenGL2",
+    "InteractionImage", "RenderingImage", "RenderingGridAxes", "RenderingLOD", "RenderingSceneGraph", "RenderingVolumeAMR",
 )  # fmt: skip
 """Modules with these prefixes that the program never uses."""
 
+XZ_FILTERS = ({"id": lzma.FILTER_X86}, {"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": 128 << 20})
+"""Machine code is prepared for the compression, whose dictionary holds the largest libraries at once."""
 STALL_S = 300.0
 """s. A window hangs if neither its picture nor its session changes for longer."""
 MAX_POKES_WITHOUT_TAXEL = 60
-"""Maximum accepted pokes before the first taxel is drawn. The simulated operator begins with the landmarks."""
+"""Maximum accepted pokes before the first taxel is drawn."""
 BALL_PX = 7
 """px. A square of this side fits into a taxel's ball, but not into a line."""
 TIMED_STARTS = 5
@@ -115,11 +126,17 @@ def _build() -> None:
 
 
 def _slim() -> None:
-    """Delete unused data files, and on Linux the symbols of libraries that only a debugger reads: half of VTK's size."""
+    """Delete unused files; on Linux also libraries that only these need, and symbols for debuggers: half of VTK's size."""
     parts = FROZEN_FOLDER / "parts"
+    before = _needed_libraries(parts)
     for pattern in UNUSED_FILES:
         for path in parts.glob(pattern):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
+    while unneeded := before - (needed := _needed_libraries(parts)):
+        for name in unneeded:
+            for path in parts.rglob(name):
+                path.unlink()
+        before = needed
     strip = shutil.which("strip") if sys.platform == "linux" else None
     # Libraries in *.libs were changed by auditwheel, and a strip can break those.
     libraries = [
@@ -128,6 +145,15 @@ def _slim() -> None:
     if strip is not None:
         for path in libraries:
             subprocess.run([strip, "--strip-unneeded", str(path)], check=True)
+
+
+def _needed_libraries(parts: Path) -> set[str]:
+    """List the libraries that the libraries of a folder load by name; empty on other systems than Linux."""
+    libraries = [str(path) for path in parts.rglob("*.so*") if path.is_file()]
+    if sys.platform != "linux" or shutil.which("readelf") is None:
+        return set()
+    read = subprocess.run(["readelf", "--dynamic", "--wide", *libraries], capture_output=True, text=True, check=False)
+    return set(re.findall(r"\(NEEDED\).*\[(.*)\]", read.stdout))
 
 
 def kept_vtk() -> list[str]:
@@ -297,7 +323,15 @@ def shows_taxels(picture: QImage) -> bool:
 def _pack() -> None:
     """Pack the folder and print its size."""
     size = sum(path.stat().st_size for path in FROZEN_FOLDER.rglob("*") if path.is_file() and not path.is_symlink())
-    packed = Path(shutil.make_archive(str(FROZEN_FOLDER), "zip" if os.name == "nt" else "xztar", DIST, FROZEN_FOLDER.name))
+    if os.name == "nt":
+        packed = Path(shutil.make_archive(str(FROZEN_FOLDER), "zip", DIST, FROZEN_FOLDER.name))
+    else:
+        packed = FROZEN_FOLDER.with_suffix(".tar.xz")
+        with (
+            lzma.open(packed, "wb", format=lzma.FORMAT_XZ, filters=XZ_FILTERS) as file,
+            tarfile.open(fileobj=file, mode="w|") as archive,
+        ):
+            archive.add(FROZEN_FOLDER, FROZEN_FOLDER.name)
     say(f"{FROZEN_FOLDER}: {size / 1e6:.0f} MB; {packed.name}: {packed.stat().st_size / 1e6:.0f} MB")
 
 

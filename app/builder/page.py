@@ -147,6 +147,7 @@ class BuilderPage(QWidget):
         view.link_picked.connect(lambda link: self.open_step.take_link(link))
         view.drag_started.connect(place.start_drag)
         view.layout_dragged.connect(place.drag_to)
+        view.turn_started.connect(place.start_turn)
         view.layout_turned.connect(place.turn)
         self.undo_button.clicked.connect(self.undo)
         self.redo_button.clicked.connect(self.redo)
@@ -246,7 +247,8 @@ class BuilderPage(QWidget):
         if self.preview is not None:
             step = self.open_step
             self.view.set_mode(step.mode)
-            self.view.show_picture(DraftPicture(self.preview, step.name, step.module, step.points, step.answered))
+            shown = DraftPicture(self.preview, step.name, step.module, step.points, step.answered, step.turn_handle())
+            self.view.show_picture(shown)
 
     # Steps
 

@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QFormLayout, QGridLayout, QWidget
 from app.builder.fields import VectorField, button, number_field, row_of
 from app.builder.step import Step
 from app.panels.widgets import compact_combo
+from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError
@@ -22,6 +23,7 @@ from skincal.session.part_draft import AnchorDraft, PartDraft
 WHOLE_LAYOUT = -1  # Data of the entry for the whole layout
 TURNS_DEG = (-15.0, -1.0, 1.0, 15.0)
 STEP_MM = 2.0
+RING_OVER_LAYOUT = 1.15  # Radius of the ring that turns the layout, over that of the layout
 ARROW_BUTTONS = (("\N{LEFTWARDS ARROW}", -1, 0, 1, 0), ("\N{RIGHTWARDS ARROW}", 1, 0, 1, 2), ("\N{UPWARDS ARROW}", 0, 1, 0, 1),
           ("\N{DOWNWARDS ARROW}", 0, -1, 2, 1))  # fmt: skip
 """Sign, step along the layout's x and y, row and column of the button."""
@@ -34,8 +36,8 @@ class PlaceStep(Step):
     tab = "Place"
     title = "Place the layout"
     hint = (
-        "Click the part where the middle of the layout lies. Drag the layout to slide it, turn the wheel over it to turn it. "
-        "Drag next to it to turn the view."
+        "Click the part where the middle of the layout lies. Drag the layout to slide it. Drag the ring around it to turn it, "
+        "or turn the wheel over it. A drag elsewhere turns the view."
     )
 
     def __init__(self) -> None:
@@ -147,11 +149,23 @@ class PlaceStep(Step):
             return
         self._move_to(anchor_at(preview.surface, preview.layout, point, self._anchor()), "")
 
+    def turn_handle(self) -> TurnHandle | None:
+        anchor, laid = self._anchor(), None if self.preview is None else self.preview.laid
+        if anchor is None or laid is None:
+            return None
+        corners = np.concatenate(laid.outlines) if self.module is None else laid.outlines[self.module]
+        distances = np.linalg.norm(corners - anchor.point, axis=1)
+        return TurnHandle(anchor, RING_OVER_LAYOUT * float(np.nanmax(distances))) if np.isfinite(distances).any() else None
+
+    def start_turn(self) -> None:
+        """Begin a drag of the ring: its turns are undone together."""
+        self._drag += 1
+
     def turn(self, degrees: float) -> None:
         """Turn what moves, counter-clockwise seen from outside."""
         anchor = self._anchor()
         if anchor is not None:
-            self._move_to(turned_anchor(anchor, degrees), "turn")
+            self._move_to(turned_anchor(anchor, degrees), f"turn {self._drag}")
 
     def nudge(self, x_mm: float, y_mm: float) -> None:
         """Slide what moves along the layout's axes."""

@@ -10,6 +10,7 @@ from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from app.builder.fields import quiet_label
 from app.panels.widgets import set_bold
+from app.scene3d.draft_state import TurnHandle
 from app.scene3d.draft_view import Mode
 from app.theme import WIDGET_GAP_PX
 from skincal.geometry import FloatArray, IntArray
@@ -68,6 +69,10 @@ class Step(QWidget):
 
     def update_fields(self, preview: PartPreview) -> None:
         """Show the values of a draft in the fields, without reporting changes."""
+
+    def turn_handle(self) -> TurnHandle | None:
+        """Give the ring that turns the layout; `None` if this step turns nothing."""
+        return None
 
     def enter(self) -> None:
         """Begin: the step is on the screen."""

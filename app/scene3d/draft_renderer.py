@@ -18,6 +18,7 @@ from app.scene3d.mesh_actors import FRONT, PART, Dots, Label, Layer, Segments
 from app.scene3d.part_layers import ModulesLayer, SurfaceLayer
 from app.scene3d.scene_renderer import SceneRenderer
 from app.scene3d.scene_state import DARK, SceneColours, StaticScene
+from app.scene3d.turn_handle import TurnHandleLayer
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.search import nearest_points
@@ -255,10 +256,11 @@ class DraftRenderer(SceneRenderer):
             MarksLayer(plotter, static),
         )
         self.modules = DraftModulesLayer(plotter, static, layout, laid)
+        self.handle = TurnHandleLayer(plotter, static)
         self._fitted: object = None
         self._surface: Surface | None = None
         self._picture: DraftPicture | None = None
-        return self.links, self.surface_layer, self.modules, self.sensors, self.marks, HintsLayer(plotter, static)
+        return self.links, self.surface_layer, self.modules, self.sensors, self.marks, self.handle, HintsLayer(plotter, static)
 
     def show(self, state: Any) -> bool:
         """Show a `DraftPicture`."""
@@ -276,7 +278,7 @@ class DraftRenderer(SceneRenderer):
         self._show_layout(picture)
         size = max(MIN_DRAWN_AXIS_LENGTH_M, AXIS_SHARE * (0.0 if preview.size_mm is None else max(preview.size_mm) * 1e-3))
         self.sensors.size = self.marks.size = size
-        for layer in (self.links, self.sensors, self.marks):
+        for layer in (self.links, self.sensors, self.marks, self.handle):
             layer.show_picture(picture)
         key = (
             preview.surface, preview.shape, preview.draft.link if preview.shape is not None else "", _view_of(picture),

@@ -10,7 +10,7 @@ from app.scene3d.scene_state import StaticScene
 from skincal.geometry import FloatArray, IntArray
 from skincal.mesh.lay import PlacedLayout
 from skincal.mesh.surface import Surface
-from skincal.model.skin import Layout
+from skincal.model.skin import Anchor, Layout
 from skincal.session.draft_preview import PartPreview
 
 ROBOT_STEPS = ("part", "sensor", "joints")
@@ -30,6 +30,15 @@ class DraftStatic(StaticScene):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TurnHandle:
+    """Ring that turns a layout about its anchor's normal."""
+
+    anchor: Anchor
+    radius: float
+    """m."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DraftPicture:
     """Content of one picture of a draft."""
 
@@ -42,3 +51,5 @@ class DraftPicture:
     """(n, 3) float, metres: points that were picked for the step."""
     answered: IntArray | None = None
     """Channels that answered a touch; `None` without a skin."""
+    handle: TurnHandle | None = None
+    """`None` if nothing can be turned."""

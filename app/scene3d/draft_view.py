@@ -28,7 +28,7 @@ class Mode(Enum):
     LINK = "link"
     POINT = "point"
     LAYOUT = "layout"
-    """A click places the layout; a drag that begins on it slides it, and the wheel over it turns it."""
+    """A click places the layout; a drag that begins on it slides it, one of the ring turns it, as does the wheel over it."""
 
 
 class _LayoutTool(PointerTool):
@@ -36,18 +36,29 @@ class _LayoutTool(PointerTool):
 
     def __init__(self, view: DraftView3D) -> None:
         self._view = view
+        self._angle: float | None = None
+        """Degrees, of the pointer on the ring that is dragged; `None` if the layout is dragged."""
 
     def press(self, x: float, y: float) -> bool:
         view = self._view
-        return view.mode is Mode.LAYOUT and view.start_drag(x, y)
+        if view.mode is not Mode.LAYOUT:
+            return False
+        self._angle = view.ring_angle(x, y) if view.is_on_ring(x, y) else None
+        if self._angle is None:
+            return view.start_drag(x, y)
+        view.turn_started.emit()
+        return True
 
     def drag(self, x: float, y: float) -> None:
+        if self._angle is not None:
+            angle = self._view.ring_angle(x, y)
+            if angle is not None:
+                self._view.layout_turned.emit((angle - self._angle + 180.0) % 360.0 - 180.0)
+                self._angle = angle
+            return
         point = self._view.point_at(x, y)
         if point is not None:
             self._view.layout_dragged.emit(point)
-
-    def release(self) -> None:
-        self._view.drag_ended.emit()
 
     def turn_wheel(self, notches: float, x: float, y: float) -> bool:
         view = self._view
@@ -69,7 +80,8 @@ class DraftView3D(View3D):
     """(3,) float, metres, link frame: the point of the part under the pointer."""
     layout_turned = Signal(float)
     """Degrees, counter-clockwise seen from outside."""
-    drag_ended = Signal()
+    turn_started = Signal()
+    """The ring around the layout was gripped; its turns follow."""
 
     def __init__(self, parent: QWidget | None = None, canvas: Canvas | None = None) -> None:
         super().__init__(parent, canvas)
@@ -113,6 +125,16 @@ class DraftView3D(View3D):
         self.drag_started.emit(module, point)
         return True
 
+    def is_on_ring(self, x: float, y: float) -> bool:
+        """Whether the ring that turns the layout is at a pixel."""
+        renderer: DraftRenderer | None = self._renderer  # pyright: ignore[reportAssignmentType]
+        return renderer is not None and renderer.handle.is_at(x, y)
+
+    def ring_angle(self, x: float, y: float) -> float | None:
+        """Return the angle of a pixel about the middle of that ring, degrees; `None` without a ring."""
+        renderer: DraftRenderer | None = self._renderer  # pyright: ignore[reportAssignmentType]
+        return None if renderer is None else renderer.handle.angle_at(x, y)
+
     def _mount(self, loaded: object) -> None:
         super()._mount(loaded)  # pyright: ignore[reportArgumentType]
         self.set_mode(self.mode)
@@ -125,7 +147,7 @@ class DraftView3D(View3D):
             link = renderer.pick_link(x, y)
             if link is not None:
                 self.link_picked.emit(link)
-        elif self.mode in (Mode.POINT, Mode.LAYOUT):
+        elif self.mode is Mode.POINT or (self.mode is Mode.LAYOUT and not self.is_on_ring(x, y)):
             point = self.point_at(x, y)
             if point is not None:
                 self.point_picked.emit(point)

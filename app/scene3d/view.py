@@ -56,9 +56,6 @@ class PointerTool:
     def drag(self, x: float, y: float) -> None:
         """Follow the pointer after a press that was handled."""
 
-    def release(self) -> None:
-        """End a drag."""
-
     def turn_wheel(self, notches: float, x: float, y: float) -> bool:  # noqa: ARG002
         """Handle a turn of the wheel; return whether it was handled."""
         return False
@@ -136,7 +133,6 @@ class Pointer(QObject):
         self._renderer.auto_camera.held = event.buttons() != Qt.MouseButton.NoButton
         if self._is_tools and event.button() == Qt.MouseButton.LeftButton:
             self._is_tools = False
-            self.tool.release()
         if not self._dragged and event.button() == Qt.MouseButton.LeftButton:
             self._clicked(*self._pixels(event.position()))
 

@@ -69,6 +69,8 @@ PACES = (1, 2, 4)
 """Speed of the simulated operator between pokes, relative to a careful person."""
 DEMO_SPEED_FACTOR = 2
 """A poke takes 1.5 s, and the modules method finishes in two minutes."""
+DEMO_FIRST_MODULE_POKES = 2
+"""The demonstration shows the taxels of a module within seconds; in any other session the landmarks come first."""
 ANY_PORT = "0"
 """The system chooses a free port."""
 
@@ -349,6 +351,7 @@ class Controller(QObject):
         from skincal.session.guided_session import GuidedSession
 
         self._part, self.guided = part, GuidedSession(part, self.compute)
+        self.guided.guide.first_module_pokes = DEMO_FIRST_MODULE_POKES if self.demo else 0
         self.part_loaded.emit(part)
         for finding in part.findings:
             self.said.emit(Message(finding, found=True))

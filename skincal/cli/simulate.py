@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 SERVED_MOMENT_NOISE_NM = 2e-6
 """N m. A served sensor without noise would look frozen: the last digits that most formats have."""
+SERVED_QUIET_S = 0.5
+"""s of rest before the first poke: a host that connects at once gets its tare."""
 DEFAULT_SESSION_POKES = 252
 """Pokes of a recorded session unless given: three for each taxel of the paper's forearm."""
 
@@ -153,7 +155,8 @@ def simulate(
     rig_rng, operator_rng, device_rng = _streams(seed, run)
     rig = Rig(loaded, surface, wrong, rig_rng)
     hand = _make_operator(operator, rig, habits, operator_rng, (pokes, names))
-    settings = DeviceSettings(emulated=_speakers(speak_as, loaded), flicker=SERVED_MOMENT_NOISE_NM)
+    spoken = _speakers(speak_as, loaded)
+    settings = DeviceSettings(emulated=spoken, flicker=SERVED_MOMENT_NOISE_NM, start_quiet_s=SERVED_QUIET_S)
     with closing(Server(DeviceTimeline(rig, hand, device_rng, settings), tcp=tcp)) as server:
         known = {**rig.truth(), RIG_KEY: {"seed": seed, "errors": errors.value}}
         _print_links(server, known if as_json else {})

@@ -71,6 +71,8 @@ class SessionGuide:
         """Guidance that is shown."""
         self.wanted = True
         """The operator wants to be guided."""
+        self.first_module_pokes = 0
+        """Contacts on one module before the landmarks and the other modules: of a demonstration, which shows taxels at once."""
         self.costs = costs_of(self.plan, methods_of(part.scene, part.surface), on_mesh=part.surface is not None)
         """Approximate pokes that each method takes until it is enough; empty if no layout places the taxels."""
 
@@ -99,9 +101,22 @@ class SessionGuide:
             self._skin_guidance = self.next_skin_target(snapshot, method, evidence)
             self._followed = now
         assert self._skin_guidance is not None
-        before = self.landmarks.before_skin(self._skin_guidance, snapshot, pose, now_s)
-        self._guidance = self.closing.after_skin(before, snapshot, pose[0])
+        if len(snapshot.contacts) < self.first_module_pokes:
+            self._guidance = self._stay_on_module(self._skin_guidance, snapshot)
+        else:
+            before = self.landmarks.before_skin(self._skin_guidance, snapshot, pose, now_s)
+            self._guidance = self.closing.after_skin(before, snapshot, pose[0])
         return self._guidance
+
+    def _stay_on_module(self, guidance: Guidance, snapshot: Snapshot) -> Guidance:
+        """Ask for the taxel of the last poke's module that is farthest from that poke."""
+        plan = self.plan
+        if not snapshot.contacts or not np.isfinite(plan.places).all():
+            return guidance
+        last = int(np.flatnonzero(plan.channels == snapshot.contacts[-1].strongest_channel)[0])
+        distances = np.linalg.norm(plan.places - plan.places[last], axis=1)
+        row = int(np.where(plan.modules == plan.modules[last], distances, -1.0).argmax())
+        return replace(guidance, target=_straight(int(plan.channels[row]), plan.places[row], plan.normals[row]))
 
     def next_skin_target(self, snapshot: Snapshot, method: Method, evidence: Callable[[Collection[int]], Evidence]) -> Guidance:
         """Choose the next target on the skin, without landmarks."""

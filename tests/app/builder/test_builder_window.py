@@ -11,6 +11,7 @@ from PySide6.QtTest import QTest
 from PySide6.QtWidgets import QApplication
 
 from app.dialogs.new_session import NewSessionDialog
+from app.scene3d.camera import project
 from skincal.model.scene import load_scene
 from skincal.session.part_draft import open_draft
 from tests.app.whole_window import OPEN_MS
@@ -68,6 +69,13 @@ class Builder:
         self.settle()
         return end
 
+    def ring_pixel(self, ring, angle: float) -> QPoint:
+        """Pixel of the ring that turns the layout, at an angle (rad) from its knob."""
+        x, normal, view = ring.anchor.x, ring.anchor.normal, self.page.view
+        point = ring.anchor.point + ring.radius * (np.cos(angle) * x + np.sin(angle) * np.cross(normal, x))
+        across, up, _ = project(view._renderer.renderer, point[None])[0]
+        return QPoint(round(across), round(view.canvas.height() - up))
+
     def turn_wheel(self, at: QPoint, notches: int) -> None:
         canvas, no = self.page.view._canvas, Qt.MouseButton.NoButton
         phase = Qt.ScrollPhase.NoScrollPhase
@@ -117,6 +125,16 @@ def test_a_mesh_becomes_a_part_that_is_saved_and_poked(bench, tube):
     turned = build.draft.anchor
     assert turned.point_mm == dragged.point_mm
     assert np.degrees(np.arccos(np.dot(turned.x, dragged.x))) == pytest.approx(15.0, abs=0.1)
+    knob, quarter = (build.ring_pixel(place.turn_handle(), angle) for angle in (0.0, np.pi / 2.0))
+    build.drag(knob, (quarter - knob).toTuple())
+    by_ring = build.draft.anchor
+    assert by_ring.point_mm == turned.point_mm
+    assert np.cross(turned.x, by_ring.x) @ turned.normal == pytest.approx(1.0, abs=0.02), "counter-clockwise, by a quarter"
+    QTest.mouseClick(build.page.view.canvas, Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier, quarter)
+    assert build.draft.anchor == by_ring, "a click on the ring places nothing"
+    build.page.undo()
+    build.settle()
+    assert build.draft.anchor == turned, "a drag of the ring is one change"
     place.nudge(0.0, -2.0)
     build.settle()
     assert build.draft.anchor.point_mm != turned.point_mm
