@@ -11,10 +11,12 @@ import sys
 import threading
 from collections.abc import Callable
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 
 from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, QTimer, Signal
+from PySide6.QtGui import QFontDatabase
 from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
@@ -40,6 +42,8 @@ GC_THRESHOLDS = (10_000, 20, 20)
 """As for `gc.set_threshold`. A full collection stops every thread for 50 ms once VTK and pyqtgraph are imported, and with the
 default values the imports alone cause several. With these it needs four million new objects; a poke leaves a thousand."""
 GARBAGE_COLLECTION_PERIOD_MS = 200
+FALLBACK_FONTS = "mpl-data/fonts/ttf/DejaVuSans*.ttf"
+"""Fonts of the package matplotlib, for a system without any: a server, a container."""
 PYTHON_THREAD_SWITCH_INTERVAL_S = 0.0005
 """With Python's default of 5 ms, background work delays the picture seven times as much (measured)."""
 
@@ -179,6 +183,14 @@ def _collect_garbage() -> None:
         gc.collect(due[-1])
 
 
+def add_fallback_fonts() -> None:
+    """Use the fonts of matplotlib if the system has none: otherwise each letter would be a square."""
+    package = find_spec("matplotlib")
+    if not QFontDatabase.families() and package is not None and package.origin is not None:
+        for font in Path(package.origin).parent.glob(FALLBACK_FONTS):
+            QFontDatabase.addApplicationFont(str(font))
+
+
 def run_window(request: OpenRequest, player: Player | None = None) -> int:
     """Open the window; return the exit code when it is closed: 1 after an uncaught exception.
 
@@ -190,6 +202,7 @@ def run_window(request: OpenRequest, player: Player | None = None) -> int:
     application = QApplication.instance() or QApplication(sys.argv[:1])
     assert isinstance(application, QApplication)
     collect_in_window(application)
+    add_fallback_fonts()
     # The folder of the log has this name.
     application.setApplicationName("skincal")
     faults = Faults()

@@ -7,7 +7,17 @@ from pathlib import Path
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import QFileDialog, QFormLayout, QLabel, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QCheckBox,
+    QFileDialog,
+    QFormLayout,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QListWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
 
 from app.builder.fields import VectorField, button, row_of
 from app.builder.step import Step
@@ -22,6 +32,7 @@ from skincal.mesh.search import nearest_points
 from skincal.session.draft_preview import PartPreview, completed_draft
 from skincal.session.draft_summary import State, summarize
 from skincal.session.part_draft import METRE_DIGITS, LandmarkDraft, free_scene_path, rounded
+from skincal.session.robot_copy import is_with_robot, size_words
 
 NORMAL_DIGITS = 3
 STATE_SIGNS = {State.COMPLETE: "\N{CHECK MARK}", State.OPTIONAL: "\N{BLACK UP-POINTING TRIANGLE}", State.NEEDED: "\N{BALLOT X}"}
@@ -78,6 +89,10 @@ class CheckStep(Step):
         label, row = path_row("&Folder", self.folder, self._choose_folder)
         where = QFormLayout()
         where.addRow(label, row)
+        self.copies = QCheckBox()
+        self.copies.setToolTip("The folder can then be moved to another computer")
+        self.copies.clicked.connect(lambda on: self.change(replace(self.draft, copies_robot=on)))
+        where.addRow("", self.copies)
         self.column.addLayout(where)
         self.column.addStretch(1)
 
@@ -107,6 +122,16 @@ class CheckStep(Step):
             source = None if preview.draft.source is None or is_shipped(preview.draft.source) else preview.draft.source
             name = completed_draft(preview).name
             self.folder.setText(str(free_scene_path(self._scenes, name).parent if source is None else source.parent))
+        self._show_copies()
+
+    def _show_copies(self) -> None:
+        """Offer a copy of the robot where it matters."""
+        urdf, files, path = self.draft.urdf, None if self.preview is None else self.preview.robot_files, self.scene_path()
+        is_offered = urdf is not None and path != self.draft.source and not is_with_robot(urdf, path.parent)
+        self.copies.setVisible(is_offered and files is not None)
+        self.copies.setChecked(self.draft.copies_robot)
+        if files is not None:
+            self.copies.setText(f"Copy the robot into it: {size_words(len(files.sources), files.size)}")
 
     def _show_summary(self, preview: PartPreview) -> None:
         texts = [f"{STATE_SIGNS[line.state]}  {line.text}" for line in summarize(preview)]
@@ -183,9 +208,10 @@ class CheckStep(Step):
 
     def _type_folder(self) -> None:
         self._is_typed_folder = True
+        self._show_copies()
 
     def _choose_folder(self) -> None:
         path = QFileDialog.getExistingDirectory(self, "Folder of the new scene", str(Path(self.folder.text()).parent))
         if path:
-            self._is_typed_folder = True
             self.folder.setText(path)
+            self._type_folder()

@@ -44,6 +44,9 @@ def new_scene(
     package: Annotated[
         list[str] | None, typer.Option(help="NAME=FOLDER of a ROS package that the URDF names; repeatable.")
     ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Name the robot's files where they are. Default: copy them to OUT's folder.")
+    ] = False,
     mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF in place of the file that it names.")] = None,
     sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
     unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
@@ -60,6 +63,7 @@ def new_scene(
     from skincal.cli import output
     from skincal.files.layout_sources import parse_grid
     from skincal.session.part import load_part
+    from skincal.session.robot_copy import ROBOT_FOLDER, size_words
     from skincal.session.scene_draft import SceneDraft, write_scene
 
     if layout is not None and grid:
@@ -72,6 +76,7 @@ def new_scene(
         joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
         fixed_deg={name: _degrees(name, text) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")},
         packages={name: Path(folder) for name, folder in _pairs(package or [], "--package", "FOLDER")},
+        copies_robot=not reference,
         mesh=mesh,
         sign=None if sign is None else int(sign),
         unit=unit,
@@ -83,7 +88,10 @@ def new_scene(
     )
     write_scene(draft)
     result = scene_result(load_part(out), None)
-    output.print_result(result, [f"wrote {out}", *_lines(result)], as_json)
+    copied = [path for path in (out.parent / ROBOT_FOLDER).rglob("*") if path.is_file()]
+    words = size_words(len(copied), sum(path.stat().st_size for path in copied))
+    copies = f"; copied the robot, {words}" if copied else ""
+    output.print_result(result, [f"wrote {out}{copies}", *_lines(result)], as_json)
 
 
 def _saved_description(address: str, out: Path) -> Path:

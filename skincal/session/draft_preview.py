@@ -25,6 +25,7 @@ from skincal.model.skin import Anchor, Layout
 from skincal.model.urdf import MOVING, Robot, UrdfChain, find_mesh, read_urdf
 from skincal.session.layout_placing import LaidFindings, anchor_at, find_laid_problems
 from skincal.session.part_draft import PartDraft, layout_file_of
+from skincal.session.robot_copy import RobotFiles, list_robot_files
 from skincal.session.robot_shape import RobotShape, link_poses, load_robot_shape, middle_angles, missing_packages
 
 KeptResult = TypeVar("KeptResult")
@@ -62,6 +63,8 @@ class PartPreview:
     shape: RobotShape | None = None
     link_poses: Mapping[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """(4, 4) float, metres: all links in the part's link."""
+    robot_files: RobotFiles | None = None
+    """Files that a copy of the robot has."""
     missing_packages: tuple[str, ...] = ()
     """ROS packages whose meshes are not found."""
     mesh_link: str = ""
@@ -164,7 +167,8 @@ class _Work:
         draft, packages = self.draft, dict(self.draft.packages)
         robot = self.once(_read_robot, path)
         shape = self.once(_load_shape, path, self.draft.packages)
-        self.values |= {"robot": robot, "shape": shape}
+        files = self.once(_list_files, path, self.draft.packages)
+        self.values |= {"robot": robot, "shape": shape, "robot_files": files}
         self.values["missing_packages"] = tuple(missing_packages(robot, packages))
         self._find_joints(robot)
         angles = {**middle_angles(robot), **self.angles}
@@ -316,6 +320,10 @@ def _read_robot(path: Path) -> Robot:
 
 def _load_shape(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotShape:
     return load_robot_shape(read_urdf(path), dict(packages))
+
+
+def _list_files(path: Path, packages: tuple[tuple[str, Path], ...]) -> RobotFiles:
+    return list_robot_files(read_urdf(path), dict(packages))
 
 
 def _load_surface(path: Path, scale: float, pose: tuple[tuple[float, ...], ...]) -> tuple[Surface, tuple[str, ...]]:

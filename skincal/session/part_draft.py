@@ -20,6 +20,8 @@ from skincal.model.given import MAX_MESH_BYTES, read_regular
 from skincal.model.scene import Scene, load_scene, ships
 from skincal.model.skin import Anchor
 from skincal.model.tables import parse_toml
+from skincal.model.urdf import read_urdf
+from skincal.session.robot_copy import ROBOT_FOLDER, is_with_robot, list_robot_files, read_robot_files
 
 Vector: TypeAlias = tuple[float, ...]
 Pose: TypeAlias = tuple[Vector, ...]
@@ -98,6 +100,8 @@ class PartDraft:
     fixed: tuple[tuple[str, float], ...] = ()
     """Joints that are not streamed, and their angles in degrees."""
     packages: tuple[tuple[str, Path], ...] = ()
+    copies_robot: bool = True
+    """Saving a new scene copies the robot's files, unless they are moved together with the scene's folder anyway."""
     mesh: Path | None = None
     """Of a part without a URDF, or in place of the file that the URDF names."""
     unit: str = "mm"
@@ -486,7 +490,7 @@ def _require_same(draft: PartDraft, text: str, folder: Path) -> None:
 
 
 def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None = None) -> PartDraft:
-    """Write the scene file, and its layout; copy a bare mesh into the folder. Return the draft of that file.
+    """Write the scene file, and its layout; copy mesh and robot into the folder. Return the draft of that file.
 
     Nothing is written if the file says the same already. `comments` replace the usual ones on new entries and tables.
 
@@ -501,13 +505,7 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
     if path.exists() and not is_same:
         raise InputError(f"{path}: is there already; choose another folder.")
     folder = path.parent
-    made: dict[Path, bytes] = {}
-    mesh = draft.mesh
-    is_named = is_same and mesh == open_draft(path).mesh
-    if mesh is not None and draft.urdf is None and not is_named and mesh.resolve().parent != folder.resolve():
-        target = folder / mesh.name
-        made[target] = read_regular(mesh, MAX_MESH_BYTES)
-        draft = replace(draft, mesh=target)
+    draft, made = _with_copies(draft, folder, open_draft(path) if is_same else PartDraft())
     if draft.layout_text:
         name = draft.layout_name if is_same and draft.layout_name else LAYOUT_FILE
         made[folder / name] = draft.layout_text.encode()
@@ -517,11 +515,39 @@ def save_draft(draft: PartDraft, path: Path, comments: Mapping[Key, str] | None 
         raise InputError(f"{taken[0]}: another file of this name is there already; choose another folder.")
     made[path] = scene_text(draft, folder, comments).encode()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        for file in made:
+            file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another folder.") from None
     _write_all(made, path)
     return open_draft(path)
+
+
+def _with_copies(draft: PartDraft, folder: Path, before: PartDraft) -> tuple[PartDraft, dict[Path, bytes]]:
+    """Copy what the draft names for the first time: its mesh, and its robot. Return the draft that names the copies."""
+    made: dict[Path, bytes] = {}
+    urdf, mesh = draft.urdf, draft.mesh
+    copies_robot = urdf is not None and urdf != before.urdf and copies_to(draft, folder)
+    if copies_robot and urdf is not None:
+        home = folder / ROBOT_FOLDER
+        files = list_robot_files(read_urdf(urdf), dict(draft.packages))
+        made = {home / inside: data for inside, data in read_robot_files(files).items()}
+        draft = replace(draft, urdf=home / urdf.name, packages=tuple((name, home / name) for name in files.packages))
+    if (
+        mesh is not None
+        and mesh != before.mesh
+        and (urdf is None or copies_robot)
+        and mesh.resolve().parent != folder.resolve()
+    ):
+        target = folder / mesh.name
+        made[target] = read_regular(mesh, MAX_MESH_BYTES)
+        draft = replace(draft, mesh=target)
+    return draft, made
+
+
+def copies_to(draft: PartDraft, folder: Path) -> bool:
+    """Whether a scene that is saved in `folder` gets a copy of the robot."""
+    return draft.urdf is not None and draft.copies_robot and not is_with_robot(draft.urdf, folder)
 
 
 def _write_all(files: dict[Path, bytes], scene: Path) -> None:

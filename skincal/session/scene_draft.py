@@ -41,6 +41,8 @@ class SceneDraft:
     fixed_deg: Mapping[str, float] = field(default_factory=dict[str, float])
     """Degrees, of joints of the chain that are not streamed."""
     packages: Mapping[str, Path] = field(default_factory=dict[str, Path])
+    copies_robot: bool = True
+    """Copy the robot's files into the folder of the scene, unless they are moved together anyway."""
     mesh: Path | None = None
     """In place of the file that the URDF names."""
     sign: int | None = None
@@ -94,6 +96,7 @@ def _described(draft: SceneDraft) -> PartDraft:
         joints=tuple(draft.joints),
         fixed=tuple(draft.fixed_deg.items()),
         packages=tuple(draft.packages.items()),
+        copies_robot=draft.copies_robot,
         mesh=draft.mesh,
         unit=draft.unit,
         sign=draft.sign,

@@ -84,6 +84,48 @@ def test_a_copy_holds_urdf_and_mesh_and_its_digest_covers_them(tmp_path, urdf):
     assert scene_digest(copied.path.parent) != before
 
 
+def test_a_new_scene_holds_the_robot_and_can_be_moved_to_another_computer(tmp_path, urdf, capsys):
+    secret = tmp_path / "arm/meshes/key.stl"
+    secret.write_text("a private key")
+    names = ("key.stl", "../../secret.stl", "gone.stl")
+    others = "".join(
+        f'<link name="l{number}"><visual><geometry><mesh filename="package://arm/meshes/{name}"/></geometry></visual></link>'
+        f'<joint name="j{number}" type="fixed"><parent link="base"/><child link="l{number}"/></joint>'
+        for number, name in enumerate(names)
+    )
+    urdf.write_text(urdf.read_text().replace("</robot>", f"{others}</robot>"))
+    (tmp_path / "secret.stl").write_bytes((tmp_path / "arm/meshes/part.stl").read_bytes())
+    out = tmp_path / "scenes/new/scene.toml"
+    command = ["scene", "new", "--urdf", str(urdf), "--link", "part", "--sensor", "wrist_ft", "--grid", "3x4@8mm", "--out"]
+    assert main([*command, str(out)]) == 0
+    assert "copied the robot, 2 files" in capsys.readouterr().out
+    before = load_part(out)
+    moved = tmp_path / "usb-stick/part"
+    moved.parent.mkdir()
+    out.parent.rename(moved)
+    (tmp_path / "arm").rename(tmp_path / "gone")
+    found = sorted(path.relative_to(moved).as_posix() for path in moved.rglob("*") if path.is_file())
+    assert found == ["modules.toml", "robot/arm.urdf", "robot/arm/meshes/part.stl", "scene.toml"]
+    after = load_part(moved / "scene.toml")
+    assert np.array_equal(after.laid.places, before.laid.places)
+    assert str(tmp_path) not in (moved / "scene.toml").read_text()
+    (tmp_path / "gone").rename(tmp_path / "arm")
+    referring = tmp_path / "referring/scene.toml"
+    assert main([*command, str(referring), "--reference"]) == 0
+    inside = tmp_path / "arm/robots/scenes/scene.toml"
+    assert main([*command, str(inside)]) == 0
+    assert "copied" not in capsys.readouterr().out
+    for path in (referring, inside):
+        assert load_scene(path).robot.urdf.path.resolve() == urdf
+
+
+def test_a_robot_too_large_for_a_copy_is_refused(tmp_path, urdf, monkeypatch):
+    monkeypatch.setattr("skincal.session.robot_copy.MAX_ROBOT_BYTES", 1000)
+    with pytest.raises(InputError, match="save without it"):
+        write_scene(draft(tmp_path, urdf))
+    assert write_scene(draft(tmp_path, urdf, copies_robot=False)).robot.urdf.path.is_file()
+
+
 def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
     poses = ArmPoses(write_scene(draft(tmp_path, urdf)))
     for degrees, words in (
