@@ -599,7 +599,8 @@ def _suggest(name: str, known: Sequence[str]) -> str:
 def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Path:
     """Find the file of a link's mesh: `package://NAME/...`, or a name relative to the URDF.
 
-    A package is looked for in `packages`, in the folders above the URDF, in ROS_PACKAGE_PATH and in AMENT_PREFIX_PATH.
+    A package is looked for in `packages`, next to the URDF, in the folders above it, in ROS_PACKAGE_PATH and in
+    AMENT_PREFIX_PATH.
 
     Raises InputError: there is no such file, or its name leaves the folder.
     """
@@ -630,6 +631,7 @@ def find_mesh(robot: Robot, mesh: LinkMesh, packages: Mapping[str, Path]) -> Pat
 def _package_folders(package: str, urdf: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
     if package in packages:
         yield packages[package]
+    yield urdf.parent / package
     for folder in urdf.resolve().parents:
         if folder.name == package:
             yield folder

@@ -532,7 +532,7 @@ def _with_copies(draft: PartDraft, folder: Path, before: PartDraft) -> tuple[Par
         home = folder / ROBOT_FOLDER
         files = list_robot_files(read_urdf(urdf), dict(draft.packages))
         made = {home / inside: data for inside, data in read_robot_files(files).items()}
-        draft = replace(draft, urdf=home / urdf.name, packages=tuple((name, home / name) for name in files.packages))
+        draft = replace(draft, urdf=home / urdf.name, packages=())
     if (
         mesh is not None
         and mesh != before.mesh

@@ -24,8 +24,6 @@ class RobotFiles:
 
     sources: Mapping[Path, Path]
     """File by its path below the copy's folder; the URDF is the first. The folders of packages are kept."""
-    packages: tuple[str, ...]
-    """ROS packages among them."""
     size: int
     """Bytes in all."""
 
@@ -37,16 +35,14 @@ def size_words(count: int, size: int) -> str:
 
 def list_robot_files(robot: Robot, packages: Mapping[str, Path]) -> RobotFiles:
     """List the URDF and its meshes. A mesh that is missing or has a name outside the robot's folder is left out."""
-    sources, used = {Path(robot.path.name): robot.path}, dict[str, None]()
+    sources = {Path(robot.path.name): robot.path}
     for mesh in robot.meshes.values():
         with contextlib.suppress(InputError):
             file = find_mesh(robot, mesh, packages)
             name, separator, in_package = mesh.filename.partition("://")
             inside = Path(in_package.replace("\\", "/") if separator else name)
             sources.setdefault(inside, file)
-            if separator:
-                used[inside.parts[0]] = None
-    return RobotFiles(sources, tuple(used), sum(source.stat().st_size for source in sources.values()))
+    return RobotFiles(sources, sum(source.stat().st_size for source in sources.values()))
 
 
 def read_robot_files(files: RobotFiles) -> dict[Path, bytes]:

@@ -1,5 +1,6 @@
 """Each usual mistake of a scene, made on purpose with the public iCub: it is named, with its remedy, within 20 pokes."""
 
+import shutil
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -14,7 +15,9 @@ from skincal.contacts.outcome import Reason, Rejection
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
 from skincal.rig.setup_check import MIN_POKES, check_setup, mirrored_layout, other_side
+from skincal.session.draft_preview import PartPreviewer
 from skincal.session.part import load_part
+from skincal.session.part_draft import PartDraft
 from skincal.session.scene_draft import SceneDraft, write_scene
 from skincal.session.setup_follower import SetupFollower
 from skincal.simulate.operator import Habits
@@ -24,6 +27,7 @@ from skincal.words.poke_words import POLARITY_ADVICE, rejection_advice, rejectio
 from skincal.words.setup_words import setup_sentences
 
 POSES = "[robot.poses]\na = [94.0, 0.0]\nb = [60.0, -40.0]\nc = [30.0, 30.0]\n[contacts]\npitch_max = 0.025\n"
+ANCHOR_MM = np.array([0.0, -75.0, 46.0])
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +41,7 @@ def rig(tmp_path_factory):
     folder = tmp_path_factory.mktemp("icub")
     layout = resource("scenes/icub-forearm/modules.toml")
     out = folder / "scene.toml"
-    at = np.array([0.0, -75.0, 46.0])
-    write_scene(SceneDraft(out, urdf, "l_forearm_dh_frame", "l_arm_ft", layout=layout, polarity="down", anchor_mm=at))
+    write_scene(SceneDraft(out, urdf, "l_forearm_dh_frame", "l_arm_ft", layout=layout, polarity="down", anchor_mm=ANCHOR_MM))
     out.write_text(out.read_text() + POSES)
     part = load_part(out)
     habits = Habits.careful().at_pace(4.0)
@@ -201,21 +204,83 @@ def test_a_press_that_turns_the_skin_the_other_way_is_named():
     assert rejection_advice(replace(slip, value=2.0)) != POLARITY_ADVICE
 
 
-def test_solve_says_what_is_wrong_with_a_scene(tmp_path, capsys):
-    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
-    (tmp_path / "wrong").mkdir()
-    for file in scene.path.parent.iterdir():
-        (tmp_path / "wrong" / file.name).write_bytes(file.read_bytes())
-    path = tmp_path / "wrong/scene.toml"
-    path.write_text(path.read_text().replace("joints = [3, 4]", "joints = [4, 3]"))
-    part = load_part(scene.path)
-    habits = Habits.careful().at_pace(4.0)
+VISUAL = '<visual>\n      <origin xyz="{}688696737542175 0 -0.07955060152271212" rpy="0 0 0"/>\n      <geometry>\n        <mesh filename="package://iCub/meshes/simmechanics/2-5_plus/sim_sea_2-5_l_forearm_prt'
+GAZEBO_SENSOR = 'name="l_arm_ft" type="force_torque">\n      <always_on>'
+SENSOR = """<parent joint="l_arm_ft_sensor"/>
+    <force_torque>
+      <frame>{frame}</frame>
+      <measure_direction>child_to_parent</measure_direction>
+    </force_torque>
+    <origin rpy="{rpy}" xyz="{xyz}"/>"""
+"""Of the iCub's URDF."""
+RIGHT = {
+    "frame": "child",
+    "rpy": "-4.3625653762663687e-16 -1.3089970069677406 -3.1415926535897922",
+    "xyz": "0.05093014324520106 1.3877787807814457e-17 0.029175829465900395",
+}
+TURNED = {"frame": "sensor", "rpy": "0 0 1.5707963", "xyz": "0 0 0"}
+
+
+def with_mesh_moved(folder, part):
+    """The URDF has the mesh 100 mm along the forearm, and the layout was placed on that mesh."""
+    edited("robot/model.urdf", (VISUAL.format("-0.29"), VISUAL.format("-0.19")))(folder, part)
+    moved = PartDraft(urdf=folder / "robot/model.urdf", link=part.scene.link, sensor="l_arm_ft")
+    there = PartPreviewer().preview(moved, {}).surface.vertices.mean(axis=0)
+    at = ANCHOR_MM + 1e3 * (there - part.surface.vertices.mean(axis=0))
+    out, layout = folder / "moved/scene.toml", resource("scenes/icub-forearm/modules.toml")
+    write_scene(SceneDraft(out, moved.urdf, moved.link, moved.sensor, layout=layout, polarity="down", anchor_mm=at))
+    return out
+
+
+def edited(name, *changes):
+    """Replace texts in a file of the scene."""
+
+    def edit(folder, _):
+        text = (folder / name).read_text()
+        for before, after in changes:
+            assert text.count(before) == 1
+            text = text.replace(before, after)
+        (folder / name).write_text(text)
+        return folder / "scene.toml"
+
+    return edit
+
+
+SCENES = {
+    "mesh origin": (with_mesh_moved, "mesh and layout belong (", "correct the origin of the mesh"),
+    "joint columns": (
+        edited("scene.toml", ('"l_elbow", "l_wrist_prosup"', '"l_wrist_prosup", "l_elbow"')),
+        "columns of l_wrist_prosup and l_elbow are exchanged", "exchange them",
+    ),
+    "sign": (edited("scene.toml", ("[contacts]", "[wrench]\nsign = -1\n[contacts]")), "reports the reaction force", "sign"),
+    "sensor turned": (
+        edited(
+            "robot/model.urdf", (GAZEBO_SENSOR, GAZEBO_SENSOR.replace("l_arm_ft", "other")),
+            (SENSOR.format(**RIGHT), SENSOR.format(**TURNED)),
+        ),
+        "turned by -90 degrees about its z axis", "origin in the URDF",
+    ),
+}  # fmt: skip
+"""Mistakes in the files of a scene, with the words that name each and its remedy."""
+
+
+@pytest.mark.parametrize(("edit", "what", "remedy"), SCENES.values(), ids=SCENES)
+def test_solve_names_a_mistake_in_the_files_from_the_bytes_of_the_devices(rig, tmp_path, capsys, edit, what, remedy):
+    part, _ = rig
+    folder = tmp_path / "wrong"
+    shutil.copytree(part.scene.path.parent, folder, ignore=shutil.ignore_patterns("s"))
+    wrong = edit(folder, part)
+    if "[robot.poses]" not in wrong.read_text():
+        wrong.write_text(wrong.read_text() + POSES)
     simulate_session(
-        scene, part.surface, tmp_path / "s", 16, 1, RigErrors.noise(), poses=("2", "3"), habits=habits, seen_as=load_scene(path)
-    )
+        part.scene, part.surface, tmp_path / "s", 12, 1, RigErrors.noise(), poses=("a", "b"),
+        habits=Habits.careful().at_pace(4.0), seen_as=load_scene(wrong),
+    )  # fmt: skip
     capsys.readouterr()
     assert main(["solve", str(tmp_path / "s")]) == 0
-    assert "the columns of column 4 and column 3 are exchanged" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert what in said
+    assert remedy in said
 
 
 @pytest.mark.parametrize(
