@@ -94,7 +94,7 @@ class Engine:
         self._facet_for = np.full(3, np.inf)
         self._set_layer_stiffness()
         self.data.qpos[self._angles] = start
-        self.data.ctrl[:] = start
+        self.data.ctrl[:] = self._goals = start
         self._displace_base(*base_error)
         mujoco.mj_forward(self.model, self.data)
         self._place_facet()
@@ -131,7 +131,11 @@ class Engine:
             self._far_for -= 1
         else:
             self._place_facet()
-        self.mujoco.mj_step(self.model, self.data, STEPS_PER_PERIOD)
+        # Goals that jump each period would make the part's inertia felt in every reading.
+        change = (self._goals - self.data.ctrl) / STEPS_PER_PERIOD
+        for _ in range(STEPS_PER_PERIOD):
+            self.data.ctrl[:] += change
+            self.mujoco.mj_step(self.model, self.data)
 
     def _place_facet(self) -> None:
         """Place the facet tangent to the layer's outer face, under the tip."""
@@ -193,8 +197,8 @@ class Engine:
         self.data.qfrc_applied[:] = torques
 
     def drive(self, angles: FloatArray) -> None:
-        """Set the goals of the joint servos, radians."""
-        self.data.ctrl[:] = angles
+        """Set the goals of the joint servos at the end of the next period, radians."""
+        self._goals = angles
 
     # ---- kinematics of the commanded joints: without sag, wrist and vibration
 

@@ -90,6 +90,8 @@ class GuidedSession:
         self.guidance: Guidance | None = None
         """`None` before the first tick and while guidance is off."""
         self._robot = RobotDialogue(part.scene)
+        self._asked: tuple[Snapshot, Method, bool] | None = None
+        """Snapshot, method and switch of the newest guidance."""
         self.tip: TipPose | None = None
         """Tip of the robot as it reports it; `None` without one."""
 
@@ -161,7 +163,11 @@ class GuidedSession:
         Whether a robot got the message that it is enough.
         """
         pose, evidence = pipeline.poses.current, pipeline.session.evidence
-        self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
+        asked = snapshot, self.method, self.guide.wanted
+        # A robot that carries the part changes the arm's pose on its way, and another pose may have other needs.
+        if not (server is not None and self._robot.has_open_request and asked == self._asked):
+            self.guidance = self.guide.next_target(snapshot, pose, self.method, evidence, now_ns * 1e-9)
+            self._asked = asked
         if is_recording:
             record_request(self.guidance, pipeline, now_ns)
         self.setup.check_snapshot(snapshot)

@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise, starmap
+from operator import ne
 
 import numpy as np
 
@@ -279,9 +281,12 @@ class LandmarkGuide:
         decisions = snapshot.decisions
         if not decisions.landmarks or (self._scene.arm is not None and not pose):
             return []
-        skips = [(skip.pose, skip.name) for skip in decisions.skips if isinstance(skip, SkipLandmark)]
-        made = [(poke.pose, poke.name) for poke in counting_landmark_pokes(snapshot)]
-        return landmark_targets(decisions.landmarks, made, pose, skips)
+        skips = [skip for skip in decisions.skips if isinstance(skip, SkipLandmark)]
+        made = counting_landmark_pokes(snapshot)
+        # If the arm carries the part to each poke, no pose gets all its landmarks: those of every pose count here.
+        any_pose = changes_pose_at_most_pokes(snapshot)
+        poked, skipped = ([(pose if any_pose else each.pose, each.name) for each in every] for every in (made, skips))
+        return landmark_targets(decisions.landmarks, poked, pose, skipped)
 
     def _gain_of(self, snapshot: Snapshot) -> Gain | None:
         """Predict the gain of this pose's landmarks for the taxels that are poked in it and in earlier poses."""
@@ -379,6 +384,13 @@ class ClosingGuide:
             mark = LandmarkTarget(marks[target.landmark], step.done, step.places) if target.landmark else None
             return replace(guidance, phase=GuidePhase.CLOSING, target=target, landmark=mark, closing=step)
         return None
+
+
+def changes_pose_at_most_pokes(snapshot: Snapshot) -> bool:
+    """Whether the arm pose changed between most pokes, as when a robot carries the part to a fixed tip."""
+    poses = [record.outcome.pose for record in snapshot.pokes]
+    changes = sum(starmap(ne, pairwise(poses)))
+    return changes >= 2 and 2 * changes > len(poses) - 1
 
 
 def _taxel_targets(guidance: Guidance, snapshot: Snapshot) -> dict[str, Target]:

@@ -86,6 +86,11 @@ class RobotDialogue:
         """Number of the newest poke that is judged, or that was there before."""
         self._number = 0
 
+    @property
+    def has_open_request(self) -> bool:
+        """Whether a target is open that the robot may be on its way to."""
+        return bool(self._requests) and self._requests[-1].is_open
+
     def lines_to_send(
         self,
         guidance: Guidance | None,

@@ -6,6 +6,7 @@ import json
 import queue
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from skincal.model.actions import (
 from skincal.model.errors import InputError
 from skincal.model.readings import Chunk
 from skincal.model.scene import Landmark, load_scene, resource
+from skincal.session.guiding import changes_pose_at_most_pokes
 from skincal.session.landmark_pokes import VISUAL_REACTION_TIME_S
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
@@ -268,3 +270,9 @@ def test_solve_reports_what_landmarks_tell(tmp_path, capsys):
     assert "frame looks right" in reported
     needs = approved("rig.pokes_needed", pokes=6, landmarks=4)
     assert approved("rig.too_few", needs=needs, pokes=3, landmarks=1) in reported
+
+
+@pytest.mark.parametrize(("poses", "changes"), [("", False), ("ab", False), ("aabba", False), ("abc", True), ("abab", True)])
+def test_an_arm_that_carries_the_part_changes_its_pose_at_most_pokes(poses, changes):
+    snapshot = SimpleNamespace(pokes=[SimpleNamespace(outcome=SimpleNamespace(pose=pose)) for pose in poses])
+    assert changes_pose_at_most_pokes(snapshot) is changes

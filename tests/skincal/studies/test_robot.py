@@ -1,13 +1,21 @@
 """The study of a robot that pokes: its limits from known rows, and one short session."""
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from skincal.mesh.load import load_surface
 from skincal.model.errors import InputError
+from skincal.physics.effects import Effects
+from skincal.physics.engine import Touch
+from skincal.physics.layouts import make_robot
+from skincal.physics.session import RobotSession, make_client
+from skincal.robot.target_lines import Judged, PokeTarget
 from skincal.studies import robot
+from skincal.taxels.result import Method
 
 
 @cache
@@ -57,3 +65,37 @@ def test_without_mujoco_the_study_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setattr("skincal.physics.engine.import_module", missing)
     with pytest.raises(InputError, match=r"pip install 'skincal\[physics\]'"):
         robot.run(True, print)
+
+
+def test_a_part_that_is_pressed_onto_a_fixed_tip_is_calibrated(tmp_path: Path) -> None:
+    """The arm's pose changes on the way to each target: each is asked for once, and the force axis meets the true contact."""
+    pytest.importorskip("mujoco")
+    scene = robot.scene_of("moving part", tmp_path)
+    assert scene.surface is not None
+    surface = load_surface(scene.surface)[0]
+    arm = make_robot(scene, surface, Effects.none(), 1)
+    session = RobotSession(scene, surface, arm, method=Method.MODULES)
+    client = make_client(arm, surface, session.targets.answer)
+    asked: list[int] = []
+    judged: list[str] = []
+    touches: list[Touch] = []
+    while len(judged) < 4 and arm.time_s < 60.0:
+        while (line := session.targets.poll()) is not None:
+            asked += [line.number] if isinstance(line, PokeTarget) else []
+            judged += [line.reason] if isinstance(line, Judged) else []
+            client.receive_line(line)
+        client.run_period()
+        touches += [touch] if (touch := arm.touch()) is not None else []
+    outcomes = [record.outcome for record in session.pipeline.snapshot().pokes]
+    assert len({outcome.pose for outcome in outcomes}) > 1
+    assert judged == [""] * 4
+    assert len(asked) <= 5, "no target is asked for twice"
+    for outcome in outcomes:
+        assert outcome.link_from_sensor is not None
+        assert outcome.force is not None
+        assert outcome.moment is not None
+        force, moment = (outcome.link_from_sensor[:3, :3] @ each for each in (outcome.force, outcome.moment))
+        near = min(touches, key=lambda touch: float(np.linalg.norm(touch.force - force)))
+        # Lever of the contact point: the moment about it is 0.
+        lever = near.point - outcome.link_from_sensor[:3, 3]
+        assert np.linalg.norm(moment - np.cross(lever, force)) / np.linalg.norm(force) < 5e-4
