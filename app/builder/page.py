@@ -107,6 +107,7 @@ class BuilderPage(QWidget):
         )
         for each in (self.undo_button, self.redo_button):
             each.setFixedWidth(scaled(HISTORY_BUTTON_PX))
+            each.setEnabled(False)
         self.leave_button, self.back, self.next = button("&Close"), button("\N{LEFTWARDS ARROW} &Back"), button("Ne&xt")
         self.start = button("&Save and start")
         buttons = QHBoxLayout()

@@ -39,7 +39,10 @@ class PartStep(Step):
     name = "part"
     tab = "Part"
     title = "Part"
-    hint = "Choose the mesh of the part (STL, OBJ, PLY, OFF), or the URDF of the robot that carries it."
+    hint = (
+        "Choose the mesh of the part (STL, OBJ, PLY, OFF), or the URDF of the robot that carries it. Or drop the file on the "
+        "window."
+    )
 
     def __init__(self) -> None:
         super().__init__()

@@ -17,7 +17,7 @@ from skincal.model.errors import InputError
 from skincal.session.draft_preview import PartPreview
 from skincal.session.part_changes import sensors_between
 from skincal.session.part_draft import IDENTITY_POSE, pose_rows
-from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
 
 FLANGE_POINTS = 3
 PICK_WORDS = (
@@ -51,7 +51,7 @@ class SensorStep(Step):
         self.other = compact_combo("joint or link at the sensor")
         self.other.activated.connect(lambda _: self._choose_sensor(self.other.currentText()))
         self.robot_form = QWidget()
-        form = QFormLayout(self.robot_form)
+        form = self.robot_rows = QFormLayout(self.robot_form)
         form.setContentsMargins(0, 0, 0, 0)
         form.addRow("Sensors of the URDF", self.list)
         form.addRow("&Other joint", self.other)
@@ -94,7 +94,7 @@ class SensorStep(Step):
         self.bottom_gap.valueChanged.connect(self._stand)
         self.same.clicked.connect(lambda: self._set_pose(np.eye(4)))
         self.pick.toggled.connect(self._switch_picking)
-        self.add_point.clicked.connect(lambda: self.take_point(np.array(self.origin.value()) * 1e-3))
+        self.add_point.clicked.connect(lambda: self._add_flange_point(np.array(self.origin.value()) * 1e-3))
         self.origin.edited.connect(self._move)
         self.direction.edited.connect(self._aim)
 
@@ -138,7 +138,7 @@ class SensorStep(Step):
                 item.setData(Qt.ItemDataRole.UserRole, sensor.name)
                 self.list.addItem(item)
                 item.setSelected(sensor.name == preview.draft.sensor)
-        self.list.setVisible(bool(names))
+        self.robot_rows.setRowVisible(self.list, bool(names))
         with QSignalBlocker(self.other):
             if self.other.count() != len(robot.joints) + 1:
                 self.other.clear()
@@ -201,7 +201,11 @@ class SensorStep(Step):
         self.add_point.setVisible(is_picking)
 
     def take_point(self, point: FloatArray) -> None:
-        if not self.pick.isChecked() or self.preview is None or self.preview.surface is None:
+        if self.pick.isChecked() and self.preview is not None and self.preview.surface is not None:
+            self._add_flange_point(nearest_edge_point(self.preview.surface, point))
+
+    def _add_flange_point(self, point: FloatArray) -> None:
+        if self.preview is None or self.preview.surface is None:
             return
         self.points = np.concatenate([self.points, point[None]])
         if len(self.points) < FLANGE_POINTS:

@@ -78,6 +78,7 @@ class SkinStep(Step):
         self.live.read.connect(self._take_frames)
         self.again = button("&Forget the touch")
         self.again.clicked.connect(self._forget_touch)
+        self.again.setVisible(False)
         self.touched = quiet_label(TOUCH_HINT)
         self.use_polarity = button("Use this: they fall")
         self.use_polarity.clicked.connect(self._use_polarity)
@@ -231,6 +232,7 @@ class SkinStep(Step):
             self.touched.setText("Hands off: the values at rest are read.")
             return
         touch = self._watch.touch()
+        self.again.setVisible(True)
         self.touched.setText(touch.sentence())
         self._falls = touch.falls
         differs = len(touch.channels) > 0 and touch.falls != (self.draft.polarity == "down")
@@ -247,6 +249,7 @@ class SkinStep(Step):
 
     def _forget_touch(self) -> None:
         self._watch, self.answered = None, None
+        self.again.setVisible(False)
         self.touched.setText(TOUCH_HINT)
         self.use_polarity.setVisible(False)
         self.picture_changed.emit()

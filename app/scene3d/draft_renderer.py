@@ -239,6 +239,22 @@ class DraftModulesLayer(ModulesLayer):
     dot_px = 6.0
     hue_share = 1.0
 
+    def _set_modules(self, layout: Layout, laid: PlacedLayout) -> None:
+        """Show the channels of a single module's corners, so that a layout that is turned or mirrored is seen."""
+        super()._set_modules(layout, laid)
+        if len(layout.modules) != 1:
+            return
+        channels = layout.channels[np.isfinite(laid.places[layout.channels]).all(axis=1)]
+        if len(channels) > 2:
+            places = laid.places[channels]
+            along = places[-1] - places[0]
+            offsets = np.linalg.norm(np.cross(places - places[0], along), axis=1)
+            corners = dict.fromkeys((0, int(offsets.argmax()), len(channels) - 1))
+            self._numbers = [
+                (Label(f"channel {channels[row]}", places[row], LABEL_GAP_PX, 3.0), laid.normals[channels[row]])
+                for row in corners
+            ]
+
 
 class DraftRenderer(SceneRenderer):
     """Layers, light and camera of a draft; they follow every change of it."""
@@ -281,7 +297,7 @@ class DraftRenderer(SceneRenderer):
         for layer in (self.links, self.sensors, self.marks, self.handle):
             layer.show_picture(picture)
         key = (
-            preview.surface, preview.shape, preview.draft.link if preview.shape is not None else "", _view_of(picture),
+            preview.size_mm, () if preview.shape is None else (preview.draft.link, *preview.link_poses), _view_of(picture),
             preview.sensor_pose is None,
         )  # fmt: skip
         if key != self._fitted:

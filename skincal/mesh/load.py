@@ -103,7 +103,8 @@ def load_surface(spec: SurfaceSpec) -> tuple[Surface, tuple[MeshFinding, ...]]:
     surface_in_solver(surface)
     edges = find_edges(triangles)
     counts = {
-        FindingKind.MERGED: merged,
+        # An STL repeats the corners of every triangle.
+        FindingKind.MERGED: 0 if spec.path.suffix.lower() == ".stl" else merged,
         **dropped,
         FindingKind.SLIVERS: int(surface.is_sliver.sum()),
         FindingKind.OPEN_EDGES: len(edges.open),

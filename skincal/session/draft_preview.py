@@ -256,7 +256,7 @@ class _Work:
         elif draft.sensor_pose is not None:
             self.values["sensor_pose"] = np.array(draft.sensor_pose)
         if self.values.get("sensor_pose") is None and "sensor" not in self.problems:
-            self.problems["sensor"] = "The program does not know yet where the force/torque sensor is."
+            self.problems["sensor"] = _sensor_advice(self.values.get("robot"))
 
     def _follow_dh_arm(self, source: Path) -> None:
         spec = self.once(load_scene, source).arm
@@ -276,7 +276,7 @@ class _Work:
         draft, surface = self.draft, self.values.get("surface")
         if not draft.layout_text:
             if draft.channels is None:
-                self.problems["skin"] = "The program does not know yet how many values a frame of the skin has."
+                self.problems["skin"] = "Choose a layout, or type how many values a frame of the skin has."
             return
         try:
             layout = self.once(parse_layout, draft.layout_text, layout_file_of(draft))
@@ -302,6 +302,14 @@ class _Work:
         found = find_laid_problems(layout, laid, surface)
         self.values |= {"laid": laid, "laid_findings": found}
         self.findings["place"] = (*found.sentences, *remarks)
+
+
+def _sensor_advice(robot: Robot | None) -> str:
+    if robot is None:
+        return "Say where the force/torque sensor is: press one of the buttons, or type its position."
+    if robot.sensors:
+        return "Choose the force/torque sensor, or the joint at which it is mounted."
+    return "The URDF describes no force/torque sensor: choose the joint at which it is mounted."
 
 
 def _propose_anchor(layout: Layout, surface: Surface | None) -> Anchor:

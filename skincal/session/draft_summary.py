@@ -61,7 +61,7 @@ def _sensor(preview: PartPreview) -> tuple[SummaryLine, ...]:
     draft = preview.draft
     pose = preview.sensor_pose
     assert pose is not None
-    where = ", ".join(f"{value * 1e3:.0f}" for value in pose[:3, 3])
+    where = ", ".join(str(round(value * 1e3)) for value in pose[:3, 3].tolist())
     text = f"sensor {draft.sensor} at {where} mm" if draft.sensor else f"sensor at {where} mm"
     if draft.urdf is not None and draft.sign is None and preview.sign is None:
         text += "; the URDF does not say whether it reports the force or its reaction: the first pokes will show it"

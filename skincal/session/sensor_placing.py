@@ -10,6 +10,10 @@ from skincal.model.errors import InputError
 
 MIN_FLANGE_HEIGHT_M = 0.002
 """m. Height of the triangle of the three points: flatter ones give no plane."""
+MAX_MEAN_NORMAL_LENGTH_AT_EDGE = 0.95
+"""Length of the mean of unit normals around a corner: 0.95 at an edge of 36 degrees."""
+SNAP_OVER_PART_SIZE = 0.04
+"""Of the part's longest side: a click this near to an edge means the edge."""
 BOTTOM_SHARE = 0.02
 """Of the part's height: vertices this near to the lowest one are its bottom face."""
 
@@ -35,6 +39,22 @@ def pose_on_flange(points: FloatArray, part_centre: FloatArray) -> FloatArray:
     z = normal / np.linalg.norm(normal)
     z = z if float(z @ (part_centre - centre)) >= 0.0 else -z
     return _pose(centre, z, a - centre)
+
+
+def nearest_edge_point(surface: Surface, point: FloatArray) -> FloatArray:
+    """Find the corner on a sharp edge that is nearest to a point, (3,) metres; the same point if no edge is near.
+
+    A click misses the rim of a flange by some pixels, which would tilt the sensor by 15 degrees.
+    """
+    count = len(surface.vertices)
+    corners = surface.triangles.ravel()
+    normals = np.repeat(surface.normals, 3, axis=0)
+    sums = np.stack([np.bincount(corners, normals[:, axis], count) for axis in range(3)], axis=1)
+    mean_lengths = np.linalg.norm(sums, axis=1) / np.maximum(np.bincount(corners, minlength=count), 1)
+    sharp = surface.vertices[mean_lengths < MAX_MEAN_NORMAL_LENGTH_AT_EDGE]
+    distances = np.linalg.norm(sharp - point, axis=1)
+    reach = SNAP_OVER_PART_SIZE * float(np.ptp(surface.vertices, axis=0).max())
+    return sharp[distances.argmin()] if len(sharp) and distances.min() <= reach else point
 
 
 def pose_along(origin: FloatArray, z: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from skincal.session.part_draft import (
     save_draft,
     scene_text,
 )
-from skincal.session.sensor_placing import pose_along, pose_on_flange, pose_under, turned_pose
+from skincal.session.sensor_placing import nearest_edge_point, pose_along, pose_on_flange, pose_under, turned_pose
 from skincal.session.touch_watch import REST_FRAMES, TouchWatch
 
 SHIPPED = [path.parent.name for path in sorted(resource("scenes").glob("*/scene.toml"))]
@@ -146,6 +146,10 @@ def test_sensor_poses(cylinder):
     assert flange[:3, 3] == pytest.approx([0, 0, 0], abs=1e-9)
     assert flange[:3, 2] == pytest.approx([0, 0, 1])
     assert flange[:3, 0] == pytest.approx(rim[0] / 0.04)
+    clicked = np.array([nearest_edge_point(surface, point) for point in rim + np.array([0.0, 0.0, 0.003])])
+    assert pose_on_flange(clicked, np.array([0, 0, 0.06]))[:3, 2:] == pytest.approx(flange[:3, 2:], abs=1e-6)
+    middle = np.array([0.04, 0.0, 0.06])
+    assert nearest_edge_point(surface, middle) == pytest.approx(middle), "no edge is near"
     with pytest.raises(InputError, match="of a line"):
         pose_on_flange(np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0.0005, 0]]), np.zeros(3))
     with pytest.raises(InputError, match="0 0 0"):
