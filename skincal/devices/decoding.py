@@ -354,12 +354,16 @@ class FrameDecoder(ABC):
 
     def feed(self, data: bytes) -> list[Batch]:
         """Decode the next bytes of the link; return the completed readings, one batch a stream."""
-        for frame in self._splitter.split(data):
+        self._decode_frames(self._splitter.split(data))
+        return [self._batch_of(stream, self._readings.pop(stream)) for stream in self._widths if stream in self._readings]
+
+    def _decode_frames(self, frames: Sequence[bytes | None]) -> None:
+        """Decode frames, and count those that cannot be used."""
+        for frame in frames:
             problem = self.loss_of_garbage if frame is None else self._decode(frame)
             if problem is not None and not self._first:
                 self.counts[problem] += 1
             self._first = False
-        return [self._batch_of(stream, self._readings.pop(stream)) for stream in self._widths if stream in self._readings]
 
     def feed_many(self, chunks: Sequence[bytes]) -> tuple[Batch, list[int]] | None:  # noqa: ARG002 - text decoders use it
         """Decode several chunks at once. Return one batch and the end of each chunk's readings, or `None` if not possible."""

@@ -16,6 +16,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import Any, ClassVar, cast
 
 from skincal.devices.decoding import NO_SEQ, STAMP_MAX_S, FrameDecoder, FrameSplitter, pack, packet_splitter
@@ -23,6 +24,7 @@ from skincal.devices.family import DeviceAddress, Family, Form, Route, Vector
 from skincal.model.errors import InputError
 from skincal.model.readings import Loss, Stream
 from skincal.ros.dds import message_types, read_domain
+from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TOPIC_OPTIONS, TopicChoice
@@ -173,12 +175,7 @@ class TopicDecoder(FrameDecoder):
         except MessageError as error:
             self._problem = f"A message cannot be read: {error}"
             return Loss.UNREADABLE
-        self.valid_records += 1
-        stamp = self._clocks[topic].time_of(reader.stamp_of(message), source_s)
-        # Messages that were read together have one arrival.
-        if arrival_s != self._arrival_s and math.isfinite(stamp) and math.isfinite(arrival_s):
-            self._arrival_s = arrival_s
-            self._add_side_reading(CLOCK_DIFFERENCE, 1e3 * (stamp - arrival_s))
+        stamp = self._date(topic, reader.stamp_of(message), source_s, arrival_s)
         if values is None:
             self._status = reader.missing_joints
             return None
@@ -193,13 +190,59 @@ class TopicDecoder(FrameDecoder):
         return None if frame is None else self._add(self._stream, NO_SEQ, self._patches.stamp_s, frame)
 
 
+    def _date(self, topic: int, stamp: float | None, source_s: float, arrival_s: float) -> float:
+        """Return the time of a readable message by the device's clock, s; note how far that is ahead of this machine's."""
+        self.valid_records += 1
+        time_s = self._clocks[topic].time_of(stamp, source_s)
+        # Messages that were read together have one arrival.
+        if arrival_s != self._arrival_s and math.isfinite(time_s) and math.isfinite(arrival_s):
+            self._arrival_s = arrival_s
+            self._add_side_reading(CLOCK_DIFFERENCE, 1e3 * (time_s - arrival_s))
+        return time_s
+
+
 class Ros2Decoder(TopicDecoder):
     """Decodes what the transport `dds` hands on."""
 
     name: ClassVar[str] = "ROS 2"
 
+    def __init__(self, channels: int | None, carries: tuple[Stream, ...]) -> None:
+        self._runs: RunReader | None = None
+        """Of a single topic."""
+        super().__init__(channels, carries)
+
     def _make_types(self) -> MessageTypes:
         return message_types()
+
+    def _use_type(self, topic: int, type_name: str) -> None:
+        super()._use_type(topic, type_name)
+        reader = self._readers.get(topic)
+        # Joints of several nodes are kept one by one, and so are patches, which wait for each other.
+        if reader is not None and not reader.by_name and len(self._patches.topics) == 1:
+            self._runs = RunReader(self._types, reader)
+
+    def _decode_frames(self, frames: Sequence[bytes | None]) -> None:
+        # Messages of one length mostly differ in their numbers alone, and are faster to read together.
+        for is_run, group in groupby(frames, self._run_length):
+            run = list(group)
+            if not is_run or not self._decode_run([frame for frame in run if frame]):
+                super()._decode_frames(run)
+
+    def _run_length(self, frame: bytes | None) -> int:
+        """Length of a message of the only topic; 0 for other frames."""
+        return len(frame) if frame and frame[0] == 1 and self._runs is not None and len(frame) > TIMES_STRUCT.size else 0
+
+    def _decode_run(self, frames: Sequence[bytes]) -> bool:
+        """Add the readings of messages of one length. Return False, and add nothing, if they are read one by one."""
+        if self._runs is None or (read := self._runs.read([frame[1 + TIMES_STRUCT.size :] for frame in frames])) is None:
+            return False
+        self._status = self._type_problem
+        for frame, values, stamp_s in zip(frames, read[0], read[1].tolist(), strict=True):
+            source_ns, arrival_ns = TIMES_STRUCT.unpack_from(frame, 1)
+            time_s = self._date(0, None if math.isnan(stamp_s) else stamp_s, source_ns * 1e-9, arrival_ns * 1e-9)
+            if (problem := self._add(self._stream, NO_SEQ, time_s, values)) is not None:
+                self.counts[problem] += 1
+        return True
 
     def _decode(self, frame: bytes) -> Loss | None:
         kind, payload = frame[0], frame[1:]

@@ -28,6 +28,12 @@ CDR_HEAD_BYTES = 4
 """Of the encapsulation, from whose end numbers are aligned; its second byte is 1 for little-endian."""
 
 
+MIN_RUN_MESSAGES = 8
+"""For fewer, finding a layout takes longer than reading them one by one."""
+FAILED_SEARCHES_MAX = 20
+"""Searches for a layout in a row that helped one run each: then the messages of a topic differ too often."""
+
+
 class _LayoutError(ValueError):
     """The offsets of a message are not found."""
 
@@ -198,3 +204,30 @@ def find_layout(types: MessageTypes, reader: MessageReader, data: bytes) -> Mess
         return layout if layout.agrees(types, data) else None
     except (_LayoutError, MessageError, InputError, struct.error, UnicodeDecodeError, KeyError, TypeError):
         return None
+
+
+class RunReader:
+    """Reads runs of messages of one topic at once, by the layout of the run before.
+
+    Parameters
+    ----------
+    reader : reads single messages of the topic
+    """
+
+    def __init__(self, types: MessageTypes, reader: MessageReader) -> None:
+        self._types, self._reader = types, reader
+        self._layout: MessageLayout | None = None
+        self._searches_left = FAILED_SEARCHES_MAX
+
+    def read(self, messages: Sequence[bytes]) -> tuple[FloatArray, FloatArray] | None:
+        """Read (n, width) values and (n,) stamps, NaN for no stamp. `None`: few messages, or they have not one layout."""
+        if len(messages) < MIN_RUN_MESSAGES:
+            return None
+        found = self._layout.read(messages) if self._layout is not None else None
+        if found is not None:
+            self._searches_left = FAILED_SEARCHES_MAX
+        elif self._searches_left:
+            self._searches_left -= 1
+            self._layout = find_layout(self._types, self._reader, messages[0])
+            found = self._layout.read(messages) if self._layout is not None else None
+        return found

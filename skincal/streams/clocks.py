@@ -282,7 +282,8 @@ class Timestamper:
 
         `arrival_s` is when the last reading arrived, or (n,) the arrival of the last one that came with each.
         """
-        index, arrivals = self._index[batch.stream], np.broadcast_to(arrival_s, batch.seq.shape).tolist()
+        index, count = self._index[batch.stream], len(batch.seq)
+        arrivals = arrival_s.tolist() if isinstance(arrival_s, np.ndarray) else [arrival_s] * count
         made = [
             index.map(arrival, number) if math.isnan(clock) else self._device.map(clock, arrival)
             for clock, arrival, number in zip(batch.device_s.tolist(), arrivals, batch.seq.tolist(), strict=True)

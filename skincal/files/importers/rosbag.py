@@ -26,7 +26,7 @@ from skincal.files.importers.timeline import OpenRecording, Timeline, check_over
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Stream
-from skincal.ros.layouts import MessageLayout, find_layout
+from skincal.ros.layouts import RunReader
 from skincal.ros.messages import MessageReader, streams_of
 from skincal.ros.patches import SkinPatches
 from skincal.ros.topics import TopicChoice
@@ -49,8 +49,6 @@ WAITING_MESSAGES = 1024
 """Messages of a stream that are read together."""
 WAITING_BYTES = 1 << 20
 """Bounds their memory."""
-MIN_RUN_MESSAGES = 8
-"""For fewer, finding a layout takes longer than reading them one by one."""
 LATE_S = 2.0
 """A stream that starts or ends by more than this after or before the others is reported."""
 SHOWN_TOPICS = 8
@@ -141,8 +139,8 @@ class _Recorded:
     unreadable: int = 0
     why_unreadable: str = ""
 
-    layouts: dict[str, MessageLayout] = field(default_factory=dict[str, MessageLayout])
-    """Of the last messages, by topic."""
+    runs: dict[str, RunReader] = field(default_factory=dict[str, RunReader])
+    """By topic."""
     _waiting: list[tuple[str, int, bytes]] = field(default_factory=list[tuple[str, int, bytes]])
     _waiting_bytes: int = 0
 
@@ -160,21 +158,16 @@ class _Recorded:
             run = [(arrival_ns, data) for _, arrival_ns, data in group]
             self.messages[topic] += len(run)
             # Patches of a skin wait for each other, one message at a time.
-            if self.patches is not None or len(run) < MIN_RUN_MESSAGES or not self._read_run(types, topic, run):
+            if self.patches is not None or not self._read_run(types, topic, run):
                 for message in run:
                     self._read_message(types, topic, *message)
 
     def _read_run(self, types: MessageTypes, topic: str, run: Sequence[tuple[int, bytes]]) -> bool:
         """Read messages of one length together. Returns False, and takes nothing, if they have not one layout."""
-        messages = [data for _, data in run]
-        layout = self.layouts.get(topic)
-        read = layout.read(messages) if layout is not None else None
+        reader = self.runs.setdefault(topic, RunReader(types, self.readers[topic]))
+        read = reader.read([data for _, data in run])
         if read is None:
-            layout = find_layout(types, self.readers[topic], messages[0])
-            read = layout.read(messages) if layout is not None else None
-            if layout is None or read is None:
-                return False
-            self.layouts[topic] = layout
+            return False
         values, stamps = read
         self.tape.add_many(values)
         self.arrivals.frombytes((np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9).tobytes())

@@ -16,7 +16,7 @@ from skincal.streams.transports import Opening
 FIND_MAX_S = 3.0
 """s for the publishers to be found. Within one network it takes some 0.2 s."""
 FIND_POLL_S = 0.05
-GATHER_S = 0.02
+GATHER_S = 0.03
 """s. Messages that come so soon after one another are read together: it spares the processor, and they are dated by stamps."""
 CHECK_S = 0.5
 """s between two looks at losses and publishers."""

@@ -21,6 +21,8 @@ from skincal.model.errors import InputError
 from skincal.model.readings import Chunk, LinkEvent, LinkState, Loss, Stream
 from skincal.model.scene import load_scene
 from skincal.ros import dds
+from skincal.ros.topics import TopicChoice
+from skincal.ros.types import MessageTypes
 from skincal.streams import ros_topics
 from skincal.streams.clocks import MAX_CLOCK_RATE_DIFFERENCE
 from skincal.streams.decoders.auto_detect import make_decoder
@@ -247,6 +249,31 @@ def test_a_topic_that_is_no_sensor_says_so(head, problem):
     assert decoder.valid_records == 0
     assert problem in decoder.device_message
     assert decoder.counts[Loss.UNREADABLE] >= 1
+
+
+def test_messages_that_are_read_together_are_those_read_one_by_one():
+    types, kind = MessageTypes(), "geometry_msgs/msg/WrenchStamped"
+    packets = list[bytes]()
+    for number in range(100):
+        # Stamps end in the third run; one frame has another name, one message is cut off, another is no number.
+        header = types.make(
+            "std_msgs/msg/Header",
+            stamp=types.make("builtin_interfaces/msg/Time", sec=1000 if number < 60 else 0, nanosec=number * 10**7),
+            frame_id="ft" if number != 33 else "another",
+        )
+        torque = types.make("geometry_msgs/msg/Vector3", x=float(number), y=np.nan if number == 17 else -0.1)
+        wrench = types.make("geometry_msgs/msg/Wrench", torque=torque)
+        data = types.encode(types.make(kind, header=header, wrench=wrench), kind)
+        packets.append(ros2.write_message(0, number * 10**7, 5 + number // 20, data if number != 50 else data[:-9]))
+        packets += [ros2.write_losses(1, 2)] * (number == 70)
+    (_, many), (_, one) = (decode(ros2.write_head(TopicChoice(("/ft",)), [kind], {}), Stream.WRENCH) for _ in range(2))
+    (whole,) = many.feed(b"".join(packets))
+    singles = [batch for packet in packets for batch in one.feed(packet)]
+    for name in ("values", "device_s", "seq", "invalid"):
+        assert getattr(whole, name).tobytes() == np.concatenate([getattr(each, name) for each in singles]).tobytes()
+    assert (len(whole.seq), many._runs._layout is not None, one._runs._layout) == (99, True, None)
+    assert many.counts == one.counts == {Loss.MISSING: 1, Loss.DROPPED: 2, Loss.UNREADABLE: 1, Loss.NOT_A_NUMBER: 1}
+    assert (many.side_readings, many.valid_records) == (one.side_readings, 99)
 
 
 @pytest.mark.parametrize(
