@@ -189,7 +189,6 @@ class TopicDecoder(FrameDecoder):
             self._status = self._type_problem or self._patches.problem
         return None if frame is None else self._add(self._stream, NO_SEQ, self._patches.stamp_s, frame)
 
-
     def _date(self, topic: int, stamp: float | None, source_s: float, arrival_s: float) -> float:
         """Return the time of a readable message by the device's clock, s; note how far that is ahead of this machine's."""
         self.valid_records += 1
