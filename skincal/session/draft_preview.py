@@ -37,6 +37,8 @@ UNREPORTED_FINDINGS = (FindingKind.SIZE, FindingKind.MERGED, FindingKind.SLIVERS
 NOT_PLACED = "The layout is shown on the part, but not placed yet: click where its middle lies, or drag it."
 FIRST_SIDE = (0.83, 0.42, 0.36)
 """Unit, link frame: the side of a part that is seen first."""
+MIN_DOUBTED_TILT_DEG = 0.5
+"""Of a sensor against the axes of the part: most flanges are parallel to one."""
 CACHE_SIZE = 8
 """Kept results of each kind of work."""
 
@@ -254,7 +256,13 @@ class _Work:
         elif draft.has_dh_arm and draft.source is not None:
             self._follow_dh_arm(draft.source)
         elif draft.sensor_pose is not None:
-            self.values["sensor_pose"] = np.array(draft.sensor_pose)
+            pose = self.values["sensor_pose"] = np.array(draft.sensor_pose)
+            tilt = float(np.degrees(np.arccos(min(1.0, np.abs(pose[:3, 2]).max()))))
+            if tilt > MIN_DOUBTED_TILT_DEG:
+                self.findings["sensor"] = (
+                    f"The sensor's z axis is {tilt:.0f} degrees off the nearest axis of the part. If its flange is not tilted, "
+                    "pick the points again or type the direction.",
+                )
         if self.values.get("sensor_pose") is None and "sensor" not in self.problems:
             self.problems["sensor"] = _sensor_advice(self.values.get("robot"))
 

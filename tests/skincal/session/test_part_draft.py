@@ -148,6 +148,10 @@ def test_sensor_poses(cylinder):
     assert flange[:3, 0] == pytest.approx(rim[0] / 0.04)
     clicked = np.array([nearest_edge_point(surface, point) for point in rim + np.array([0.0, 0.0, 0.003])])
     assert pose_on_flange(clicked, np.array([0, 0, 0.06]))[:3, 2:] == pytest.approx(flange[:3, 2:], abs=1e-6)
+    tilted = flange @ pose_along(np.zeros(3), np.array([0.0, np.sin(0.2), np.cos(0.2)]))
+    for pose, count in ((flange, 0), (tilted, 1)):
+        seen = PartPreviewer().preview(PartDraft(mesh=cylinder, sensor_pose=pose_rows(pose)), {})
+        assert sum("degrees off the nearest axis" in each for each in seen.findings.get("sensor", ())) == count
     middle = np.array([0.04, 0.0, 0.06])
     assert nearest_edge_point(surface, middle) == pytest.approx(middle), "no edge is near"
     with pytest.raises(InputError, match="of a line"):
