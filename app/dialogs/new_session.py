@@ -39,7 +39,7 @@ from app.theme import WIDGET_GAP_PX
 from app.workers.threads import ThreadService
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plain_text, shortened
-from skincal.model.readings import SENSOR_STREAMS, Stream
+from skincal.model.readings import Stream
 from skincal.model.scene import Scene, load_scene
 from skincal.streams.links import parse_address
 from skincal.streams.ros_topics import FoundTopic, propose_topics
@@ -47,7 +47,10 @@ from skincal.words.link_words import STREAM_NAMES
 from skincal.words.units import rate
 
 ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
-JOINTS_HINT = "only if the arm sends its joints"
+HINTS = {
+    Stream.JOINTS: "only if the arm sends its joints",
+    Stream.TIP: "only if a robot or a tracker sends its position",
+}
 NO_DEVICE = "Without devices the session records simulated ones."
 RECORDING_PAUSED_HERE = (
     "The recording is paused while this dialog is open, and continues with these addresses. F6 exchanges force/torque sensor "
@@ -58,7 +61,7 @@ RECORDING_PAUSED = (
 )
 NEEDS_CONFIRMATION = "named by the session file: press Enter to connect"
 POSE_ASKED_LATER = "choose later, before the first poke"
-STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints"}
+STREAM_LABELS = {Stream.WRENCH: "Force/&torque sensor", Stream.SKIN: "S&kin", Stream.JOINTS: "&Joints", Stream.TIP: "T&ip"}
 SWAP_KEY = "F6"
 LINK_PREVIEW_UPDATE_PERIOD_MS = 100
 CURVE_SIZE_PX = 120, 26
@@ -87,7 +90,7 @@ class StreamRow(QWidget):
         self.box.setMaxVisibleItems(MAX_LISTED_PORTS)
         self.box.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.field = self.box.lineEdit() or QLineEdit()
-        self.field.setPlaceholderText(JOINTS_HINT if stream is Stream.JOINTS else ADDRESS_HINT)
+        self.field.setPlaceholderText(HINTS.get(stream, ADDRESS_HINT))
         # No completion: it would turn a half typed address into another one.
         self.box.setCompleter(QCompleter([], self))
         self.label.setBuddy(self.box)
@@ -218,7 +221,7 @@ class NewSessionDialog(QDialog):
         self._scene: Scene | None = None
         self._note = secondary_label(wrap=True)
         self.scene = ScenePicker(scene)
-        self.rows = {stream: StreamRow(stream) for stream in SENSOR_STREAMS}
+        self.rows = {stream: StreamRow(stream) for stream in Stream}
         self.fields = {stream.value: row.field for stream, row in self.rows.items()}
         self.pose_label, self.pose = QLabel("Arm &pose"), compact_combo("arm pose")
         self.pose_label.setBuddy(self.pose)
@@ -418,7 +421,7 @@ class NewSessionDialog(QDialog):
 
     def addresses(self) -> Addresses:
         """Give the addresses; `InputError` if a needed device is missing or an address has an unknown form."""
-        given = Addresses(*(self.fields[name].text().strip() for name in ("wrench", "skin", "joints")))
+        given = Addresses(**{name: field.text().strip() for name, field in self.fields.items()})
         check_addresses(given)
         if self._present is not None and not given:
             raise InputError("No device is named. Enter the addresses of force/torque sensor and skin.")

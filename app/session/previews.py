@@ -21,6 +21,8 @@ from skincal.streams.ros_topics import FoundTopic, list_ros_topics
 
 PREVIEW_CURVE_POINTS = 80
 """Points of a small curve: eight seconds at ten updates per second."""
+CHANGE_UNIT_OF_STREAM = {Stream.SKIN: 1.0, Stream.JOINTS: float(np.degrees(1.0)), Stream.TIP: 1000.0}
+"""Unit of the shown change over that of the readings."""
 MAX_WORK_PER_LINK_UPDATE_S = 0.010
 """Limit of work per update and link; the rest waits."""
 
@@ -51,7 +53,8 @@ class Preview:
     now_ns: int
     """Time of the update, host's monotonic clock."""
     curve: tuple[float, ...]
-    """Newest value of each update: force in N, largest change of a raw value, or largest joint motion in degrees."""
+    """Newest value of each update: force in N, largest change of a raw value, largest joint motion in degrees, or largest
+    motion of the tip along an axis in mm."""
     frames: tuple[FloatArray, ...] = ()
     """Readings of the last update, (n,) float each; raw values of a skin, radians of joints."""
 
@@ -89,7 +92,7 @@ class _Preview:
         first = self._first.setdefault(stream, newest)
         if len(first) == len(newest):
             change = float(np.nanmax(np.abs(newest - first), initial=0.0))
-            self._now[stream] = change if stream is Stream.SKIN else float(np.degrees(change))
+            self._now[stream] = CHANGE_UNIT_OF_STREAM[stream] * change
 
     def stream_preview(self, stream: Stream) -> Preview:
         now_ns = time.monotonic_ns()

@@ -80,7 +80,8 @@ def record(
     out: OutOption,
     joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
     tip: Annotated[
-        str | None, typer.Option(help="Link of the tip's position: lines x y z in m, in a fixed frame (docs/robot.md).")
+        str | None,
+        typer.Option(help="Link of the tip's position: lines x y z in m, in a fixed frame, or targets:/tip (docs/tip.md)."),
     ] = None,
     pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
     seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,

@@ -1,7 +1,8 @@
 """Sources without a protocol of their own: a TCP server or a program that sends lines, SKT/1, SKB/1 or a sensor's raw bytes.
 
 `run:COMMAND` reads the output of a program. Only the operator can type it. A session keeps it as `ran:COMMAND`, which is never
-opened, because a stranger's session would otherwise run the program that it names.
+opened, because a stranger's session would otherwise run the program that it names. `targets:/tip` is the tip of the robot that
+`--targets` asks for pokes, as it reports it.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ FAMILY = Family(
     routes=(
         Route(usage="socket://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
         Route(usage="lines://127.0.0.1:7000", form=Form.HOST, transport="tcp"),
+        Route(usage="targets:/tip", form=Form.PATH, transport="targets", check=lambda address: address.path == "/tip"),
         Route(usage="run:./my_sensor --rate 100", form=Form.COMMAND, transport="command", prepare=_with_command),
     ),
 )

@@ -40,7 +40,7 @@ FAMILIES: Mapping[str, Entry] = MappingProxyType(
         "ros2": Entry(("ros2",), ("ros2",)),
         "rosbridge": Entry(("rosbridge",), ("rosbridge",)),
         "papillarray": Entry(("papillarray",), ("papillarray",), ("papillarray",)),
-        "plain": Entry(("socket", "lines", "run")),
+        "plain": Entry(("socket", "lines", "targets", "run")),
     }
 )
 """By the name of the file in `skincal/devices/`."""

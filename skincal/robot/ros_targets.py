@@ -27,11 +27,13 @@ from skincal.robot.target_lines import (
     PokeTarget,
     Refused,
     RobotLine,
+    TipPose,
     read_answer_line,
 )
 from skincal.robot.target_server import LINES_PER_S_MAX, REPEAT_AFTER_S, SAME_SENTENCE_CHARS, RobotChange
 from skincal.ros.dds import DdsError, Message, Participant, TopicWriter, default_domain, read_domain
 from skincal.ros.types import MessageError
+from skincal.streams.transports.target_tips import report_tip
 from skincal.taxels.result import Estimate, State
 
 ROS_TARGETS = "ros2:"
@@ -143,6 +145,8 @@ class RosTargets:
             except (InputError, MessageError) as error:
                 self._report(f"A message on /skincal/reached is not used: {error}")
                 continue
+            if isinstance(answer, TipPose):
+                report_tip(answer.place)
             if answer is not None:
                 found.append(answer)
         found += self._said

@@ -26,9 +26,11 @@ from skincal.robot.target_lines import (
     NoTarget,
     Refused,
     RobotLine,
+    TipPose,
     read_answer_line,
     write_line,
 )
+from skincal.streams.transports.target_tips import report_tip
 from skincal.streams.transports.tcp import enable_keepalive
 
 LOCAL = "127.0.0.1"
@@ -214,6 +216,8 @@ class TargetServer:
         if len(self._line_times) == LINES_PER_S_MAX and now_s - self._line_times[0] < 1.0:
             raise InputError(f"it sends more than {LINES_PER_S_MAX} lines in a second.")
         answer = read_answer_line(line)
+        if isinstance(answer, TipPose):
+            report_tip(answer.place)
         if answer is not None:
             self._put(answer)
 

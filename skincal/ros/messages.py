@@ -48,10 +48,12 @@ SHOWN_NAMES = 8
 JOINT_SILENT_MAX_S = 1.0
 """s by the stamps, after which a joint that other messages do not have is reported."""
 _XELA_RAW, _XELA_FORCES = "sensors.taxels.z", "sensors.forces.z"
-_ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS)
+_ANY_STREAM = (Stream.SKIN, Stream.WRENCH, Stream.JOINTS, Stream.TIP)
 _KNOWN_TYPES: dict[str, tuple[tuple[Stream, ...], str]] = {
     "geometry_msgs/msg/WrenchStamped": ((Stream.WRENCH,), "wrench"),
     "geometry_msgs/msg/Wrench": ((Stream.WRENCH,), ""),
+    "geometry_msgs/msg/PoseStamped": ((Stream.TIP,), "pose.position"),
+    "geometry_msgs/msg/PointStamped": ((Stream.TIP,), "point"),
     JOINT_STATE: ((Stream.JOINTS,), "position"),
     "sensor_msgs/msg/ChannelFloat32": ((Stream.SKIN,), "values"),
     "tactile_msgs/msg/TactileState": ((Stream.SKIN,), "sensors.values"),

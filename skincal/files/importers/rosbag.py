@@ -76,7 +76,7 @@ def _guess(bag: Bag, topic: BagTopic) -> StreamGuess | None:
     try:
         bag.define(topic.name)
         streams = streams_of(bag.types, topic.type_name)
-        if not streams:
+        if not streams or streams == (Stream.TIP,):
             return None
         reader = MessageReader(bag.types, topic.type_name, streams[0])
     except InputError:

@@ -24,6 +24,7 @@ FILE_OF_TRANSPORT: Mapping[str, str] = MappingProxyType(
         "dds": "dds",
         "command": "command",
         "file": "file_replay",
+        "targets": "target_tips",
     }
 )
 """File in `skincal/streams/transports/` by the name that a route gives."""

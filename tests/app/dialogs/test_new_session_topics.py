@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 from app.dialogs.new_session import NewSessionDialog
+from app.session.opening import Addresses
 from app.session.previews import list_topics
 from skincal.model.readings import SENSOR_STREAMS, LinkAnswer, Stream
 from skincal.model.scene import resource
@@ -37,7 +38,8 @@ def test_topics_of_a_robot_are_proposed_and_previewed_with_one_click(qtbot, tmp_
             return len(found) == 3 and all(each.health.verdict.answer is LinkAnswer.GOOD for each in found.values())
 
         qtbot.waitUntil(are_good, timeout=WAIT_MS)
-        assert [rows[stream].address for stream in SENSOR_STREAMS] == ["ros2:/ft", "ros2:/taxels", "ros2:/joint_states"]
+        rows[Stream.TIP].set_address("targets:/tip", agreed=True)
+        assert dialog.addresses() == Addresses("ros2:/ft", "ros2:/taxels", "ros2:/joint_states", "targets:/tip")
         dialog.reject()
 
 

@@ -40,7 +40,10 @@ WRENCH = {"force": vector((1.0, -2.0, 3.0)), "torque": vector((0.1, 0.2, -0.3))}
 JOINTS = {"header": HEADER, "name": ["b", "wheel", "a"], "position": [0.5, 9.0, -1.0], "velocity": [], "effort": []}
 SENSORS = [{"name": "l", "values": [1.5, 2.0]}, {"name": "r", "values": [0.25]}]
 LAB = {"header": HEADER, "cdc_length": 2, "cdc": [3.0, 4.5], "name": "n", "cells": [{"a": 1.0, "raw": [7, 200]}] * 2}
+POSE = {"position": vector((0.5, -0.25, 0.125)), "orientation": {**vector((0.0, 0.0, 0.0)), "w": 1.0}}
 CASES = (
+    ("geometry_msgs/msg/PoseStamped", "", {"header": HEADER, "pose": POSE}, Stream.TIP, [0.5, -0.25, 0.125]),
+    ("geometry_msgs/msg/PointStamped", "", {"header": HEADER, "point": POSE["position"]}, Stream.TIP, [0.5, -0.25, 0.125]),
     ("geometry_msgs/msg/WrenchStamped", "", {"header": HEADER, "wrench": WRENCH}, Stream.WRENCH, [1, -2, 3, 0.1, 0.2, -0.3]),
     ("geometry_msgs/msg/WrenchStamped", "wrench.torque", {"header": HEADER, "wrench": WRENCH}, Stream.SKIN, [0.1, 0.2, -0.3]),
     ("geometry_msgs/msg/Wrench", "", WRENCH, Stream.WRENCH, [1, -2, 3, 0.1, 0.2, -0.3]),

@@ -1,13 +1,20 @@
 """The tip's stream, from its bytes to a poke of a session, and back from the journal."""
 
+import socket
+import time
+from contextlib import closing
+
 import numpy as np
 import pytest
 
+from skincal.devices.link import LinkError
 from skincal.journal.writer import create_session
 from skincal.model.readings import Chunk, LinkAnswer, LinkEvent, LinkState, Stream
+from skincal.robot.target_server import TargetServer
 from skincal.session.pipeline import Pipeline
 from skincal.session.replay import load, replay
-from skincal.streams.links import LinkSpec
+from skincal.streams.links import LinkSpec, open_link
+from skincal.streams.transports.target_tips import report_tip
 from tests.skincal.poke_script import LINKS, PERIOD_S, as_chunks, outcome_key, skt_line, some_pokes, write_scene
 
 PLACE = np.array([0.7, -0.25, 0.125])
@@ -49,6 +56,21 @@ def test_each_poke_has_the_position_of_the_tip(scene, tmp_path, link, lines):
         np.testing.assert_allclose(contact.tip, PLACE, atol=1e-9)
     for again in (load(tmp_path / "s"), replay(tmp_path / "s")):
         assert list(map(outcome_key, again.session.contacts)) == list(map(outcome_key, contacts))
+
+
+def test_the_tip_that_a_robot_reports_with_its_answers_is_a_device():
+    server = TargetServer("127.0.0.1", 0)
+    tip = LinkSpec("tip", "targets:/tip", (Stream.TIP,))
+    with closing(server), closing(open_link(tip)) as link, socket.create_connection((server.host, server.port)) as robot:
+        robot.sendall(b"tip 0.5 -0.25 0.125 0 0 -1\ntip 0.5 -0.25 0.0625 0 0 -1\n")
+        data, end_s = b"", time.monotonic() + 30.0
+        while data.count(b"\n") < 2 and time.monotonic() < end_s:
+            data += link.read(0.1)
+    assert data == b"0.500000 -0.250000 0.125000\n0.500000 -0.250000 0.062500\n"
+    report_tip(np.zeros(3))
+    assert link.read(0.0) == b"", "a closed link gets nothing"
+    with pytest.raises(LinkError, match="targets:/tip"):
+        open_link(LinkSpec("tip", "targets:/hand", (Stream.TIP,)))
 
 
 def test_a_stream_that_stopped_gives_no_position_and_stops_no_poke(scene):
