@@ -250,10 +250,13 @@ class Guide:
 
     def _own(self) -> IntArray:
         """Own pokes (n,) of each taxel; by the modules method those of its module."""
-        own, modules = self._statistics.own, self.plan.modules
+        return self._of_module(self._statistics.own)
+
+    def _of_module(self, counts: IntArray) -> IntArray:
+        """By the modules method sum the taxels' counts (n,) over each one's module."""
         if self.method is not Method.MODULES:
-            return own
-        return np.bincount(modules, own).astype(np.int64)[modules]
+            return counts
+        return np.bincount(self.plan.modules, counts).astype(np.int64)[self.plan.modules]
 
     def _lopsidedness(self) -> tuple[FloatArray, FloatArray]:
         """Lengths (n,) of the contacts' offsets, and depth biases (n,), metres."""
@@ -304,7 +307,8 @@ class Guide:
         """Find the taxels that need something but are no longer targets, by their index."""
         know, settings, unanswered = self._statistics, self.settings, self._pokes.unanswered
         patience = settings.module_patience if self.method is Method.MODULES else settings.patience
-        exhausted = self._own() >= patience
+        # Pokes that are aimed at a taxel, and answered by another module, must have an end, too.
+        exhausted = np.maximum(self._own(), self._of_module(self._pokes.asked)) >= patience
         # Of thousands of taxels only these can be given up: the others are not looked at.
         candidates = exhausted | ((know.contacts == 0) & (unanswered >= settings.unanswered))
         if self._usable_tilt < settings.diversity:

@@ -73,8 +73,7 @@ class Engine:
     mjcf : text of `write_mjcf`
     surface : mesh on which the taxels lie, part's frame
     start : (joints,) float, radians: actuated joints at the start
-    base_error : shift (3,), metres, and rotation (3, 3) of the tip's base in the world, about the part's origin at the start.
-        The commanded joints do not know of it
+    base_error : shift and turn for `displace_base`
     """
 
     def __init__(self, mjcf: str, surface: Surface, start: FloatArray, base_error: tuple[FloatArray, FloatArray]) -> None:
@@ -95,11 +94,15 @@ class Engine:
         self._set_layer_stiffness()
         self.data.qpos[self._angles] = start
         self.data.ctrl[:] = self._goals = start
-        self._displace_base(*base_error)
+        self.displace_base(*base_error)
         mujoco.mj_forward(self.model, self.data)
         self._place_facet()
 
-    def _displace_base(self, shift: FloatArray, turn: FloatArray) -> None:
+    def displace_base(self, shift: FloatArray, turn: FloatArray) -> None:
+        """Move the tip's base by `shift` (3,), metres, world, and `turn` (3, 3) about the part's origin.
+
+        The joints do not know of it.
+        """
         self.mujoco.mj_kinematics(self.model, self.data)
         pivot, base = self.data.xpos[self._part].copy(), self.model.body("t0").id
         self.model.body_pos[base] = pivot + turn @ (self.model.body_pos[base] - pivot) + shift

@@ -86,6 +86,8 @@ class PokeSettings:
     """m, from a goal at which it is reached."""
     late_s: float = 3.0
     """s after the expected arrival at which the arm does not get there."""
+    corrects_aim: bool = True
+    """The force axes of the pokes correct the robot's frame."""
     tip_report_s: float = 0.1
     max_failures: int = 3
     """Targets in a row that fail at the part before the client reports a fault."""
@@ -426,14 +428,14 @@ class PokingClient:
 
     def _let_go(self, answer: Answer | None) -> None:
         """Draw back along the push: to the standoff, or further out if the tip did not get there."""
-        plan = self._plan
+        plan, own = self._plan, self.settings
         assert plan is not None
         is_reached = answer is not None and answer.kind is AnswerKind.REACHED
-        if is_reached and self.force > self.settings.slip_share * plan.target.force:
+        if own.corrects_aim and is_reached and self.force > own.slip_share * plan.target.force:
             contact = self.arm.read_tip().position + self.arm.tip_radius_m * plan.target.push
             self._aim.add_poke(contact, self._wrench[:3], self._wrench[3:])
         self._answer, self._setpoint = answer, plan.way[0].position if self.phase is Phase.ENTER else plan.standoff
-        self._enter(Phase.RELEASE, 2.0 * (self.settings.clearance + self.settings.search) / self.settings.retreat_speed)
+        self._enter(Phase.RELEASE, 2.0 * (own.clearance + own.search) / own.retreat_speed)
 
     def _release(self) -> None:
         plan = self._plan

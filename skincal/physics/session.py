@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 from skincal.journal.writer import JournalWriter
@@ -108,10 +109,14 @@ class RobotSession:
         self.pipeline.close()
 
 
-def make_client(robot: SimulatedRobot, surface: Surface, answer: Callable[[RobotLine], object]) -> PokingClient:
+def make_client(
+    robot: SimulatedRobot, surface: Surface, answer: Callable[[RobotLine], object], *, corrects_aim: bool = True
+) -> PokingClient:
     """Make the client of a simulated robot; a robot that carries the part moves slowly."""
-    slow = PokeSettings(travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED)
-    return PokingClient(robot, surface, answer, slow if robot.carries_part else None)
+    settings = PokeSettings(corrects_aim=corrects_aim)
+    if robot.carries_part:
+        settings = replace(settings, travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED)
+    return PokingClient(robot, surface, answer, settings)
 
 
 def links_of(devices: RobotDevices) -> list[LinkSpec]:

@@ -2,21 +2,28 @@
 
 The guide asks, the robot's client pokes, and the bytes of its devices go through the pipeline, all in simulated time. There are
 two rigs: an arm that pokes the forearm, and an arm that carries the forearm and presses it onto a fixed tip. Each is tried
-without imperfections, with each of them alone, and with all. The guide follows the modules method.
+without imperfections, with each of them alone, and with all. The guide follows the modules method. Last, the base of the poking
+arm is displaced, with and without the client's correction of its aim.
 """
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import groupby, starmap
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from skincal.contacts.outcome import Contact, Reason, Rejection
+from skincal.geometry import length_of
 from skincal.mesh.load import load_surface
+from skincal.mesh.surface import Surface
+from skincal.methods import estimate_taxels
 from skincal.model.scene import Scene, load_scene, resource
 from skincal.palette import BLUE, VERMILION
 from skincal.physics.effects import EFFECT_NAMES, Effects
@@ -25,7 +32,8 @@ from skincal.physics.layouts import make_robot
 from skincal.physics.session import RobotSession, make_client
 from skincal.plotting import Axes, Figure
 from skincal.robot.target_lines import Judged
-from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes
+from skincal.session.session import Session
+from skincal.studies.benchmarking import check_limits, finite, limit_lines, processes, time_session_pokes, timed
 from skincal.studies.unmodelled import error_numbers
 from skincal.taxels.result import Method
 
@@ -41,6 +49,12 @@ MAX_POKES = 252
 """Pokes of a session at most: three for each taxel."""
 MAX_SECONDS_PER_POKE = 6.0
 """Simulated time of a session at most, over its pokes at most. The arm needs 3.2 s a poke."""
+SENSOR_NOISE = {"force": 0.05, "moment": 0.0015}
+"""N and N m, noise of a poke for the scene: tared means of the rig's sensor at rest have an sd of 0.04 N and 0.0015 N m. The
+scene of the forearm has 0.10 N and 0.010 N m, for a real sensor that drifts."""
+DISPLACED_MM, DISPLACED_SEEDS = (0.0, 5.0, 10.0), 3
+"""Displacement of the arm's base, in a direction of each seed's own."""
+TIMED_SOLVES = 5
 MEAN_MAX_MM, ACCEPTED_MIN, COVERAGE_MIN = 1.0, 0.90, 0.85
 PREDICTED_RANGE = (0.7, 1.5)
 """Allowed ratio of predicted to true error, rms over the sessions with all imperfections."""
@@ -54,6 +68,9 @@ class Task(NamedTuple):
     case: str
     seed: int
     max_pokes: int
+    displaced_mm: float = 0.0
+    """Displacement of the arm's base, of which the robot does not know."""
+    corrects_aim: bool = True
 
 
 def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -61,9 +78,10 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
 
     Returns
     -------
-    JSON: `robot`, a row for each rig and case (`rig`, `case`, `sessions`, `taxels`, `pokes`, `accepted` as a share, simulated
-    `minutes`, and by method `mean_mm`, `inside`, `predicted_mm`, `true_rms_mm` and `missing` taxels: means over the sessions,
-    the last but one root mean squares), and `bars`
+    JSON: `robot`, a row for each rig and case (`rig`, `case`, `sessions`, `taxels`, `pokes`, `accepted` and `no_taxel` as
+    shares, simulated `minutes`, and by method `mean_mm`, `inside`, `predicted_mm`, `true_rms_mm`, `missing` taxels, and the
+    CPU times `poke_ms` of a poke and `solve_ms` of all pokes: means over the sessions, the errors predicted and true root mean
+    squares); `displaced`, such rows with `displaced_mm` and `corrects_aim`, unless quick; and `bars`
 
     Raises
     ------
@@ -72,13 +90,26 @@ def run(quick: bool, progress: Callable[[str], None]) -> dict[str, Any]:
     """
     load_mujoco()
     rows: list[Row] = []
+    displaced: list[Row] = []
     with processes() as pool:
-        tasks = list(_tasks(quick))
-        found = zip(tasks, pool.map(run_session, tasks), strict=True)
-        for (rig, case), group in groupby(found, key=lambda pair: (pair[0].rig, pair[0].case)):
-            rows.append(_mean_row(rig, case, [session for _, session in group]))
+        for case, sessions in _sessions_by_case(_tasks(quick), pool.map):
+            rows.append(_mean_row(case, sessions))
             progress(_row_text(rows[-1]))
-    return {"study": "robot", "quick": quick, "robot": rows, "bars": check_limits(robot_limits(rows, quick=quick))}
+        for case, sessions in _sessions_by_case([] if quick else _displaced_tasks(), pool.map):
+            displaced.append(
+                {"displaced_mm": case.displaced_mm, "corrects_aim": case.corrects_aim, **_mean_row(case, sessions)}
+            )
+            progress(_displaced_text(displaced[-1]))
+    bars = check_limits(robot_limits(rows, quick=quick))
+    return {"study": "robot", "quick": quick, "robot": rows, "displaced": displaced, "bars": bars}
+
+
+def _sessions_by_case(
+    tasks: Sequence[Task], each: Callable[[Callable[[Task], Row], Sequence[Task]], Iterable[Row]]
+) -> Iterator[tuple[Task, list[Row]]]:
+    """Run sessions; yield those that differ in their seed alone together, with the first task."""
+    for case, group in groupby(zip(tasks, each(run_session, tasks), strict=True), key=lambda pair: pair[0]._replace(seed=1)):
+        yield case, [session for _, session in group]
 
 
 def _tasks(quick: bool) -> list[Task]:
@@ -88,11 +119,22 @@ def _tasks(quick: bool) -> list[Task]:
     return [Task(rig, case, seed, most) for rig in RIGS for case in cases for seed in range(1, seeds[case] + 1)]
 
 
+def _displaced_tasks() -> list[Task]:
+    seeds = range(1, DISPLACED_SEEDS + 1)
+    return [
+        Task("arm", "none", seed, MAX_POKES, size, corrects) for corrects in (True, False) for size in DISPLACED_MM for seed in seeds
+    ]
+
+
 def scene_of(rig: str, folder: Path) -> Scene:
-    """Load the scene of a rig; that of the moving part is made in `folder` from the shipped forearm and arm."""
+    """Load the scene of a rig with its sensor's noise; that of the moving part is made in `folder` from shipped files."""
     shipped = resource("scenes/icub-forearm/scene.toml")
-    if rig == "arm":
-        return load_scene(shipped)
+    scene = load_scene(shipped if rig == "arm" else _write_moving_part(shipped, folder))
+    return replace(scene, noise=replace(scene.noise, **SENSOR_NOISE))
+
+
+def _write_moving_part(shipped: Path, folder: Path) -> Path:
+    """Write the scene of the forearm on the shipped arm's URDF into `folder`; return its path."""
     for name in ("forearm.obj", "modules.toml"):
         shutil.copy(shipped.with_name(name), folder / name)
     shutil.copy(resource("examples/carrying_arm.urdf"), folder / "arm.urdf")
@@ -102,7 +144,7 @@ def scene_of(rig: str, folder: Path) -> Scene:
     robot = '[robot]\nurdf = "arm.urdf"\nsensor = "wrist_ft"\njoints = ["bend", "twist"]\ntolerance_deg = 3.0\n\n'
     made = folder / "scene.toml"
     made.write_text(before + robot + after, encoding="utf-8")
-    return load_scene(made)
+    return made
 
 
 def run_session(task: Task) -> Row:
@@ -113,8 +155,10 @@ def run_session(task: Task) -> Row:
         assert scene.surface is not None
         surface = load_surface(scene.surface)[0]
     robot = make_robot(scene, surface, effects, task.seed)
+    direction = np.random.default_rng(task.seed).standard_normal(3)
+    robot.engine.displace_base(1e-3 * task.displaced_mm * direction / length_of(direction), np.eye(3))
     session = RobotSession(scene, surface, robot, method=Method.MODULES)
-    client = make_client(robot, surface, session.targets.answer)
+    client = make_client(robot, surface, session.targets.answer, corrects_aim=task.corrects_aim)
     session.targets.answer(client.pace)
     judged: list[Judged] = []
     while not session.is_enough and len(judged) < task.max_pokes and robot.time_s < task.max_pokes * MAX_SECONDS_PER_POKE:
@@ -124,33 +168,54 @@ def run_session(task: Task) -> Row:
             client.receive_line(line)
         client.run_period()
     snapshot = session.pipeline.snapshot()
+    outcomes = [record.outcome for record in snapshot.pokes if record.outcome.poke not in snapshot.at_landmarks]
+    contacts = [outcome for outcome in outcomes if isinstance(outcome, Contact)]
+    times = _solve_times(scene, surface, contacts, robot.pads.channels.tolist())
     methods: dict[str, dict[str, Any]] = {}
     for method, estimates in snapshot.estimates.items():
         own = {estimate.channel: estimate for estimate in estimates}
         numbers = error_numbers([own[channel] for channel in robot.pads.channels.tolist()], robot.pads.places)
         methods[method.value] = {
             "mean_mm": numbers["mean"], "inside": numbers["inside"], "predicted_mm": numbers["predicted"],
-            "true_rms_mm": numbers["true_rms"], "missing": numbers["missing"],
+            "true_rms_mm": numbers["true_rms"], "missing": numbers["missing"], **times[method],
         }  # fmt: skip
+    missed = [each for each in outcomes if isinstance(each, Rejection) and each.reason is Reason.NO_TAXEL]
     return {
         "taxels": len(robot.pads.channels),
         "pokes": len(judged),
         "accepted": sum(not each.reason for each in judged) / max(len(judged), 1),
+        "no_taxel": len(missed) / max(len(judged), 1),
         "enough": session.is_enough,
         "minutes": robot.time_s / 60.0,
         "methods": methods,
     }
 
 
-def _mean_row(rig: str, case: str, sessions: Sequence[Row]) -> Row:
-    numbers = {name: float(np.mean([each[name] for each in sessions])) for name in ("pokes", "accepted", "enough", "minutes")}
+def _solve_times(
+    scene: Scene, surface: Surface, contacts: Sequence[Contact], channels: Sequence[int]
+) -> dict[Method, dict[str, float]]:
+    """Time each method: `poke_ms`, median of a poke that is added and solved, and `solve_ms`, of all from their contacts."""
+    found: dict[Method, dict[str, float]] = {}
+    for method in Method:
+        live = Session(scene, surface, [method])
+        poke = time_session_pokes(live, contacts)
+        model = live.module_model
+        solve = partial(estimate_taxels, contacts, channels, [method], scene.noise, surface, model=model)
+        found[method] = {
+            "poke_ms": 1e3 * float(np.median(poke or [np.nan])), "solve_ms": 1e3 * float(np.median(timed([solve] * TIMED_SOLVES)[0])),
+        }  # fmt: skip
+    return found
+
+
+def _mean_row(case: Task, sessions: Sequence[Row]) -> Row:
+    names = ("pokes", "accepted", "no_taxel", "enough", "minutes")
+    numbers = {name: float(np.mean([each[name] for each in sessions])) for name in names}
     methods = {
         method: {name: _mean(name, [each["methods"][method][name] for each in sessions]) for name in first}
         for method, first in sessions[0]["methods"].items()
     }
-    return {
-        "rig": rig, "case": case, "sessions": len(sessions), "taxels": sessions[0]["taxels"], **numbers, "methods": methods,
-    }  # fmt: skip
+    taxels = sessions[0]["taxels"]
+    return {"rig": case.rig, "case": case.case, "sessions": len(sessions), "taxels": taxels, **numbers, "methods": methods}
 
 
 def _mean(name: str, values: Sequence[float]) -> float | None:
@@ -181,7 +246,14 @@ def summary(result: Mapping[str, Any]) -> list[str]:
     lines: list[str] = []
     for rig, group in groupby(result["robot"], key=lambda row: row["rig"]):
         lines += [f"{rig} ({RIGS[rig]}):", *(f"  {_row_text(row)}" for row in group)]
+    if result["displaced"]:
+        lines += ["base of the arm displaced, no other imperfection:", *map(_displaced_text, result["displaced"])]
     return [*lines, *limit_lines(result["bars"])]
+
+
+def _displaced_text(row: Mapping[str, Any]) -> str:
+    aim = "aim corrected" if row["corrects_aim"] else "aim not corrected"
+    return f"  {row['displaced_mm']:.0f} mm, {aim}, {row['no_taxel']:.0%} on no taxel, {_row_text(row)}"
 
 
 def _row_text(row: Mapping[str, Any]) -> str:
@@ -195,7 +267,8 @@ def _method_text(method: str, own: Mapping[str, Any]) -> str:
     size = (
         f"{own['mean_mm']:.2f} mm, inside {own['inside']:.2f}, predicted {own['predicted_mm']:.2f} of {own['true_rms_mm']:.2f}"
     )
-    return f"{method}: {size} mm rms" + (f", {own['missing']:.0f} missing" if own["missing"] else "")
+    missing = f", {own['missing']:.0f} missing" if own["missing"] else ""
+    return f"{method}: {size} mm rms{missing}, {own['poke_ms']:.2f} ms a poke, {own['solve_ms']:.1f} ms in all"
 
 
 def draw(result: Mapping[str, Any], figure: Figure) -> None:

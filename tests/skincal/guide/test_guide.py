@@ -255,6 +255,18 @@ def test_a_taxel_that_is_missed_twice_gives_way_to_another_of_its_module():
     assert len(set(own)) >= 4
 
 
+def test_a_module_that_is_never_hit_is_given_up_although_it_answers_its_neighbours_pokes():
+    bench = GuidedBench(Method.MODULES)
+    home = MODULES[row_of(bench.guidance.target.channel)]
+    others = PLACES[home != MODULES]
+    while bench.guidance.phase is not GuidePhase.ENOUGH:
+        row = row_of(bench.guidance.target.channel)
+        nearest = others[np.linalg.norm(others - PLACES[row], axis=1).argmin()]
+        bench.poke(nearest if MODULES[row] == home else None)
+        assert bench.count < 160
+    assert {MODULES[row_of(channel)] for channel in bench.guidance.given_up} == {home}
+
+
 def test_a_skip_leads_to_another_module():
     bench, homes = GuidedBench(Method.MODULES), []
     for _ in range(7):
