@@ -69,7 +69,7 @@ class Task(NamedTuple):
     seed: int
     max_pokes: int
     displaced_mm: float = 0.0
-    """Displacement of the arm's base, of which the robot does not know."""
+    """Displacement of the arm's base; the robot does not know it."""
     corrects_aim: bool = True
 
 
@@ -122,7 +122,10 @@ def _tasks(quick: bool) -> list[Task]:
 def _displaced_tasks() -> list[Task]:
     seeds = range(1, DISPLACED_SEEDS + 1)
     return [
-        Task("arm", "none", seed, MAX_POKES, size, corrects) for corrects in (True, False) for size in DISPLACED_MM for seed in seeds
+        Task("arm", "none", seed, MAX_POKES, size, corrects)
+        for corrects in (True, False)
+        for size in DISPLACED_MM
+        for seed in seeds
     ]
 
 
@@ -201,9 +204,8 @@ def _solve_times(
         poke = time_session_pokes(live, contacts)
         model = live.module_model
         solve = partial(estimate_taxels, contacts, channels, [method], scene.noise, surface, model=model)
-        found[method] = {
-            "poke_ms": 1e3 * float(np.median(poke or [np.nan])), "solve_ms": 1e3 * float(np.median(timed([solve] * TIMED_SOLVES)[0])),
-        }  # fmt: skip
+        seconds = {"poke_ms": poke or [np.nan], "solve_ms": timed([solve] * TIMED_SOLVES)[0]}
+        found[method] = {name: 1e3 * float(np.median(values)) for name, values in seconds.items()}
     return found
 
 
