@@ -61,32 +61,31 @@ def new_scene(
 ) -> None:
     """Write the scene file of a new part."""
     from skincal.cli import output
-    from skincal.files.layout_sources import parse_grid
+    from skincal.files.layout_sources import parse_grid, read_layout_file
     from skincal.session.part import load_part
+    from skincal.session.part_draft import PartDraft
     from skincal.session.robot_copy import ROBOT_FOLDER, size_words
-    from skincal.session.scene_draft import SceneDraft, write_scene
+    from skincal.session.scene_draft import write_scene
 
     if layout is not None and grid:
         raise InputError("--layout and --grid exclude each other; keep one.")
-    draft = SceneDraft(
-        out=out,
+    layout_text = parse_grid(grid).layout_text() if grid else "" if layout is None else read_layout_file(layout)
+    draft = PartDraft(
         urdf=_saved_description(str(urdf), out) if str(urdf).startswith("ros2:") else urdf,
         link=link,
         sensor=sensor,
         joints=tuple(name.strip() for name in joints.split(",") if name.strip()),
-        fixed_deg={name: _degrees(name, text) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")},
-        packages={name: Path(folder) for name, folder in _pairs(package or [], "--package", "FOLDER")},
+        fixed=tuple((name, _degrees(name, text)) for name, text in _pairs(fixed or [], "--fixed", "DEGREES")),
+        packages=tuple((name, Path(folder)) for name, folder in _pairs(package or [], "--package", "FOLDER")),
         copies_robot=not reference,
         mesh=mesh,
         sign=None if sign is None else int(sign),
         unit=unit,
         channels=channels,
         polarity=polarity,
-        layout=layout,
-        grid=parse_grid(grid) if grid else None,
-        anchor_mm=_numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None,
+        layout_text=layout_text,
     )
-    write_scene(draft)
+    write_scene(draft, out, _numbers(anchor_mm, 3, "--anchor-mm") if anchor_mm else None)
     result = scene_result(load_part(out), None)
     copied = [path for path in (out.parent / ROBOT_FOLDER).rglob("*") if path.is_file()]
     words = size_words(len(copied), sum(path.stat().st_size for path in copied))

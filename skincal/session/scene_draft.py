@@ -1,17 +1,15 @@
-"""A new scene by one command: the values that a person gives, and the scene file that follows from them.
+"""A new scene by one command: it completes the draft of a part, and writes it.
 
 The window's page for parts makes the same file step by step (`part_draft.py`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from skincal.files.layout_sources import Grid, read_layout_file
 from skincal.geometry import FloatArray
 from skincal.mesh.lay import ANCHOR_TO_SURFACE_MAX_M
 from skincal.mesh.surface import Surface
@@ -26,84 +24,39 @@ FARTHEST_POINT = "position of the layout: the mesh point farthest out along the 
 UNKNOWN_SIGN = "the URDF does not say; -1 if the sensor reports the reaction force"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SceneDraft:
-    """What a person says of a part and its skin."""
+def write_scene(draft: PartDraft, out: Path, anchor_mm: FloatArray | None = None) -> Scene:
+    """Write the scene file of a new part, with its layout and its robot; return the scene as it reads.
 
-    out: Path
-    """The scene file to write."""
-    urdf: Path | None = None
-    link: str = "part"
-    sensor: str = ""
-    """Force/torque sensor, joint or link of the URDF."""
-    joints: Sequence[str] = ()
-    """Columns of the joint stream; empty for the joints of the chain, from sensor to part."""
-    fixed_deg: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Degrees, of joints of the chain that are not streamed."""
-    packages: Mapping[str, Path] = field(default_factory=dict[str, Path])
-    copies_robot: bool = True
-    """Copy the robot's files into the folder of the scene, unless they are moved together anyway."""
-    mesh: Path | None = None
-    """In place of the file that the URDF names."""
-    sign: int | None = None
-    """-1 if the sensor reports the reaction force; `None` for what the URDF says."""
-    unit: str = "mm"
-    channels: int | None = None
-    """`None` for those of the layout."""
-    polarity: str = "up"
-    layout: Path | None = None
-    grid: Grid | None = None
-    anchor_mm: FloatArray | None = None
-    """(3,) float, mm, link frame: position of the layout's middle; `None` for the farthest point along the link's z axis."""
+    Parameters
+    ----------
+    draft : without an anchor
+    anchor_mm : (3,) mm, link frame: position of the layout's middle; `None` for the farthest point along the link's z axis
 
-
-def write_scene(draft: SceneDraft) -> Scene:
-    """Write the scene file of a draft, and its layout file; return the scene as it reads.
-
-    Raises InputError: a file cannot be read or written, a file is there already, or a name is not in the URDF.
+    Raises
+    ------
+    InputError
+        A file cannot be read or written, a file is there already, or a name is missing or not in the URDF.
     """
     if draft.urdf is None and draft.mesh is None:
-        raise InputError(f"{draft.out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
+        raise InputError(f"{out}: name the robot's URDF (--urdf) or the part's mesh (--mesh).")
     if draft.urdf is not None:
         robot = read_urdf(draft.urdf)
         if not draft.sensor:
             raise InputError(f"{draft.urdf}: name the force/torque sensor (--sensor); {_list_sensors(robot)}.")
         robot.require_link(draft.link, str(draft.urdf))
-    preview = PartPreviewer().preview(_described(draft), {})
+    if not draft.layout_text and draft.channels is None:
+        raise InputError(f"{out}: say how many values a frame of the skin has (--channels), or name its layout.")
+    preview = PartPreviewer().preview(replace(draft, name=out.resolve().parent.name or draft.link), {})
     part, comments = completed_draft(preview), dict[tuple[str, ...], str]()
-    if preview.layout is not None and (preview.surface is not None or draft.anchor_mm is not None):
-        part = replace(part, anchor=_anchor(preview, draft.anchor_mm))
-        if draft.anchor_mm is None:
+    if preview.layout is not None and (preview.surface is not None or anchor_mm is not None):
+        part = replace(part, anchor=_anchor(preview, anchor_mm))
+        if anchor_mm is None:
             comments["skin", "anchor"] = FARTHEST_POINT
     if draft.urdf is not None and part.sign is None and preview.sign is None:
         part = replace(part, sign=1)
         comments["wrench", "sign"] = UNKNOWN_SIGN
-    save_draft(part, draft.out, comments)
-    return load_scene(draft.out)
-
-
-def _described(draft: SceneDraft) -> PartDraft:
-    layout = "" if draft.grid is None else draft.grid.layout_text()
-    if draft.layout is not None:
-        layout = read_layout_file(draft.layout)
-    if not layout and draft.channels is None:
-        raise InputError(f"{draft.out}: say how many values a frame of the skin has (--channels), or name its layout.")
-    return PartDraft(
-        name=draft.out.resolve().parent.name or draft.link,
-        link=draft.link,
-        urdf=draft.urdf,
-        sensor=draft.sensor,
-        joints=tuple(draft.joints),
-        fixed=tuple(draft.fixed_deg.items()),
-        packages=tuple(draft.packages.items()),
-        copies_robot=draft.copies_robot,
-        mesh=draft.mesh,
-        unit=draft.unit,
-        sign=draft.sign,
-        channels=draft.channels,
-        polarity=draft.polarity,
-        layout_text=layout,
-    )
+    save_draft(part, out, comments)
+    return load_scene(out)
 
 
 def _anchor(preview: PartPreview, point_mm: FloatArray | None) -> AnchorDraft:

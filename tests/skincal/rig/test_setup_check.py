@@ -12,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from skincal.cli import main
 from skincal.contacts.gates import _closest_to_limit
 from skincal.contacts.outcome import Reason, Rejection
+from skincal.files.layout_sources import read_layout_file
 from skincal.mesh.lay import PlacedLayout, place_layout
 from skincal.model.scene import load_scene, resource
 from skincal.rig.setup_check import MIN_POKES, check_setup, mirrored_layout, other_side
 from skincal.session.draft_preview import PartPreviewer
 from skincal.session.part import load_part
 from skincal.session.part_draft import PartDraft
-from skincal.session.scene_draft import SceneDraft, write_scene
+from skincal.session.scene_draft import write_scene
 from skincal.session.setup_follower import SetupFollower
 from skincal.simulate.operator import Habits
 from skincal.simulate.rig_errors import RigErrors
@@ -39,9 +40,10 @@ def rig(tmp_path_factory):
         pytest.skip("icub-models is not installed here")
     urdf = Path(next(file for file in files if str(file).endswith("iCubGenova02/model.urdf")).locate())
     folder = tmp_path_factory.mktemp("icub")
-    layout = resource("scenes/icub-forearm/modules.toml")
     out = folder / "scene.toml"
-    write_scene(SceneDraft(out, urdf, "l_forearm_dh_frame", "l_arm_ft", layout=layout, polarity="down", anchor_mm=ANCHOR_MM))
+    layout = read_layout_file(resource("scenes/icub-forearm/modules.toml"))
+    described = PartDraft(urdf=urdf, link="l_forearm_dh_frame", sensor="l_arm_ft", layout_text=layout, polarity="down")
+    write_scene(described, out, ANCHOR_MM)
     out.write_text(out.read_text() + POSES)
     part = load_part(out)
     habits = Habits.careful().at_pace(4.0)
@@ -224,11 +226,11 @@ TURNED = {"frame": "sensor", "rpy": "0 0 1.5707963", "xyz": "0 0 0"}
 def with_mesh_moved(folder, part):
     """The URDF has the mesh 100 mm along the forearm, and the layout was placed on that mesh."""
     edited("robot/model.urdf", (VISUAL.format("-0.29"), VISUAL.format("-0.19")))(folder, part)
-    moved = PartDraft(urdf=folder / "robot/model.urdf", link=part.scene.link, sensor="l_arm_ft")
+    skin = {"layout_text": part.scene.skin.layout.text, "polarity": "down"}
+    moved = PartDraft(urdf=folder / "robot/model.urdf", link=part.scene.link, sensor="l_arm_ft", **skin)
     there = PartPreviewer().preview(moved, {}).surface.vertices.mean(axis=0)
-    at = ANCHOR_MM + 1e3 * (there - part.surface.vertices.mean(axis=0))
-    out, layout = folder / "moved/scene.toml", resource("scenes/icub-forearm/modules.toml")
-    write_scene(SceneDraft(out, moved.urdf, moved.link, moved.sensor, layout=layout, polarity="down", anchor_mm=at))
+    out = folder / "moved/scene.toml"
+    write_scene(moved, out, ANCHOR_MM + 1e3 * (there - part.surface.vertices.mean(axis=0)))
     return out
 
 

@@ -8,14 +8,15 @@ import trimesh
 
 from skincal.cli import main
 from skincal.cli.scene import robot_findings
-from skincal.files.layout_sources import parse_grid
+from skincal.files.layout_sources import parse_grid, read_layout_file
 from skincal.journal.writer import copy_scene, scene_digest
 from skincal.model.errors import InputError
 from skincal.model.scene import load_scene
 from skincal.session.arm_poses import ArmPoses
 from skincal.session.part import load_part
+from skincal.session.part_draft import PartDraft
 from skincal.session.robot_places import robot_places
-from skincal.session.scene_draft import SceneDraft, write_scene
+from skincal.session.scene_draft import write_scene
 
 ROBOT = """<robot name="arm">
   <link name="base"/><link name="mount"/><link name="upper"/>
@@ -42,13 +43,14 @@ def urdf(tmp_path):
     return path
 
 
-def draft(tmp_path, urdf, **values):
-    given = {"urdf": urdf, "link": "part", "sensor": "wrist_ft", "grid": parse_grid("3x4@8mm"), **values}
-    return SceneDraft(out=tmp_path / "scenes/new/scene.toml", **given)
+def write(tmp_path, urdf, **values):
+    grid = parse_grid("3x4@8mm").layout_text()
+    given = {"urdf": urdf, "link": "part", "sensor": "wrist_ft", "layout_text": grid, **values}
+    return write_scene(PartDraft(**given), tmp_path / "scenes/new/scene.toml")
 
 
 def test_a_robots_scene_has_its_chain_sign_mesh_and_grid(tmp_path, urdf):
-    scene = write_scene(draft(tmp_path, urdf))
+    scene = write(tmp_path, urdf)
     assert scene.arm.arm.joints == (0, 1)
     assert scene.arm.poses == {}, "an arm pose is streamed or chosen, never assumed"
     assert scene.robot.columns == ("elbow", "wrist")
@@ -65,13 +67,13 @@ def test_a_robots_scene_has_its_chain_sign_mesh_and_grid(tmp_path, urdf):
 
 def test_a_scene_says_what_the_urdf_does_not_know(tmp_path, urdf):
     urdf.write_text(ROBOT.format(direction=""))
-    scene = write_scene(draft(tmp_path, urdf))
+    scene = write(tmp_path, urdf)
     assert scene.robot.sign is None
     assert "the URDF does not say" in scene.path.read_text()
 
 
 def test_a_copy_holds_urdf_and_mesh_and_its_digest_covers_them(tmp_path, urdf):
-    scene = write_scene(draft(tmp_path, urdf))
+    scene = write(tmp_path, urdf)
     copied = load_scene(copy_scene(scene, tmp_path / "session/scene"))
     (tmp_path / "arm").rename(tmp_path / "gone")
     again = load_part(copied.path)
@@ -122,12 +124,12 @@ def test_a_new_scene_holds_the_robot_and_can_be_moved_to_another_computer(tmp_pa
 def test_a_robot_too_large_for_a_copy_is_refused(tmp_path, urdf, monkeypatch):
     monkeypatch.setattr("skincal.session.robot_copy.MAX_ROBOT_BYTES", 1000)
     with pytest.raises(InputError, match="save without it"):
-        write_scene(draft(tmp_path, urdf))
-    assert write_scene(draft(tmp_path, urdf, copies_robot=False)).robot.urdf.path.is_file()
+        write(tmp_path, urdf)
+    assert write(tmp_path, urdf, copies_robot=False).robot.urdf.path.is_file()
 
 
 def test_a_streamed_angle_outside_its_limits_is_named(tmp_path, urdf):
-    poses = ArmPoses(write_scene(draft(tmp_path, urdf)))
+    poses = ArmPoses(write(tmp_path, urdf))
     for degrees, words in (
         ([60, 10], ""),
         ([150, 10], "joint elbow"),
@@ -154,7 +156,7 @@ def test_radians_inside_wide_limits_are_noticed(tmp_path, urdf, poses, words):
     """Joints as wide as a UR's; the last case turns without end."""
     wide = ROBOT.format(direction=DIRECTION).replace('lower="0.2" upper="1.8"', 'lower="-6.3" upper="6.3"')
     urdf.write_text(wide.replace('type="revolute"><parent link="upper"', 'type="continuous"><parent link="upper"'))
-    stream = ArmPoses(write_scene(draft(tmp_path, urdf)))
+    stream = ArmPoses(write(tmp_path, urdf))
     for pose in poses:
         stream.at("", np.radians(np.array(pose, dtype=float)))
     assert (stream.limit_warning == "") if words is None else (words in stream.limit_warning)
@@ -166,13 +168,13 @@ def test_radians_inside_wide_limits_are_noticed(tmp_path, urdf, poses, words):
         ({"link": "prt"}, "did you mean part"),
         ({"sensor": ""}, "it has wrist_ft"),
         ({"joints": ("elbow",)}, "joint wrist moves"),
-        ({"grid": None}, "--channels"),
+        ({"layout_text": ""}, "--channels"),
         ({"urdf": None}, "name the robot's URDF"),
     ],
 )
 def test_what_cannot_be_a_scene_is_refused_and_leaves_nothing(tmp_path, urdf, values, words):
     with pytest.raises(InputError) as refused:
-        write_scene(draft(tmp_path, values.get("urdf", urdf), **{k: v for k, v in values.items() if k != "urdf"}))
+        write(tmp_path, **{"urdf": urdf, **values})
     assert words in str(refused.value)
     assert not list(tmp_path.rglob("*.toml"))
 
@@ -186,7 +188,7 @@ def test_a_grid_is_refused(text):
 def test_a_mesh_in_place_of_that_of_the_urdf_and_a_sign_are_options(tmp_path, urdf):
     trimesh.creation.box((60.0, 40.0, 80.0)).export(tmp_path / "own.stl")
     urdf.write_text(ROBOT.format(direction=DIRECTION).replace("package://arm/meshes/part.stl", "../meshes/part.dae"))
-    scene = write_scene(draft(tmp_path, urdf, mesh=tmp_path / "own.stl", sign=-1))
+    scene = write(tmp_path, urdf, mesh=tmp_path / "own.stl", sign=-1)
     assert scene.surface.path.name == "own.stl"
     assert scene.wrench_sign == -1
     findings = robot_findings(scene.robot, scene.link, scene.wrench_sign)
@@ -215,14 +217,14 @@ def test_a_joint_that_is_not_streamed_is_fixed_by_the_command(tmp_path, urdf, ca
     assert main([*words, "--fixed", "elbow=94"]) == 0
     scene = load_scene(out)
     assert scene.robot.columns == ("wrist",)
-    both = write_scene(draft(tmp_path, urdf)).arm.arm.link_from_sensor(np.radians([94.0, 20.0]))
+    both = write(tmp_path, urdf).arm.arm.link_from_sensor(np.radians([94.0, 20.0]))
     assert np.allclose(scene.arm.arm.link_from_sensor(np.radians([20.0])), both, atol=1e-15)
 
 
 def test_visual_shapes_that_are_not_used_are_a_finding(tmp_path, urdf):
     more = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
     urdf.write_text(ROBOT.format(direction=DIRECTION).replace('<link name="part">', f'<link name="part">{more}'))
-    scene = write_scene(draft(tmp_path, urdf))
+    scene = write(tmp_path, urdf)
     assert load_part(scene.path).surface is not None
     (finding,) = robot_findings(scene.robot, "part", 1)
     assert "1 further visual shape without use" in finding
@@ -253,7 +255,7 @@ def test_skin_frames_of_the_urdf_are_known_places(tmp_path, urdf, names, expecte
     layout.write_text(
         kind + module.format(5, 20, 0) + module.format(2, 8, 20) + module.format(1, 0, 40) + module.format(3, 4, 60)
     )
-    found = robot_places(write_scene(draft(tmp_path, urdf, grid=None, layout=layout)))
+    found = robot_places(write(tmp_path, urdf, layout_text=read_layout_file(layout)))
     if expected is None:
         assert found is None
         return
@@ -264,7 +266,7 @@ def test_skin_frames_of_the_urdf_are_known_places(tmp_path, urdf, names, expecte
 def test_a_sensor_of_another_arm_is_a_finding(tmp_path, urdf):
     arm = '<link name="other"/><joint name="o" type="fixed"><parent link="base"/><child link="other"/></joint>'
     urdf.write_text(ROBOT.format(direction=DIRECTION).replace("</robot>", f"{arm}</robot>"))
-    scene = write_scene(draft(tmp_path, urdf, sensor="o"))
+    scene = write(tmp_path, urdf, sensor="o")
     (finding,) = [words for words in robot_findings(scene.robot, "part", 1) if "not between" in words]
     assert "wrist_ft is" in finding
 
@@ -296,7 +298,7 @@ def test_a_mesh_alone_becomes_a_scene_by_the_command_and_is_shown(tmp_path, caps
 
 
 def test_a_robot_is_shown_at_the_given_joints(tmp_path, urdf, capsys):
-    scene = write_scene(draft(tmp_path, urdf))
+    scene = write(tmp_path, urdf)
     assert main(["scene", "show", str(scene.path), "--joints", "90,0", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     expected = scene.arm.arm.link_from_sensor(np.radians([90.0, 0.0]))
@@ -308,7 +310,7 @@ def test_a_robot_is_shown_at_the_given_joints(tmp_path, urdf, capsys):
 
 
 def test_a_simulated_session_of_a_robot_is_calibrated(tmp_path, urdf, capsys):
-    scene = write_scene(draft(tmp_path, urdf, grid=parse_grid("4x4@8mm")))
+    scene = write(tmp_path, urdf, layout_text=parse_grid("4x4@8mm").layout_text())
     assert (
         main(["simulate", "--scene", str(scene.path), "--pokes", "12", "--careful", "--out", str(tmp_path / "s"), "--json"])
         == 0
