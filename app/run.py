@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from PySide6.QtCore import QMetaObject, QObject, QSettings, QStandardPaths, Qt, QTimer, Signal
-from PySide6.QtGui import QFontDatabase
+from PySide6.QtGui import QFont, QFontDatabase
 from PySide6.QtWidgets import QApplication
 
 from app.scene3d.canvas import best_canvas
@@ -44,6 +44,8 @@ default values the imports alone cause several. With these it needs four million
 GARBAGE_COLLECTION_PERIOD_MS = 200
 FALLBACK_FONTS = "mpl-data/fonts/ttf/DejaVuSans*.ttf"
 """Fonts of the package matplotlib, for a system without any: a server, a container."""
+FALLBACK_FAMILIES = {"Sans Serif": "DejaVu Sans", "Serif": "DejaVu Sans", "Monospace": "DejaVu Sans Mono"}
+"""By the names that Qt lists even on a system without fonts."""
 PYTHON_THREAD_SWITCH_INTERVAL_S = 0.0005
 """With Python's default of 5 ms, background work delays the picture seven times as much (measured)."""
 
@@ -186,9 +188,13 @@ def _collect_garbage() -> None:
 def add_fallback_fonts() -> None:
     """Use the fonts of matplotlib if the system has none: otherwise each letter would be a square."""
     package = find_spec("matplotlib")
-    if not QFontDatabase.families() and package is not None and package.origin is not None:
-        for font in Path(package.origin).parent.glob(FALLBACK_FONTS):
-            QFontDatabase.addApplicationFont(str(font))
+    if package is None or package.origin is None or not set(QFontDatabase.families()) <= FALLBACK_FAMILIES.keys():
+        return
+    for font in Path(package.origin).parent.glob(FALLBACK_FONTS):
+        QFontDatabase.addApplicationFont(str(font))
+    for alias, family in FALLBACK_FAMILIES.items():
+        QFont.insertSubstitution(alias, family)
+    QApplication.setFont(QFont(FALLBACK_FAMILIES["Sans Serif"]))
 
 
 def run_window(request: OpenRequest, player: Player | None = None) -> int:
