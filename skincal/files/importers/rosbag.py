@@ -10,9 +10,8 @@ then a header's stamp counts if it agrees with the arrival, after a constant dif
 from __future__ import annotations
 
 import contextlib
-from array import array
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby, islice
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 
 from skincal.files.importers.bag_reader import Bag, BagTopic
 from skincal.files.importers.registry import RecordedPlace, StoppedError, StreamGuess
-from skincal.files.importers.tape import Tape
+from skincal.files.importers.tape import NumberFile, Tape
 from skincal.files.importers.timeline import OpenRecording, Timeline, check_overlap
 from skincal.geometry import FloatArray
 from skincal.model.errors import InputError, plural
@@ -49,6 +48,8 @@ WAITING_MESSAGES = 1024
 """Messages of a stream that are read together."""
 WAITING_BYTES = 1 << 20
 """Bounds their memory."""
+MAX_DELAYS = 1 << 18
+"""Delays whose median is the difference of two clocks: those of four minutes at 1 kHz, from the whole recording."""
 LATE_S = 2.0
 """A stream that starts or ends by more than this after or before the others is reported."""
 SHOWN_TOPICS = 8
@@ -130,9 +131,9 @@ class _Recorded:
     """By topic."""
     patches: SkinPatches | None
     tape: Tape = field(default_factory=Tape)
-    arrivals: array[float] = field(default_factory=lambda: array("d"))
+    arrivals: NumberFile = field(default_factory=NumberFile)
     """Seconds by the recorder's clock."""
-    stamps: array[float] = field(default_factory=lambda: array("d"))
+    stamps: NumberFile = field(default_factory=NumberFile)
     """Seconds by the sender's clock; NaN without one."""
     messages: Counter[str] = field(default_factory=Counter[str])
     """By topic."""
@@ -170,8 +171,8 @@ class _Recorded:
             return False
         values, stamps = read
         self.tape.add_many(values)
-        self.arrivals.frombytes((np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9).tobytes())
-        self.stamps.frombytes(stamps.tobytes())
+        self.arrivals.extend(np.array([arrival_ns for arrival_ns, _ in run]) * 1e-9)
+        self.stamps.extend(stamps)
         return True
 
     def _read_message(self, types: MessageTypes, topic: str, arrival_ns: int, data: bytes) -> None:
@@ -192,6 +193,15 @@ class _Recorded:
             self.tape.add(values)
             self.arrivals.append(arrival_ns * 1e-9)
             self.stamps.append(stamp_s)
+
+    @property
+    def last_arrival(self) -> float:
+        """Arrival of the last reading, s."""
+        return float(self.arrivals.read(len(self.arrivals) - 1, len(self.arrivals))[0])
+
+    def clocks(self) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield blocks of arrivals and stamps, (n,) s."""
+        yield from zip(self.arrivals.blocks(), self.stamps.blocks(), strict=True)
 
     def findings(self) -> list[str]:
         """Sentences on the messages."""
@@ -235,14 +245,12 @@ def open_recording(
         findings = [f"the bag: {sentence}" for sentence in bag.findings]
         if bag.damage:
             findings.append(
-                f"the bag is damaged after {max(each.arrivals[-1] for each in streams) - bag.span_ns[0] * 1e-9:.1f} s "
+                f"the bag is damaged after {max(each.last_arrival for each in streams) - bag.span_ns[0] * 1e-9:.1f} s "
                 f"({bag.damage}): everything after it is missing."
             )
         findings += _missing_messages(bag, streams)
     times, clock_findings = place_in_time(streams)
-    for each in streams:
-        each.arrivals, each.stamps = array("d"), array("d")
-    timelines = [Timeline(each.stream.value, [seconds]) for each, seconds in zip(streams, times, strict=True)]
+    timelines = [Timeline(each.stream.value, seconds) for each, seconds in zip(streams, times, strict=True)]
     for each, timeline in zip(streams, timelines, strict=True):
         findings += [*each.findings(), *timeline.sentences()]
     check_overlap(timelines)
@@ -251,7 +259,7 @@ def open_recording(
         tuple(LinkSpec(each.stream.value, f"file:{bag.path}::{each.choice}", (each.stream,), "records") for each in streams),
         tuple(timelines),
         tuple(
-            lambda tape=each.tape, seconds=seconds: tape.lines(seconds) for each, seconds in zip(streams, times, strict=True)
+            lambda tape=each.tape, stamps=line.stamps: tape.lines(stamps) for each, line in zip(streams, timelines, strict=True)
         ),
         tuple(findings),
     )
@@ -332,33 +340,33 @@ def _missing_messages(bag: Bag, streams: Sequence[_Recorded]) -> list[str]:
 # ------------------------------------------------------------------ time
 
 
-def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[str]]:
+def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[Iterator[FloatArray]], list[str]]:
     """Choose the times of the readings of each stream.
 
     Returns
     -------
-    (rows,) seconds for each stream, and sentences on the clocks.
+    blocks of (n,) seconds for each stream, and sentences on the clocks.
     """
-    offsets = [_usual_delay(each) for each in streams]
+    delays = [_delays(each) for each in streams]
+    offsets = [float(np.median(some)) if len(some) else np.nan for some, _ in delays]
     # NaN if a stream has no stamps.
     have_one_clock = max(offsets) - min(offsets) <= MAX_CLOCK_DIFFERENCE_S and not np.isnan(offsets).any()
-    times: list[FloatArray] = []
+    times: list[Iterator[FloatArray]] = []
     findings: list[str] = []
-    for each, offset in zip(streams, offsets, strict=True):
-        arrival, stamp = np.frombuffer(each.arrivals), np.frombuffer(each.stamps)
-        name, shift, unstamped = each.stream.value, 0.0, int(np.isnan(stamp).sum())
-        if unstamped == len(stamp):
+    for each, offset, (some, unstamped) in zip(streams, offsets, delays, strict=True):
+        name, shift = each.stream.value, 0.0
+        if unstamped == len(each.stamps):
             findings.append(f"{name}: its messages have no stamp; they are placed by their arrival at the recorder.")
-            times.append(arrival)
+            times.append(each.arrivals.blocks())
             continue
         if not have_one_clock and abs(offset) > MAX_CLOCK_DIFFERENCE_S:
-            low, high = np.nanquantile(arrival - stamp, [0.1, 0.9])
+            low, high = np.quantile(some, [0.1, 0.9])
             is_steady = high - low <= MAX_DELAY_SPREAD_S
             if not is_steady and abs(offset) > MAX_WAIT_S:
                 findings.append(
                     f"{name}: its stamps differ from the arrival by {low:.3f} to {high:.3f} s; it is placed by its arrival."
                 )
-                times.append(arrival)
+                times.append(each.arrivals.blocks())
                 continue
             shift = offset if is_steady else 0.0
             corrected = "this was corrected" if is_steady else "this was not corrected, since it changes"
@@ -367,16 +375,24 @@ def place_in_time(streams: Sequence[_Recorded]) -> tuple[list[FloatArray], list[
             findings.append(f"{name}: it is placed by the stamps of its sender, {-offset:+.3f} s from the recorder's clock.")
         if unstamped:
             findings.append(f"{name}: {plural(unstamped, 'message')} without a stamp: placed by the arrival.")
-        times.append(np.where(np.isnan(stamp), arrival - offset, stamp) + shift if unstamped or shift else stamp)
+        times.append(_shifted_stamps(each, offset, shift))
     return times, findings
 
 
-def _usual_delay(each: _Recorded) -> float:
-    """Median time from the stamp of a message to its arrival, s; NaN without stamps."""
-    delays = np.frombuffer(each.arrivals) - np.frombuffer(each.stamps)
-    if np.isnan(delays).any():
-        delays = delays[np.isfinite(delays)]
-    return float(np.median(delays, overwrite_input=True)) if len(delays) else np.nan
+def _shifted_stamps(each: _Recorded, offset: float, shift: float) -> Iterator[FloatArray]:
+    for arrival, stamp in each.clocks():
+        yield np.where(np.isnan(stamp), arrival - offset, stamp) + shift
+
+
+def _delays(each: _Recorded) -> tuple[FloatArray, int]:
+    """Compute the times from the stamps of at most `MAX_DELAYS` messages to their arrivals, (n,) s; count missing stamps."""
+    step, some, unstamped = -(-len(each.stamps) // MAX_DELAYS), list[FloatArray](), 0
+    for arrival, stamp in each.clocks():
+        delay = arrival - stamp
+        known = delay[~np.isnan(delay)]
+        some.append(known[::step].copy())
+        unstamped += len(delay) - len(known)
+    return np.concatenate(some), unstamped
 
 
 def _late_streams(timelines: Sequence[Timeline]) -> list[str]:

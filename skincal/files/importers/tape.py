@@ -1,14 +1,16 @@
-"""Readings of a stream between the reading of a recording and its playing: values on the disk, times in memory.
+"""Readings of a stream between the reading of a recording and its playing, in temporary files.
 
-A recording with all streams in one file is read once. Its times are decided after the last message, so values wait in a
-temporary file until they become records (`skincal.streams.decoders.records`).
+A recording with all streams in one file is read once. Its times are decided after the last message, so values wait until they
+become records (`skincal.streams.decoders.records`). An hour has millions of times: in files they need no memory.
 """
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from tempfile import TemporaryFile
+from tempfile import SpooledTemporaryFile, TemporaryFile
+from typing import IO
 from weakref import finalize
 
 import numpy as np
@@ -20,6 +22,69 @@ from skincal.streams.decoders.records import KIND_DTYPES, pack_records
 BLOCK_BYTES = 1 << 20
 """Of the values that are kept before they are written: 20,000 wrenches."""
 BLOCK_ROWS = 4096
+BLOCK_NUMBERS = 1 << 16
+"""Numbers that are read from a file at once."""
+
+
+def _append(file: IO[bytes] | SpooledTemporaryFile[bytes], data: bytes) -> None:
+    """Write at the position of a temporary file. Raises InputError: the disk is full."""
+    try:
+        file.write(data)
+        file.flush()
+    except OSError as error:
+        raise InputError(
+            f"The folder for temporary files cannot be written ({error.strerror}); free space there, or name another "
+            "one in the variable TMPDIR."
+        ) from None
+
+
+class NumberFile:
+    """Column of float64, such as the stamps of a stream; few numbers stay in memory."""
+
+    def __init__(self) -> None:
+        self._file = SpooledTemporaryFile[bytes](BLOCK_BYTES)
+        finalize(self, self._file.close)
+        self._written = 0
+        self._unwritten = array("d")
+        self._begin, self._block = 0, np.empty(0)
+        """Numbers that were read last, and the index of the first of them."""
+
+    def __len__(self) -> int:
+        """Count the numbers."""
+        return self._written + len(self._unwritten)
+
+    def append(self, number: float) -> None:
+        """Add a number. Raises InputError: the disk is full."""
+        self._unwritten.append(number)
+        if len(self._unwritten) >= BLOCK_NUMBERS:
+            self._write()
+
+    def extend(self, numbers: FloatArray) -> None:
+        """Add (n,) numbers. Raises InputError: the disk is full."""
+        self._unwritten.frombytes(np.ascontiguousarray(numbers, np.float64).tobytes())
+        if len(self._unwritten) >= BLOCK_NUMBERS:
+            self._write()
+
+    def _write(self) -> None:
+        self._file.seek(self._written * 8)
+        _append(self._file, self._unwritten.tobytes())
+        self._written += len(self._unwritten)
+        self._unwritten = array("d")
+
+    def read(self, begin: int, end: int) -> FloatArray:
+        """Read the numbers from `begin` to before `end`, as far as they exist."""
+        if self._unwritten:
+            self._write()
+        end = min(end, self._written)
+        if not self._begin <= begin <= end <= self._begin + len(self._block):
+            self._file.seek(begin * 8)
+            self._begin, self._block = begin, np.frombuffer(self._file.read(8 * max(end - begin, BLOCK_NUMBERS)))
+        return self._block[begin - self._begin : end - self._begin]
+
+    def blocks(self) -> Iterator[FloatArray]:
+        """Yield all numbers in order, `BLOCK_NUMBERS` at a time."""
+        for begin in range(0, len(self), BLOCK_NUMBERS):
+            yield self.read(begin, begin + BLOCK_NUMBERS)
 
 
 class Tape:
@@ -59,17 +124,10 @@ class Tape:
             single = values.astype(np.float32)
         is_single = np.array_equal(single, values, equal_nan=True)
         self._runs.append((*values.shape, 2 if is_single else 1))
-        try:
-            self._file.write((single if is_single else values).tobytes())
-            self._file.flush()
-        except OSError as error:
-            raise InputError(
-                f"The folder for temporary files cannot be written ({error.strerror}); free space there, or name another "
-                "one in the variable TMPDIR."
-            ) from None
+        _append(self._file, (single if is_single else values).tobytes())
 
-    def lines(self, seconds: FloatArray) -> Iterator[Sequence[bytes]]:
-        """Yield blocks of records with the (rows,) times."""
+    def lines(self, seconds: NumberFile) -> Iterator[Sequence[bytes]]:
+        """Yield blocks of records with the times of the rows."""
         self._write()
         at, first = 0, 0
         for rows, width, kind in self._runs:
@@ -83,5 +141,5 @@ class Tape:
                 at += len(data)
                 last = first + count
                 values = np.frombuffer(data, dtype).reshape(count, width)
-                yield pack_records(np.arange(first, last), seconds[first:last], values)
+                yield pack_records(np.arange(first, last), seconds.read(first, last), values)
                 first = last

@@ -17,12 +17,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, islice, pairwise
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skincal.files.importers.tape import BLOCK_NUMBERS, NumberFile
 from skincal.geometry import FloatArray, IntArray
 from skincal.model.errors import InputError, plural
 from skincal.model.readings import Chunk, Stream
@@ -48,8 +48,8 @@ CHUNK_MAX_LINES = 128
 """Bounds the memory of a chunk."""
 INTERVAL_STEPS = 500
 """Number of steps in the median for the usual interval: 5 s at 100 Hz."""
-BLOCK_LINES = 1 << 16
-"""Lines that are placed together: bounds the memory."""
+LISTED_CHUNKS = 1 << 12
+"""Chunks that are made Python numbers at once: these take ten times the memory."""
 MAX_LISTED_JUMPS = 3
 START_NS = 1_000_000_000
 """A recording begins at this time of the host's clock; 0 would mean never."""
@@ -84,16 +84,18 @@ class Timeline:
 
     def __init__(self, name: str, stamps: Iterable[FloatArray]) -> None:
         self.name = name
-        blocks = list(stamps)
-        # An hour has millions of stamps: one block is not copied.
-        self.stamps: FloatArray = (
-            np.asarray(blocks[0], np.float64) if len(blocks) == 1 else np.concatenate([np.empty(0), *blocks])
-        )
-        self.lines = len(self.stamps)
-        self.earlier = int(np.count_nonzero(self.stamps[1:] < self.stamps[:-1]))
+        self.stamps = NumberFile()
+        self.earlier = 0
         """Lines with a stamp before that of the line before."""
-        forward = np.flatnonzero(self.stamps[1:] >= self.stamps[:-1])[:INTERVAL_STEPS]
-        self.interval = float(np.median(self.stamps[forward + 1] - self.stamps[forward])) if len(forward) else 0.0
+        forward, last = np.empty(0), np.empty(0)
+        for block in stamps:
+            steps = np.diff(np.append(last, block))
+            self.earlier += int(np.count_nonzero(steps < 0))
+            forward = np.append(forward, steps[steps >= 0][: INTERVAL_STEPS - len(forward)])
+            last = np.append(last, block)[-1:]
+            self.stamps.extend(block)
+        self.lines = len(self.stamps)
+        self.interval = float(np.median(forward)) if len(forward) else 0.0
         """Usual time from line to line, s; 0 if there is none."""
         self.out_of_order = 0
         self.jumps: dict[int, float] = {}
@@ -114,17 +116,17 @@ class Timeline:
         limit = max(GAP_MIN_S, GAP_INTERVALS * self.interval)
         gaps = [pause for pause in self._pauses if pause > limit]
         self.gaps, self.longest_gap = len(gaps), max(gaps, default=0.0)
-        self.first = float(self.stamps[0]) if self.lines else 0.0
+        self.first = float(self.stamps.read(0, 1)[0]) if self.lines else 0.0
         """First stamp, s."""
         self.last = self._highest + self._shift
         """Highest stamp, shifted, s."""
 
     def _find_jumps(self) -> None:
-        self._highest = float(self.stamps[0])
+        self._highest = float(self.stamps.read(0, 1)[0])
         at, size = 1, 1
         while at < self.lines:
             limit = self.lines if self._undecided is None else self._undecided.line + MAX_LINES_OF_WRONG_TIME + 1
-            block = self.stamps[at : min(at + size, limit)]
+            block = self.stamps.read(at, min(at + size, limit))
             highest = np.maximum.accumulate(np.concatenate([[self._highest], block]))
             steps = block - highest[:-1]
             far = np.flatnonzero(np.abs(steps) > MAX_TIME_STEP_BACK_S)
@@ -134,9 +136,9 @@ class Timeline:
             self._highest = float(highest[steady])
             at += steady
             # After a jump the next one may be near; a steady clock is read in ever larger blocks.
-            size = min(2 * size, BLOCK_LINES)
+            size = min(2 * size, BLOCK_NUMBERS)
             if len(far):
-                self._begin_jump(at, float(self.stamps[at]))
+                self._begin_jump(at, float(block[steady]))
                 at, size = at + 1, 16
             if self._undecided is not None and at > self._undecided.line + MAX_LINES_OF_WRONG_TIME:
                 self._decide()
@@ -219,24 +221,29 @@ class Timeline:
             )
         return [f"{self.name}: {sentence}" for sentence in found]
 
-    def host_ns(self, origin: float) -> IntArray:
-        """Place the lines on the host's clock, (lines,) nanoseconds, never backwards; `origin` (s) becomes `START_NS`."""
-        times = np.empty(self.lines, np.int64)
-        shift = 0.0
-        for begin in range(0, self.lines, BLOCK_LINES):
-            block = slice(begin, begin + BLOCK_LINES)
-            shifts = np.zeros(len(times[block]))
+    def place_lines(self, origin: float) -> Iterator[tuple[FloatArray, IntArray]]:
+        """Place the lines on the host's clock, never backwards; `origin` (s) becomes `START_NS`.
+
+        Yields blocks of (n,) stamps, s, and times of the host's clock, ns.
+        """
+        shift, last_ns, begin = 0.0, START_NS, 0
+        outliers = np.sort(np.fromiter(self.outliers, np.int64))
+        for stamps in self.stamps.blocks():
+            end = begin + len(stamps)
+            shifts = np.zeros(len(stamps))
             shifts[0] = shift
             for line, more in self.jumps.items():
-                if begin <= line < begin + len(shifts):
+                if begin <= line < end:
                     shifts[line - begin] += more
             shifts = np.cumsum(shifts)
             shift = float(shifts[-1])
             # Stamps have microseconds; more digits would be those of the double.
-            times[block] = START_NS + np.rint((self.stamps[block] + shifts - origin) * 1e6).astype(np.int64) * 1000
-        times[list(self.outliers)] = START_NS
-        np.maximum(times, START_NS, out=times)
-        return np.maximum.accumulate(times, out=times)
+            times = START_NS + np.rint((stamps + shifts - origin) * 1e6).astype(np.int64) * 1000
+            times[outliers[np.searchsorted(outliers, begin) : np.searchsorted(outliers, end)] - begin] = START_NS
+            times[0] = max(times[0], last_ns)
+            np.maximum.accumulate(times, out=times)
+            last_ns, begin = int(times[-1]), end
+            yield stamps, times
 
 
 def share_clock_jumps(timelines: Sequence[Timeline]) -> None:
@@ -304,51 +311,54 @@ def merged_chunks(timelines: Sequence[Timeline], sources: Sequence[Lines], early
     """
     share_clock_jumps(timelines)
     origin = min(timeline.first for timeline in timelines)
-    times = [timeline.host_ns(origin) for timeline in timelines]
-    starts = [_chunk_starts(timeline, placed) for timeline, placed in zip(timelines, times, strict=True)]
-    ends_ns = [placed[_last_lines(start)] for start, placed in zip(starts, times, strict=True)]
+    found = [_find_chunks(timeline, origin) for timeline in timelines]
     for file, timeline in enumerate(timelines):
         if timeline.name in early and len(timelines) > 1:
-            others = np.sort(np.concatenate([ends for other, ends in enumerate(ends_ns) if other != file]))
-            position = np.searchsorted(others, times[file], "right")
-            starts[file] |= np.diff(position, prepend=-1) > 0
-            ends_ns[file] = times[file][_last_lines(starts[file])]
-    files = np.repeat(np.arange(len(starts)), [len(ends) for ends in ends_ns])
-    counts = np.concatenate([np.diff(np.flatnonzero(np.append(start, True))) for start in starts])
-    host_ns = np.concatenate(ends_ns)
+            others = np.sort(np.concatenate([ends_ns for other, (_, ends_ns) in enumerate(found) if other != file]))
+            found[file] = _find_chunks(timeline, origin, others)
+    files = np.repeat(np.arange(len(found)), [len(ends_ns) for _, ends_ns in found])
+    counts = np.concatenate([np.diff(starts, append=line.lines) for line, (starts, _) in zip(timelines, found, strict=True)])
+    host_ns = np.concatenate([ends_ns for _, ends_ns in found])
     lines = [chain.from_iterable(source()) for source in sources]
     order = np.lexsort((files, host_ns))
     chunks = np.stack([files, host_ns, counts], axis=1)[order]
-    # The chunks are read for minutes: nothing with a row for each line remains here.
-    del times, starts, ends_ns
-    for begin in range(0, len(chunks), BLOCK_LINES):
-        part: list[tuple[int, int, int]] = chunks[begin : begin + BLOCK_LINES].tolist()
+    del found, files, counts, host_ns, order
+    for begin in range(0, len(chunks), LISTED_CHUNKS):
+        part: list[tuple[int, int, int]] = chunks[begin : begin + LISTED_CHUNKS].tolist()
         for file, end_ns, count in part:
             yield Chunk(timelines[file].name, end_ns, b"".join(islice(lines[file], count)))
 
 
-def _last_lines(starts: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the last line of each chunk."""
-    return np.append(starts[1:], True)
-
-
-def _chunk_starts(timeline: Timeline, host_ns: IntArray) -> NDArray[np.bool_]:
-    """Mark the first line of each chunk.
+def _find_chunks(timeline: Timeline, origin: float, cuts_ns: IntArray | None = None) -> tuple[IntArray, IntArray]:
+    """Find the first line of each chunk, and the time of its last line on the host's clock, ns.
 
     The decoder dates every line of a chunk by the chunk's arrival and keeps the smallest delay. A chunk has the time of its
     last line, so only earlier lines look late. The first line after a clock change gets a chunk of its own.
+
+    Parameters
+    ----------
+    cuts_ns : ascending times of the host's clock that no chunk has lines on both sides of
     """
-    starts = np.ones(timeline.lines, np.bool_)
-    for begin in range(1, timeline.lines, BLOCK_LINES):
-        end = min(begin + BLOCK_LINES, timeline.lines)
-        steps = np.diff(timeline.stamps[max(begin - 2, 0) : end])
-        jumped = np.abs(steps) > MAX_TIME_STEP_BACK_S
-        # The first line has no step before it; the second comes after a change.
-        before = jumped[:-1] if begin > 1 else np.append(True, jumped[:-1])
-        ticks = (host_ns[begin - 1 : end] - START_NS) // CHUNK_NS
-        starts[begin:end] = jumped[-(end - begin) :] | before | (np.diff(ticks) > 0)
-    firsts = np.flatnonzero(starts)
-    sizes = np.diff(np.append(firsts, timeline.lines))
-    for chunk in np.flatnonzero(sizes > CHUNK_MAX_LINES).tolist():
-        starts[firsts[chunk] : firsts[chunk] + sizes[chunk] : CHUNK_MAX_LINES] = True
-    return starts
+    starts, ends_ns = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    begin, open_chunk, last_ns = 0, 0, START_NS
+    # The first line has no step before it; the second comes after a change.
+    last_stamp, has_jumped = -np.inf, True
+    for stamps, times in timeline.place_lines(origin):
+        end, before_ns = begin + len(stamps), np.append(last_ns, times[:-1])
+        jumped = np.abs(np.diff(stamps, prepend=last_stamp)) > MAX_TIME_STEP_BACK_S
+        ticks = np.diff((times - START_NS) // CHUNK_NS, prepend=(last_ns - START_NS) // CHUNK_NS) > 0
+        is_start = jumped | np.append(has_jumped, jumped[:-1]) | ticks
+        bounds = [open_chunk, *(begin + np.flatnonzero(is_start)).tolist(), end]
+        for first, after in pairwise(bounds):
+            if after - first > CHUNK_MAX_LINES:
+                split = np.arange(first, after, CHUNK_MAX_LINES)
+                is_start[split[split >= begin] - begin] = True
+        if cuts_ns is not None:
+            place = np.searchsorted(cuts_ns, times, "right")
+            is_start |= np.diff(place, prepend=np.searchsorted(cuts_ns, last_ns, "right")) > 0
+        at = np.flatnonzero(is_start)
+        starts.append(begin + at)
+        ends_ns.append(before_ns[at])
+        begin, open_chunk, last_ns = end, bounds[-2], int(times[-1])
+        last_stamp, has_jumped = float(stamps[-1]), bool(jumped[-1])
+    return np.concatenate(starts), np.append(np.concatenate(ends_ns)[1:], last_ns)

@@ -15,7 +15,7 @@ from skincal.cli import main
 from skincal.files.importers.bag_reader import Bag
 from skincal.files.importers.preview import RecordingFiles, guess_streams, preview_recording
 from skincal.files.importers.registry import RecordedPlace, StoppedError, importer_of
-from skincal.files.importers.tape import Tape
+from skincal.files.importers.tape import NumberFile, Tape
 from skincal.journal.reader import SessionLog
 from skincal.model.errors import InputError
 from skincal.model.readings import SENSOR_STREAMS, Chunk, Loss, Stream
@@ -451,12 +451,14 @@ def test_records_are_read_however_they_are_cut_and_damaged(rng):
 def test_tapes_keep_rows_of_all_widths_and_precisions(rng):
     tape, rows = Tape(), [rng.normal(size=width) for width in [3] * 5000 + [0, 2, 2, 3]]
     rows += [np.arange(4.0)] * 10
-    for row in rows:
+    times = NumberFile()
+    for at, row in enumerate(rows):
         tape.add(row)
+        times.append(float(at))
     for _ in range(2):
         decoder = RecordsDecoder(None, (Stream.JOINTS,))
         del decoder._widths[Stream.JOINTS]
-        lines = [line for block in tape.lines(np.arange(len(rows)) * 1.0) for line in block]
+        lines = [line for block in tape.lines(times) for line in block]
         assert len(lines) == len(rows)
         found = [np.frombuffer(line[21:], "<f8" if line[0] == 1 else "<f4") for line in lines]
         assert all(np.array_equal(one, other) for one, other in zip(found, rows, strict=True))

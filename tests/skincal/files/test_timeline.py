@@ -1,3 +1,5 @@
+import tracemalloc
+from collections import Counter
 from unittest.mock import patch
 
 import numpy as np
@@ -203,5 +205,23 @@ def test_blocks_of_lines_do_not_change_the_chunks(size):
     stamps[500:550] += 2.0  # set, and set back
     files = {"wrench": stamps.tolist(), "joints": stamps[::7].tolist()}
     expected = together(("joints",), **files)
-    with patch("skincal.files.importers.timeline.BLOCK_LINES", size):
+    with (
+        patch("skincal.files.importers.timeline.BLOCK_NUMBERS", size),
+        patch("skincal.files.importers.tape.BLOCK_NUMBERS", size),
+    ):
         assert together(("joints",), **files) == expected
+
+
+def test_lines_of_an_hour_take_no_memory():
+    """An hour at 1 kHz and one at 50 Hz: all their times at once are 30 MB, and were in memory several times."""
+    seconds, hz = 3600, {"wrench": 1000, "skin": 50}
+    tracemalloc.start()
+    try:
+        timelines = [Timeline(name, (at + np.arange(rate) / rate for at in range(seconds))) for name, rate in hz.items()]
+        sources = [lambda rate=rate: ([b"1"] * rate for _ in range(seconds)) for rate in hz.values()]
+        lines = Counter(chunk.link for chunk in merged_chunks(timelines, sources) for _ in chunk.data)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert lines == {name: seconds * rate for name, rate in hz.items()}
+    assert peak < 20e6
