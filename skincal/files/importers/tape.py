@@ -72,7 +72,7 @@ class NumberFile:
         self._unwritten = array("d")
 
     def read(self, begin: int, end: int) -> FloatArray:
-        """Read the numbers from `begin` to before `end`, as far as they exist."""
+        """Read the numbers from `begin` up to but not including `end`, or up to the last one."""
         if self._unwritten:
             self._write()
         end = min(end, self._written)
