@@ -16,15 +16,15 @@ from skincal.words.units import TIMES, ChannelNames, cell, count, degrees, milli
 MODULE_HEADINGS = ("Module", "Mean, mm", "Shift, mm", "Shape, mm", "Spacing")
 MODULE_HINTS = (
     "Number of the module; known / all taxels if some are not known in both sets of positions",
-    "Mean length of its taxels' differences",
+    "Mean distance between the two positions of its taxels",
     "Shift of the whole module: length of the mean difference",
-    "Rest after the best rotation and shift (rms); zero for a module that only moved",
+    "Difference that remains after the best rotation and shift (rms); zero if the module only moved",
     "Spacing of neighbouring taxels in the second set, divided by that of the layout",
 )
 MAX_LISTED_MODULES = 40
-"""The list has the modules with the largest difference: a list of 350 is not read, and each costs time with every poke."""
+"""Longest list of modules, those with the largest difference: nobody reads 350 lines, and each costs time at every poke."""
 ARROW_SCALES = (1, 3, 10)
-"""Factors by which arrows can be lengthened."""
+"""Scale factors of the arrows that show differences."""
 
 
 def difference_words(summary: Summary | None, pair: tuple[str, str], names: ChannelNames, channels: Sequence[int]) -> str:
@@ -43,7 +43,7 @@ def motion_words(motion: CommonMotion | None) -> str:
         return ""
     left = f"{millimetres(motion.mean)} mean, {millimetres(motion.largest)} largest"
     moved = f"{millimetres(motion.shift)} shift and {degrees(motion.turn, 1)} rotation"
-    return f"Common to all taxels: {moved}; without that: {left}."
+    return f"All taxels together: {moved}. Difference that remains: {left}."
 
 
 def listed_modules(modules: Sequence[ModuleDifference]) -> Sequence[ModuleDifference]:

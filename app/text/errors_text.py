@@ -31,11 +31,11 @@ STATISTICS = {
 }
 """Names of the statistics, with their line styles."""
 MARK_POKES_WITH_TRUST_BELOW = 0.5
-"""Pokes with less trust are marked in the list: 99 of 100 good pokes have more."""
+"""Weight below which the list marks a poke; 99 of 100 good pokes have more."""
 MIN_TRUST_SHOWN_AS_FULL = 0.995
-"""A poke with this trust counts fully, to two decimals."""
+"""Weight from which a poke counts fully, to two decimals."""
 MAX_LISTED_POKES_PER_TAXEL = 100
-"""The list of a taxel has its newest pokes."""
+"""Longest list of a taxel's pokes, the newest ones."""
 
 
 class Axis(Enum):
@@ -80,7 +80,7 @@ def progress_words(series: ErrorSeries) -> str:
         return f"computing {count(series.missing, 'earlier point')}"
     if not len(series.counts):
         return "none yet"
-    return f"a point every {series.stride} pokes" if series.stride > 1 else ""
+    return f"one point for every {series.stride} pokes" if series.stride > 1 else ""
 
 
 def axis_words(series: ErrorSeries, axis: Axis) -> str:
@@ -149,17 +149,17 @@ def doubting(estimates: Iterable[Estimate]) -> Mapping[int, Sequence[Estimate]]:
 
 
 def doubt_mark(poke: int, doubters: Sequence[Estimate], names: ChannelNames) -> str:
-    """Mark of a doubted poke in the list: `"counts 0.2 for 17-05"`; may be empty."""
+    """Mark of a doubted poke in the list: `"weight 0.2 for 17-05"`; may be empty."""
     marked = [e for e in doubters if e.doubted[poke] < MARK_POKES_WITH_TRUST_BELOW]
     if not marked:
         return ""
     more = f" +{len(marked) - 1}" if len(marked) > 1 else ""
-    return f"counts {number(marked[0].doubted[poke], 1)} for {names.short(marked[0].channel)}{more}"
+    return f"weight {number(marked[0].doubted[poke], 1)} for {names.short(marked[0].channel)}{more}"
 
 
 def doubt_words(contact: Contact, estimate: Estimate, names: ChannelNames) -> str:
     """Give the trust in a poke for a taxel, and the reason."""
-    words = f"counts {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
+    words = f"weight {number(estimate.doubted[contact.poke], 2)} for {names.short(estimate.channel)}"
     miss = miss_of(contact, estimate)
     return words if miss is None else f"{words}: its force axis is {millimetres(miss)} from the position by the other pokes"
 

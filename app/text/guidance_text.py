@@ -30,11 +30,11 @@ MAX_NAMED_FINISHED_TAXELS = 3
 """Finished taxels named after one poke."""
 BETWEEN = "  \N{MIDDLE DOT}  "
 REDUCED_ERROR_WORDS: Mapping[Method, str] = {Method.FREE: "depth", Method.SURFACE: "position", Method.MODULES: "position"}
-"""The error that a poke should reduce: the free method errs mostly in depth, the others along the skin."""
+"""Name of the error that a poke should reduce: for the free method the depth, for the others the position along the skin."""
 FOLLOWS: Mapping[Method, str] = {
-    Method.FREE: "The guide serves the free method, which needs the tool leaning to all sides.",
-    Method.SURFACE: "The guide serves the surface method, which needs pokes evenly around each taxel, tool upright.",
-    Method.MODULES: "The guide serves the modules method, which needs a few pokes on each module, far apart.",
+    Method.FREE: "The guide asks what the free method needs: pokes with the tool leaning to all sides.",
+    Method.SURFACE: "The guide asks what the surface method needs: pokes evenly around each taxel, tool upright.",
+    Method.MODULES: "The guide asks what the modules method needs: a few pokes on each module, far apart.",
 }
 """Each method needs other pokes."""
 
@@ -177,14 +177,14 @@ def diversity_words(axes: AxisDiversity, method: Method) -> str:
     if not len(axes.own):
         return "not pressed yet"
     if method is Method.FREE:
-        return f"directions spread {degrees(axes.diversity)}, needs {degrees(settings.diversity)}"
+        return f"poke directions spread {degrees(axes.diversity)}, {degrees(settings.diversity)} needed"
     middle = f"mean contact point {millimetres(float(np.sqrt(axes.beside @ axes.beside)))} from the taxel"
     return middle if method is Method.MODULES else f"{middle} (limit {millimetres(settings.balance)})"
 
 
 def contacts_words(axes: AxisDiversity) -> str:
     """Count the pokes of a taxel: `"12 pokes, 3 strongest here"`; empty without pokes."""
-    return f"{count(len(axes.own), 'poke')}, {int(axes.own.sum())} strongest here" if len(axes.own) else ""
+    return f"{count(len(axes.own), 'poke')}, {int(axes.own.sum())} with this taxel strongest" if len(axes.own) else ""
 
 
 def lean_words(lean: LeanDirection, names: ChannelNames) -> str:

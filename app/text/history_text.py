@@ -11,7 +11,7 @@ from skincal.session.undo import ActionEntry, HistoryEntry, describe_entry
 MAX_HISTORY_LINES = 500
 """The list has the newest lines."""
 EARLIER_TIME = "earlier"
-"""Time of an entry that has no known time."""
+"""Text in place of an unknown time."""
 
 
 @dataclass(frozen=True, slots=True)

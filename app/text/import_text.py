@@ -13,7 +13,7 @@ from skincal.words.units import DASH, count, number, rate
 NAMES = {Stream.WRENCH: "Force/torque sensor", Stream.SKIN: "Skin", Stream.JOINTS: "Joints"}
 UNITS_OF = {Stream.WRENCH: "N, N m", Stream.SKIN: "raw", Stream.JOINTS: "\N{DEGREE SIGN}"}
 HEADINGS = ("Stream", "Rows", "Rate", "Lasts, s", "Values", "First row")
-READING_TEXT = "Looking at the recording \N{HORIZONTAL ELLIPSIS}"
+READING_TEXT = "Reading the recording \N{HORIZONTAL ELLIPSIS}"
 IMPORTING_TEXT = "Importing \N{HORIZONTAL ELLIPSIS}"
 STOPPING_TEXT = "Stopping \N{HORIZONTAL ELLIPSIS}"
 HOLDS_SESSION = "This folder already has a session. Choose another one."

@@ -10,9 +10,9 @@ from skincal.model.errors import plain_text
 
 REPORTING = "Writing the report. A message follows when it is finished."
 ADDRESS_LINE_MAX_CHARS = 120
-"""Characters a line of the question about addresses: fits a window of 1280 pixels."""
+"""Line length of the question about addresses, in characters; fits a window of 1280 pixels."""
 NO_ADDRESSES = "This session has no device with an address. Ctrl+N: new session with devices."
-PART_NOT_SAVED = "What you said of this part is not saved. Leave the page all the same?"
+PART_NOT_SAVED = "The description of this part is not saved. Leave the page anyway?"
 NO_SESSION = "No session is open; open one first."
 STILL_SOLVING = "All taxels are being recomputed. Try again in a few seconds."
 
@@ -69,7 +69,7 @@ def keep_question(pokes: int) -> tuple[str, str]:
 
 def copy_words(shipped: Path) -> str:
     """Report that a copy of a shipped session is open."""
-    return f"{shipped} is part of skincal and is not changed. This is a copy; at closing you can keep it."
+    return f"{shipped} is part of skincal and is not changed. This is a copy; you can keep it when you close it."
 
 
 def place_words(folder: Path, *, provisional: bool, copied: bool = False) -> str:
@@ -82,4 +82,4 @@ def place_words(folder: Path, *, provisional: bool, copied: bool = False) -> str
     """
     if not provisional:
         return f"Session in {folder}"
-    return f"{'Copy' if copied else 'Recording'} in {folder}; Ctrl+S: keep it without a question"
+    return f"{'Copy' if copied else 'Recording'} in {folder}; Ctrl+S saves it now"

@@ -218,7 +218,7 @@ def _trouble(at: ViewState) -> Now | None:
     if at.running is Running.OFFLINE:
         return Now(Tone.CALM, "No device connected", "You can look, change and export. Space: connect the devices")
     if at.robot_halted:
-        return Now(Tone.WAIT, "Robot stopped", "S: let it go on. Its own emergency stop still has to be at hand")
+        return Now(Tone.WAIT, "Robot stopped", "S: let it go on. Keep its emergency stop within reach")
     fault = next((link for link in at.live.links if at.look(link) in LINK_FAULTS), None)
     if fault is not None:
         name = link_name(fault)
@@ -330,7 +330,7 @@ def _no_data(at: ViewState) -> Now:
             link_detail(missing[0], at),
         )
     if links and all(at.look(link) is LinkStatus.ENDED for link in links):
-        return Now(Tone.CALM, "Recording ended", "All of it has been read")
+        return Now(Tone.CALM, "Recording ended", "The recording is at its end")
     return Now(Tone.WAIT, "Waiting for data", "Sensor and skin must both stream before a poke counts")
 
 

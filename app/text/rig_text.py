@@ -31,7 +31,7 @@ def offer_words(offer: Offer) -> str:
     """Describe an available correction, with the error before and after."""
     if offer.frame is None:
         now, then = cell(offer.action.before, "m"), millimetres(offer.action.after)
-        lowers = f"it lowers the error at landmarks it was not fitted to from {now} to {then}"
+        lowers = f"the error at landmarks left out of the fit falls from {now} to {then}"
         return f"A correction of sensor and arm is ready: {lowers}."
     perhaps = "" if offer.frame.sure else " Another mistake is almost as likely: press another landmark."
     return frame_sentence(offer.frame) + perhaps

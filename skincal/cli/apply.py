@@ -36,13 +36,15 @@ def apply(
     before: Annotated[
         Path | None,
         typer.Option(
-            help="File for the positions that the robot has now; else before-PART.txt beside what is applied. An older one is "
-            "kept as .bak, .bak-2, ...; where that file is applied itself, -undone is added to its name.",
+            help="File for the positions that the robot has now; default: before-PART.txt next to the applied "
+            "file. An older file is kept as .bak, .bak-2, .... If that file itself is applied, -undone is added to its name.",
             show_default=False,
         ),
     ] = None,
     timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="Seconds to wait for each answer.")] = 2.0,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print all that may be sent; nothing is opened.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the messages that would be sent, and connect to nothing.")
+    ] = False,
     layout: LayoutOption = None,
     correct: Correct = False,
     replay: Replay = False,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Places = typer.Argument(
     help="Folder of a session, or a file: a calibration's JSON or CSV, an iCub position file, a URDF with a tactile sensor, a "
     "truth.json. After a colon one of free, surface, modules; of a session also plan, truth, or robot (skin frames of its "
-    "URDF). Without it the method of the smallest predicted error.",
+    "URDF). Default: the method with the smallest predicted error.",
     show_default=False,
 )
 
@@ -28,7 +28,7 @@ def add_to(app: typer.Typer) -> None:
 
 
 def compare(first: Annotated[str, Places], second: Annotated[str, Places], as_json: Json = False) -> None:
-    """Compare two sets of places of the same taxels: mean and worst, common rigid motion, module by module."""
+    """Compare two sets of positions of the same taxels: mean and worst, common rigid motion, module by module."""
     from skincal.cli import output
     from skincal.files.reference import compare_sets
     from skincal.session.named_places import find_places

@@ -133,8 +133,10 @@ def _words(figures: dict[str, Any]) -> str:
 
 def watch(
     link: Annotated[str, typer.Argument(help="Address, as for record: netft://HOST, yarp:/PORT, /dev/ttyUSB0, ...")],
-    carries: Annotated[Carries, typer.Option(help="What it carries, where its readings do not say.")] = Carries.ANY,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
+    carries: Annotated[Carries, typer.Option(help="Stream of the link, if its readings do not tell.")] = Carries.ANY,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this time, in seconds; default: at Ctrl-C.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Show what a link sends, live: readings, rate, losses and messages of the device; a line each second."""
@@ -175,7 +177,7 @@ def _feed_until(watched: Watched, items: ChunkQueue, due_s: float) -> None:
 
 
 def devices(as_json: Json = False) -> None:
-    """List the serial ports with their answers, the ports of a YARP network, and the topics of ROS 2; and what to type."""
+    """List serial ports with their answers, ports of a YARP network, and topics of ROS 2, with the addresses to type."""
     import json
     from concurrent.futures import ThreadPoolExecutor
 

@@ -22,7 +22,7 @@ from skincal.model.readings import Stream
 if TYPE_CHECKING:
     from skincal.model.scene import Scene
 
-_PoseOption = Annotated[str | None, typer.Option(help="Name of the arm pose, where joints were not recorded.")]
+_PoseOption = Annotated[str | None, typer.Option(help="Name of the arm pose, if the recording has no joints.")]
 
 
 def add_to(app: typer.Typer) -> None:

@@ -51,7 +51,7 @@ def landmarks(
     at: Annotated[
         list[str] | None,
         typer.Option(
-            help='Poke and landmark, such as 12="wrist, top"; may be repeated. 12= takes it back.', show_default=False
+            help='Poke and landmark, such as 12="wrist, top"; may be repeated. 12= removes the name.', show_default=False
         ),
     ] = None,
     csv_file: Annotated[
@@ -66,8 +66,8 @@ def landmarks(
     order: Annotated[
         str | None,
         typer.Option(
-            help='Landmarks in the order in which they were poked, such as "elbow, outer;wrist, top;-": one for each poke that '
-            "no taxel answered, or for each before the first that one answered. - stands for none.",
+            help='Landmarks in the order in which they were poked, such as "elbow, outer;wrist, top;-": one for each poke '
+            "without a taxel's answer, or for each before the first poke with one. - means no landmark.",
             show_default=False,
         ),
     ] = None,
@@ -75,15 +75,15 @@ def landmarks(
         bool,
         typer.Option(
             "--find",
-            help="Find them from the axes of force: where no taxel answered, and the axis passes one landmark within 20 mm and "
-            "every other at least twice as far.",
+            help="Find the landmarks from the force axes: pokes without a taxel's answer whose axis passes one "
+            "landmark within 20 mm, and every other at least twice as far away.",
         ),
     ] = False,
     add: Annotated[
         NewLandmark | None,
         typer.Option(help="Name a landmark that the scene lacks: NAME X Y Z, mm, link frame.", show_default=False),
     ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Take back what the last call wrote.")] = False,
+    undo: Annotated[bool, typer.Option("--undo", help="Undo the last call.")] = False,
     as_json: Json = False,
 ) -> None:
     """Name the landmarks of recorded pokes, for `--correct` of `solve`, `export` and `report`.

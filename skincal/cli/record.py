@@ -78,33 +78,36 @@ def record(
     skin: LinkOption,
     scene: SceneOption,
     out: OutOption,
-    joints: Annotated[str | None, typer.Option(help="Link of the joint angles, where they are streamed.")] = None,
+    joints: Annotated[str | None, typer.Option(help="Link of the joint angles, if they are streamed.")] = None,
     tip: Annotated[
         str | None,
         typer.Option(help="Link of the tip's position: lines x y z in m, in a fixed frame, or targets:/tip (docs/tip.md)."),
     ] = None,
-    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, where joints are not streamed.")] = None,
-    seconds: Annotated[float | None, typer.Option(min=0.0, help="Stop after this time; else at Ctrl-C.")] = None,
+    pose: Annotated[str | None, typer.Option(help="Name of the arm pose, if joints are not streamed.")] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.0, help="Stop after this time, in seconds; default: at Ctrl-C.")
+    ] = None,
     pokes: Annotated[int | None, typer.Option(min=1, max=MAX_REQUESTED_POKES, help="Stop after this many pokes.")] = None,
-    orders: Annotated[bool, typer.Option("--orders", help="Take orders from stdin, one a line.")] = False,
+    orders: Annotated[bool, typer.Option("--orders", help="Read orders from stdin, one JSON object a line.")] = False,
     targets: Annotated[
         str | None,
         typer.Option(
             metavar="[HOST:]PORT|ros2:",
-            help="Ask a robot for the pokes of the guide, by TCP (docs/wire.md) or ROS topics (docs/ros.md), until enough.",
+            help="Ask a robot for the guide's pokes, by TCP (docs/wire.md) or ROS topics (docs/ros.md), until no "
+            "more are needed.",
         ),
     ] = None,
     method: Annotated[
-        Method | None, typer.Option(help="With --targets: whose needs the guide follows.", show_default=False)
+        Method | None, typer.Option(help="Method whose needs the guide follows, with --targets.", show_default=False)
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Record devices into a session, until Ctrl-C, and estimate as pokes come in.
+    """Record devices into a session, until Ctrl-C, and estimate the taxels after each poke.
 
-    With --targets it ends once it is enough.
+    With --targets the recording ends when no more pokes are needed.
 
-    Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} and the pokes that follow are found to be there,
-    {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and all else that a session's journal names.
+    Orders on stdin with --orders: {"do": "ask_landmark", "name": "wrist, top"} for the next pokes,
+    {"do": "exclude", "poke": 7}, {"do": "undo"}, {"do": "set_pose", "name": "2"}, and the other actions of a session's journal.
     """
     from skincal.session.importing import new_session
     from skincal.streams.links import ChunkQueue, Reader, describe_links

@@ -24,7 +24,9 @@ def report(
     out: Annotated[Path, typer.Option(help="File to write (*.html); an older one is kept as .bak, .bak-2, ...")],
     method: Annotated[
         Method | None,
-        typer.Option(help="Whose estimates are shown; else those of the method that leads.", show_default=False),
+        typer.Option(
+            help="Method whose estimates are shown; default: the one with the smallest predicted error.", show_default=False
+        ),
     ] = None,
     correct: Correct = False,
     as_json: Json = False,

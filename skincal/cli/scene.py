@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from skincal.session.part import Part
 
 _scenes = typer.Typer(
-    help="Make the scene file of a new part, or show what one says.",
+    help="Write the scene file of a new part, or show the content of one.",
     no_args_is_help=True,
     epilog="Example: skincal scene new --urdf robot.urdf --link forearm --sensor arm_ft --grid 6x8@9mm --out part/scene.toml",
 )
@@ -45,9 +45,10 @@ def new_scene(
         list[str] | None, typer.Option(help="NAME=FOLDER of a ROS package that the URDF names; repeatable.")
     ] = None,
     reference: Annotated[
-        bool, typer.Option("--reference", help="Name the robot's files where they are. Default: copy them to OUT's folder.")
+        bool,
+        typer.Option("--reference", help="Refer to the robot's files where they are. Default: copy them to the folder of OUT."),
     ] = False,
-    mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF in place of the file that it names.")] = None,
+    mesh: Annotated[Path | None, typer.Option(help="Mesh of the part; with a URDF it replaces the URDF's own mesh.")] = None,
     sign: Annotated[Literal["1", "-1"] | None, typer.Option(help="-1 if the sensor reports the reaction force.")] = None,
     unit: Annotated[Literal["m", "cm", "mm", "in"], typer.Option(help="Unit of the mesh.")] = "mm",
     channels: Annotated[int | None, typer.Option(min=1, help="Values of a skin frame; default: those of the layout.")] = None,

@@ -71,56 +71,64 @@ def add_to(app: typer.Typer) -> None:
 def simulate(
     scene: SceneOption,
     out: Annotated[Path | None, typer.Option(help="Folder of the new session; truth.json is written there too.")] = None,
-    serve: Annotated[bool, typer.Option("--serve", help="Be the devices, in real time, until stdin closes or Ctrl-C.")] = False,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Send the readings of simulated devices in real time, until stdin closes or Ctrl-C.")
+    ] = False,
     pokes: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_REQUESTED_POKES, help="How many pokes; 252 for a session, no end when served."),
+        typer.Option(min=1, max=MAX_REQUESTED_POKES, help="Number of pokes. Default: 252 for a session, no end with --serve."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same bytes.")] = 1,
     errors: Annotated[
-        Errors, typer.Option(help="What is wrong with the rig: nothing, sensor noise, or what the paper's had.")
+        Errors, typer.Option(help="Errors of the rig: none, sensor noise, or the errors of the paper's rig.")
     ] = Errors.NOISE,
     poses: Annotated[str, typer.Option(help="Arm poses that share the pokes, by name, separated by commas.")] = "",
     operator: Annotated[
         OperatorKind,
         typer.Option(
-            help="auto pokes by itself; told obeys stdin; guided pokes what --targets asks for, and sometimes ignores it."
+            help="auto chooses its own pokes; told follows orders on stdin; guided follows --targets, and "
+            "sometimes ignores a target."
         ),
     ] = OperatorKind.AUTO,
-    careful: Annotated[bool, typer.Option("--careful", help="An operator who neither slides nor touches two places.")] = False,
+    careful: Annotated[
+        bool, typer.Option("--careful", help="The operator never slides and never touches two points at once.")
+    ] = False,
     pace: Annotated[
         float,
-        typer.Option(min=0.1, max=4.0, help="How quick the operator's hand is between pokes; presses take as long as they do."),
+        typer.Option(min=0.1, max=4.0, help="Speed factor of the hand between pokes; the presses keep their duration."),
     ] = 1.0,
-    run: Annotated[int, typer.Option(min=0, help="Another number: the same rig, served on another day.")] = 0,
+    run: Annotated[int, typer.Option(min=0, help="Number of the run: the same rig with other noise and other pokes.")] = 0,
     tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP ports instead of pseudo-terminals.")] = False,
     speak_as: Annotated[
         str,
         typer.Option(
             "--as",
-            help="Makers' devices to be, by name, separated by commas: netft, bota, robotiq, robotiq-text, rtde, yarp, "
-            "xela, papillarray, ros2. What none of them sends comes from a board.",
+            help="Devices to simulate, by name, separated by commas: netft, bota, robotiq, robotiq-text, rtde, yarp, "
+            "xela, papillarray, ros2. A simulated board sends the other streams.",
         ),
     ] = "",
     ros2: Annotated[
-        bool, typer.Option("--ros2", help="Be a ROS 2 robot: --serve --as ros2, in the domain of ROS_DOMAIN_ID.")
+        bool,
+        typer.Option("--ros2", help="Publish as a ROS 2 robot, in the domain of ROS_DOMAIN_ID: the same as --serve --as ros2."),
     ] = False,
     targets: Annotated[
         str | None,
         typer.Option(
             metavar="[HOST:]PORT",
-            help="With --operator guided or --physics: who asks, as `record --targets` or the window does.",
+            help="Port of the program that asks for pokes (`record --targets`, or the window), with --operator "
+            "guided or --physics.",
         ),
     ] = None,
     physics: Annotated[
-        Physics | None, typer.Option(help="A robot arm in this engine pokes what the guide asks for, in place of an operator.")
+        Physics | None,
+        typer.Option(help="Physics engine with a robot arm that pokes the guide's targets, in place of an operator."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Poke a simulated rig: into a session (--out), or live over ports that a program takes for devices (--serve).
+    """Simulate a rig and its operator: record a session (--out), or send live readings like real devices (--serve).
 
     Orders on stdin with --operator told: poke CHANNEL [TILT_DEG AZIMUTH_DEG FORCE_N], or pose NAME; with --operator guided:
-    pace TIMES. Over --targets it is asked as a robot is, and answers likewise (docs/wire.md).
+    pace FACTOR. With --targets it answers as a robot does (docs/wire.md).
     """
     from skincal.files.reference import RIG_KEY
     from skincal.session.part import load_scene_surface

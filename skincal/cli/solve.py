@@ -26,22 +26,22 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Replay = Annotated[
-    bool, typer.Option("--replay", help="Play the recorded bytes again instead of taking the pokes as they were judged.")
+    bool, typer.Option("--replay", help="Decode and judge the recorded bytes again, instead of using the recorded pokes.")
 ]
 Part = Annotated[
     str | None,
-    typer.Option(help="Skin part named in the iCub file, such as r_forearm; else the one that the scene's link begins with."),
+    typer.Option(help="Skin part named in the iCub file, such as r_forearm; default: the beginning of the scene's link name."),
 ]
 Correct = Annotated[
     bool,
-    typer.Option("--correct", help="Use the corrections of the sensor's frame and of the rig that landmark pokes offer."),
+    typer.Option("--correct", help="Apply the corrections of sensor frame and rig that the landmark pokes support."),
 ]
 LayoutOption = Annotated[
     Path | None,
     typer.Option(
         "--layout",
-        help="Layout (*.modules.toml; lengths in mm, angles in degrees) in place of the session's own. Pokes stay as they were "
-        "judged; with --replay they are judged anew, too.",
+        help="Layout (*.modules.toml; lengths in mm, angles in degrees) in place of the session's own. The "
+        "recorded pokes are used; with --replay they are judged again, too.",
         show_default=False,
     ),
 ]
@@ -51,8 +51,8 @@ SessionArgument = Annotated[Path, typer.Argument(help="Folder of a session.", sh
 MethodOption = Annotated[
     Method | None,
     typer.Option(
-        help="Whose positions to write; else those of the method that predicts the smallest error, among the methods that "
-        "know at least 95 % of the taxels that any one knows.",
+        help="Method whose positions are written. Default: the smallest predicted error, among the methods "
+        "that know at least 95 % as many taxels as the best.",
         show_default=False,
     ),
 ]
@@ -69,7 +69,7 @@ def solve(
     session: SessionArgument,
     out: Annotated[Path | None, typer.Option(help="Folder for the calibration in every format.")] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="Known places, a truth.json or an iCub position file: report the error against them.")
+        Path | None, typer.Option(help="Known positions (truth.json or iCub position file) to compute the error against.")
     ] = None,
     per_pose: Annotated[
         bool, typer.Option("--per-pose", help="Also solve each arm pose alone and average the results, as the paper does.")
@@ -77,8 +77,8 @@ def solve(
     layout_out: Annotated[
         Path | None,
         typer.Option(
-            help="File for the corrected layout where modules are mirrored, turned or swapped in the layout; an older one is "
-            "kept as .bak, .bak-2, ...; the layout that was read is not touched. Nothing is written where nothing is wrong.",
+            help="File for the corrected layout, if modules are mirrored, turned or swapped. An older file is "
+            "kept as .bak, .bak-2, .... The original layout is not changed. Without a finding nothing is written.",
             show_default=False,
         ),
     ] = None,
@@ -90,7 +90,7 @@ def solve(
 ) -> None:
     """Estimate every taxel of a session by each method of its scene.
 
-    The method that predicts the smallest error comes first, among those that know 95 % of the taxels that any one knows.
+    The method with the smallest predicted error comes first, among those that know at least 95 % as many taxels as the best.
     """
     from skincal.cli import output
     from skincal.files.reference import read_reference

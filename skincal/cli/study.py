@@ -29,12 +29,12 @@ Quick = Annotated[bool, typer.Option("--quick", help="A shorter version that end
 Out = Annotated[
     Path | None,
     typer.Option(
-        help="Folder for NAME.json, NAME.svg and NAME.png; else ./studies, or with --json none: nothing is written.",
+        help="Folder for NAME.json, NAME.svg and NAME.png. Default: ./studies; with --json no file is written.",
         show_default=False,
     ),
 ]
 _studies = typer.Typer(
-    help="Measure the program itself: numbers and a figure.",
+    help="Measure the accuracy and speed of the program: numbers and a figure.",
     no_args_is_help=True,
     epilog="Example: skincal study runtime --quick --out measured",
 )

@@ -65,7 +65,7 @@ def rejection_words(rejection: Rejection) -> str:
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
     words = REASON_WORDS[reason]
     if answered_inversely(rejection):
-        return f"{words}; taxels changed against the polarity"
+        return f"{words}; taxels changed in the wrong direction"
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):
@@ -106,7 +106,7 @@ def missed_words(missed: MissedLandmark) -> str:
     """Format the distance of a poke from the requested landmark: `"52 mm beside wrist, top (limit 34 mm)"`."""
     if missed.behind:
         return f"not on the side of {missed.name}"
-    return f"{missed.miss * 1e3:.0f} mm beside {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
+    return f"{missed.miss * 1e3:.0f} mm from {missed.name} (limit {missed.limit * 1e3:.0f} mm)"
 
 
 def no_poke_sentence(seen: BeforePokes, thresholds: ContactSettings) -> str:

@@ -12,13 +12,13 @@ from skincal.rig.correction_fit import MIN_LANDMARK_POKES, MIN_LANDMARKS, REPORT
 from skincal.rig.frame_check import STANDARD_GRAVITY, FrameCorrection, FrameDiagnosis
 
 MENTION_RIG_ERRORS_ABOVE_MISS_M = 0.005
-"""Above this miss with a right frame the sentence names errors of sensor and arm: noise and hand cause 1 to 3 mm."""
+"""Landmark miss above which a sentence on a right frame names errors of sensor and arm; noise and hand cause 1 to 3 mm."""
 
 
 def closing_sentence(closing: Closing) -> str:
     """Say whether anything moved between the first pokes of a session and their repetition at its end."""
     moved, limit = f"{closing.shift * 1e3:.1f} mm", f"{closing.limit * 1e3:.1f} mm"
-    across = "" if closing.observable_directions == 3 else ", seen only across the press"
+    across = "" if closing.observable_directions == 3 else ", measured only across the direction of the press"
     where = f"{len(closing.names)} {closing.at.value} pressed again{across}"
     what = "the sensor or the arm" if closing.at is ClosingPlaces.LANDMARKS else "the sensor, the arm or the skin"
     if closing.single_poke_decides:
@@ -52,7 +52,7 @@ def correction_words(used: UsedCorrection) -> str:
     after, before = f"{used.after * 1e3:.1f} mm", f"{used.before * 1e3:.1f} mm"
     if used.of == FRAME:
         return f"the sensor frame is corrected from {used.pokes} landmark pokes: their error falls from {before} to {after}"
-    errors = f"the error at landmarks it was not fitted to falls from {before} to {after}"
+    errors = f"the error at landmarks left out of the fit falls from {before} to {after}"
     return f"sensor and arm are corrected from {used.pokes} landmark pokes: {errors}"
 
 
@@ -68,7 +68,7 @@ def rig_sentences(answer: RigAnswer) -> tuple[str, ...]:
         needs = f"it needs {MIN_LANDMARK_POKES} pokes at {MIN_LANDMARKS} different landmarks"
         return (f"No correction of sensor and arm: {needs}; there are {len(answer.trust)} pokes at {answer.points}.",)
     before, after = f"{answer.before * 1e3:.1f} mm", f"{answer.after * 1e3:.1f} mm"
-    errors = f"the error at landmarks it was not fitted to is {after}, without a correction {before}"
+    errors = f"the error at landmarks left out of the fit is {after}, without a correction {before}"
     first = (
         f"A correction of sensor and arm is ready: {errors}."
         if answer.used
@@ -117,7 +117,7 @@ def _mistake_words(found: FrameCorrection) -> str:
         angle = np.degrees(np.arctan2(sine, np.trace(turn) - 1.0))
         return (
             f"the sensor is mounted about {angle:.0f} degrees and {shift:.0f} mm from where the scene says, or its calibration "
-            "matrix is far off"
+            "matrix is wrong"
         )
     return "; ".join(filter(None, (axes_words(found.axes), moment_unit_words(found.moment_scale / found.force_scale))))
 

@@ -25,8 +25,8 @@ def setup_sentences(found: SetupDiagnosis | None) -> tuple[str, ...]:
     misses = (
         ""
         if _is_reaction(first)
-        else f" Now {found.pokes} pokes miss the taxels that answer by {found.miss * 1e3:.0f} mm (median), then by "
-        f"{first.miss * 1e3:.0f} mm."
+        else f" {found.pokes} pokes miss the taxels that answer by {found.miss * 1e3:.0f} mm (median), and with this change "
+        f"by {first.miss * 1e3:.0f} mm."
     )
     return (
         f"The scene does not fit the pokes: {what}. To mend it, {remedy}.{misses}",
@@ -72,7 +72,7 @@ def mistake_words(mistake: Mistake) -> tuple[str, str]:
     if mistake.kind is MistakeKind.MESH_ORIGIN:
         shift = ", ".join(f"{value * 1e3:.0f}" for value in mistake.shift)
         return (
-            f"mesh and layout belong ({shift}) mm farther along the link's axes",
+            f"mesh and layout must move by ({shift}) mm along the link's axes",
             "correct the origin of the mesh, or the position of the sensor or of [skin.anchor]",
         )
     what, remedy = _MISTAKE_WORDS[mistake.kind]

@@ -63,7 +63,7 @@ def state_sentence(reason: StateReason | None) -> str:
         degrees=max(float(np.degrees(reason.angle)), 0.1),
         depth="is unknown" if size is None else f"is only known to {coarse}",
         tell="do not determine its pose" if size is None else f"determine its pose only to {POSITION_MAX_SD_M * 1e3:.0f} mm",
-        left_out=f"; {reason.blind} left out as undetermined" if reason.blind else "",
+        left_out=f"; {reason.blind} undetermined poses are left out" if reason.blind else "",
         inner=state_sentence(reason.inner),
         text=reason.text,
         miss_max=f"{FORCE_AXIS_MAX_MISS_M * 1e3:.0f} mm",

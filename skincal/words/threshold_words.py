@@ -100,7 +100,7 @@ def objections(values: Mapping[str, float]) -> dict[str, str]:
     for low, high in pairwise(FORCE_ORDER):
         if low not in wrong and high not in wrong and not values[low] < values[high]:
             title = THRESHOLD_WORDS[high].title[0].lower() + THRESHOLD_WORDS[high].title[1:]
-            wrong[low] = f"Expected less than {with_unit(high, values[high])}, which is for: {title}."
+            wrong[low] = f"Expected less than {with_unit(high, values[high])}, the value of: {title}."
     return wrong
 
 

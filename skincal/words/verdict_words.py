@@ -80,7 +80,7 @@ def _landmark_words(verdict: Verdict) -> str:
 
 
 def _noise_words(landmarks: LandmarkAgreement) -> str:
-    return f"with {landmarks.noisier:g} x the noise in the scene file"
+    return f"with {landmarks.noisier:g} x the noise of the scene file"
 
 
 def figures(verdict: Verdict) -> tuple[tuple[str, str], ...]:
@@ -136,7 +136,7 @@ def agreement_words(landmarks: LandmarkAgreement | None) -> str:
 def closing_words(closings: Sequence[Closing]) -> str:
     """Say whether anything moved since the start, by the last final check and those before it."""
     if not closings:
-        return "not done: at the end a few early points are pressed again"
+        return "not made: it presses a few early points again at the end"
     return " ".join([closing_sentence(closings[-1]), *earlier_closings(closings)])
 
 
