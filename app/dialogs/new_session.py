@@ -47,7 +47,7 @@ from skincal.words.link_words import STREAM_NAMES
 from skincal.words.units import rate
 
 ADDRESS_HINT = "/dev/ttyUSB0@460800, COM3, socket://host:port or a file"
-HINTS = {
+HINT_OF_STREAM = {
     Stream.JOINTS: "only if the arm sends its joints",
     Stream.TIP: "only if a robot or a tracker sends its position",
 }
@@ -90,7 +90,7 @@ class StreamRow(QWidget):
         self.box.setMaxVisibleItems(MAX_LISTED_PORTS)
         self.box.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.field = self.box.lineEdit() or QLineEdit()
-        self.field.setPlaceholderText(HINTS.get(stream, ADDRESS_HINT))
+        self.field.setPlaceholderText(HINT_OF_STREAM.get(stream, ADDRESS_HINT))
         # No completion: it would turn a half typed address into another one.
         self.box.setCompleter(QCompleter([], self))
         self.label.setBuddy(self.box)

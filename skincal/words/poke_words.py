@@ -65,7 +65,7 @@ def rejection_words(rejection: Rejection) -> str:
     reason, value, limit = rejection.reason, rejection.value, rejection.limit
     words = REASON_WORDS[reason]
     if answered_inversely(rejection):
-        return f"{words}; taxels changed in the wrong direction"
+        return f"{words}; taxels changed against the scene's polarity"
     if rejection.unit == RAW_UNIT and math.isfinite(value):
         return f"{words}: strongest response {number(value, 1)}, needs {number(limit, 1)}"
     if reason in (Reason.NO_TAXEL, Reason.NO_POSE, Reason.SATURATED) or not (math.isfinite(value) and math.isfinite(limit)):

@@ -160,7 +160,7 @@ def test_the_words_follow_taxel_and_method_and_the_panel_hides_without_a_taxel(p
     panel.show_state(at)
     assert panel.whose.text() == "10-03, the target"
     assert panel.spread.text() == diversity_words(at.diversity, Method.FREE).capitalize()
-    assert panel.contacts.text() == "5 pokes, 2 strongest here"
+    assert panel.contacts.text() == "5 pokes, 2 with this taxel strongest"
     assert "free method" in panel.follows.text()
     panel.show_state(framed(diversity([push(0, 0)], beside=(0.0013, 0, 0)), selected=5, method=Method.SURFACE))
     assert panel.spread.text() == approved("guide.middle_astray", miss_mm=1.3, most_mm=1.0)
@@ -251,12 +251,12 @@ def test_a_doubted_poke_is_marked_with_the_taxel_and_the_reason(qtbot):
     doubters = doubting([doubted(4, p7=0.4), doubted(3, p7=0.2), doubted(5, p7=0.9, p8=1.0)])
     assert [e.channel for e in doubters[7]] == [3, 4, 5]
     assert 8 not in doubters
-    assert doubt_mark(7, doubters[7], NAMES) == "counts 0.2 for 10-03 +1"
+    assert doubt_mark(7, doubters[7], NAMES) == "weight 0.2 for 10-03 +1"
     assert doubt_mark(7, doubters[7][2:], NAMES) == ""
     assert doubt_words(poke, doubters[7][0], NAMES) == approved("taxel.doubted", trust="0.20", taxel="10-03", miss_mm=14.0)
     panel = shown(qtbot, PokesPanel(context()))
     panel.show_state(frame(session(2, {3: doubted(3, p2=0.2)}, [touch(1), touch(2)])))
-    assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} counts 0.2 for 10-03"
+    assert panel.model.index(0, 1).data() == "\N{CIRCLE WITH LEFT HALF BLACK} weight 0.2 for 10-03"
     assert "its force axis is" in panel.model.index(0, 1).data(Qt.ItemDataRole.ToolTipRole)
     assert panel.model.index(1, 1).data() == "\N{CHECK MARK} accepted"
 

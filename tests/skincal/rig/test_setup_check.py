@@ -147,7 +147,7 @@ MISTAKES = {
     "sensor turned by 180": (turned("x", 180), "turned by 180 degrees about its x axis", "origin in the URDF"),
     "sensor turned by 45": (turned("z", 45), "turned by about -45 degrees about its z axis", "correct the sensor's pose"),
     "sign of the wrench": (wrenches(-np.eye(3)), "reports the reaction force", "change [wrench] sign"),
-    "mesh origin": (moved, "mesh and layout belong (-1", "correct the origin of the mesh"),
+    "mesh origin": (moved, "mesh and layout must move by (-1", "correct the origin of the mesh"),
     "joint columns": (angles(lambda a: a[::-1]), "columns of l_elbow and l_wrist_prosup are exchanged", "exchange them"),
     "radians": (angles(np.radians), "joint angles are in radians", "send degrees"),
     "joint missing": (fixed_joint, "joint l_elbow, which the scene holds fixed, is at about", "[robot.fixed]"),
@@ -193,7 +193,7 @@ def test_a_wrong_polarity_is_named_at_the_first_poke(rig, tmp_path):
     pipeline = simulate_session(part.scene, part.surface, tmp_path / "s", 3, 1, RigErrors.noise(), seen_as=wrong)
     outcomes = [poke.outcome for poke in pipeline.snapshot().pokes]
     assert rejection_advice(outcomes[0]) == POLARITY_ADVICE
-    assert "against the polarity" in rejection_words(outcomes[0])
+    assert "against the scene's polarity" in rejection_words(outcomes[0])
 
 
 def test_a_press_that_turns_the_skin_the_other_way_is_named():
@@ -249,7 +249,7 @@ def edited(name, *changes):
 
 
 SCENES = {
-    "mesh origin": (with_mesh_moved, "mesh and layout belong (", "correct the origin of the mesh"),
+    "mesh origin": (with_mesh_moved, "mesh and layout must move by (", "correct the origin of the mesh"),
     "joint columns": (
         edited("scene.toml", ('"l_elbow", "l_wrist_prosup"', '"l_wrist_prosup", "l_elbow"')),
         "columns of l_wrist_prosup and l_elbow are exchanged", "exchange them",
