@@ -62,6 +62,10 @@ class PokingArm(Protocol):
         """Read the pose (4, 4) of the sensor in the part's frame, metres, as the joints report it."""
         ...
 
+    def room_from_part(self) -> FloatArray:
+        """Read the pose (4, 4) of the part in the frame in which the base is fixed, metres; identity if the part rests."""
+        ...
+
     def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
         """Whether the tip's centre gets to `position` (3,), metres, with the unit `direction` (3,), within the joint limits."""
         ...

@@ -211,6 +211,15 @@ class Engine:
         self.mujoco.mj_kinematics(self._nominal, self._believed)
         return self.tip_in_part(self._believed)
 
+    def believed_part(self, angles: FloatArray) -> FloatArray:
+        """Compute the pose (4, 4) of the part in the world, metres, if the joints were rigid."""
+        self._believed.qpos[self._angles] = angles
+        self.mujoco.mj_kinematics(self._nominal, self._believed)
+        pose = np.eye(4)
+        pose[:3, :3] = self._believed.xmat[self._part].reshape(3, 3)
+        pose[:3, 3] = self._believed.xpos[self._part]
+        return pose
+
     def solve_angles(
         self, start: FloatArray, position: FloatArray, direction: FloatArray, steps: int = IK_STEPS
     ) -> tuple[FloatArray, float]:

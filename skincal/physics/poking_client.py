@@ -299,7 +299,7 @@ class PokingClient:
         if self._goal is None or not self._is_fresh:
             return
         goal, self._goal = self._goal, None
-        self._shift = self._aim.shift_at(goal.place)
+        self._shift = self._aim.shift_at(goal.place, self.arm.room_from_part())
         plan = self._plan_poke(goal)
         if isinstance(plan, str):
             self._say(Answer(AnswerKind.SKIP, goal.number, plan))
@@ -366,8 +366,12 @@ class PokingClient:
         self._enter(Phase.TARE, self.settings.tare_s)
 
     def _take_tare(self) -> None:
+        plan = self._plan
+        assert plan is not None
         if self.arm.time_s >= self._expected_s and self._is_fresh and self._count:
             self._tare, self._excess, self.force, self._is_tared = self._sum / self._count, 0.0, 0.0, True
+            # A part that the arm carries has turned on its way.
+            self._shift = self._aim.shift_at(plan.target.place, self.arm.room_from_part())
             self._enter(Phase.ENTER, 2.0 * self.settings.clearance / self.settings.enter_speed)
 
     def _go_to_standoff(self) -> None:
@@ -433,7 +437,7 @@ class PokingClient:
         is_reached = answer is not None and answer.kind is AnswerKind.REACHED
         if own.corrects_aim and is_reached and self.force > own.slip_share * plan.target.force:
             contact = self.arm.read_tip().position + self.arm.tip_radius_m * plan.target.push
-            self._aim.add_poke(contact, self._wrench[:3], self._wrench[3:])
+            self._aim.add_poke(contact, self._wrench[:3], self._wrench[3:], self.arm.room_from_part())
         self._answer, self._setpoint = answer, plan.way[0].position if self.phase is Phase.ENTER else plan.standoff
         self._enter(Phase.RELEASE, 2.0 * (own.clearance + own.search) / own.retreat_speed)
 

@@ -132,6 +132,9 @@ class SimulatedRobot:
     def read_wrench(self) -> WrenchReading | None:
         return self._wrench
 
+    def room_from_part(self) -> FloatArray:
+        return self.engine.believed_part(self._angles) if self.carries_part else np.eye(4)
+
     def is_reachable(self, position: FloatArray, direction: FloatArray) -> bool:
         starts = [self._angles, self._layout.start, *self._layout.seeds]
         return any(self.engine.solve_angles(start, position, direction)[1] < IK_TOLERANCE_M for start in starts)

@@ -31,6 +31,9 @@ class PlainArm:
     def link_from_sensor(self):
         return SENSOR
 
+    def room_from_part(self):
+        return np.eye(4)
+
     def is_reachable(self, position, direction):
         return self.reach(position, direction)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from skincal.mesh.surface import make_surface
 from skincal.physics.aim_correction import AimCorrection
@@ -197,8 +198,9 @@ def test_a_tip_that_is_wrong_by_five_millimetres_still_pokes(error):
     assert bench.forces.max() < 1.2 * 9.5
 
 
-def test_the_aim_is_corrected_by_the_force_axes():
-    """The robot's base is 5 mm and 1.5 degrees wrong; half-way an axis comes from a second contact."""
+@pytest.mark.parametrize("carries", [False, True])
+def test_the_aim_is_corrected_by_the_force_axes(carries):
+    """The robot's base is 5 mm and 1.5 degrees wrong, also for a part that it turns; half-way an axis comes from elsewhere."""
     rng, motion, turn = np.random.default_rng(1), np.array([0.004, -0.003, 0.001]), np.radians([1.0, -1.0, 0.5])
     aim = AimCorrection()
     for number in range(24):
@@ -206,8 +208,13 @@ def test_the_aim_is_corrected_by_the_force_axes():
         push = -np.eye(3)[number % 3]
         axis = place + 0.0005 * rng.standard_normal(3) + (0.03 if number == 12 else 0.0) * np.roll(push, 1)
         force = 9.0 * (push + 0.1 * rng.standard_normal(3))
-        aim.add_poke(place - motion - np.cross(turn, place), force, np.cross(axis, force))
-    off = aim.shift_at(place) - motion - np.cross(turn, place)
+        pose = np.eye(4)
+        if carries:
+            pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3)
+        there = pose[:3, :3] @ place + pose[:3, 3]
+        shift = pose[:3, :3].T @ (motion + np.cross(turn, there))
+        aim.add_poke(place - shift, force, np.cross(axis, force), pose)
+    off = aim.shift_at(place, pose) - shift
     assert np.linalg.norm(off) < 1e-3 < np.linalg.norm(motion)
 
 
