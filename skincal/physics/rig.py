@@ -174,7 +174,8 @@ class SimulatedRobot:
             damping = -log / np.hypot(np.pi, log)
             velocity = velocity + PERIOD_S * (SERVO_RAD_S**2 * (position - at) - 2.0 * damping * SERVO_RAD_S * velocity)
             position = at + PERIOD_S * velocity
-        if self._aim is aim and length_of(position - at) < 2e-6:
+        # A servo that overshoots stands still for a moment before it comes back.
+        if self._aim is aim and max(length_of(position - at), length_of(position - aim.position)) < 2e-6:
             return
         self._servo = position, velocity
         self._angles = self.engine.solve_angles(self._angles, position, self._aim.direction, steps=4)[0]

@@ -173,7 +173,7 @@ def test_what_is_in_use_is_said_with_its_misses(of, what):
     words = correction_sentence(in_use(of, 21))
     assert words.startswith(what)
     assert all(each in words for each in ("21", "1.2 mm", "7.4 mm"))
-    assert ("not fitted" in words) == (of == RIG)
+    assert ("left out of the fit" in words) == (of == RIG)
 
 
 PLACES = np.tile([0.0, 0.0, 0.01], (24, 1))

@@ -158,6 +158,38 @@ def test_equal_seeds_give_equal_readings() -> None:
     assert list(readings(3)) != list(readings(4))
 
 
+def test_a_servo_overshoots_its_goal_and_comes_back_to_it() -> None:
+    def heights(*effects: str) -> FloatArray:
+        """Heights of the tip over its goal while it moves there by 20 mm, millimetres."""
+        arm = robot(*effects)
+        place, normal = arm.pads.places[40], arm.pads.normals[40]
+        go(arm, 40, 0.0, (0.05, 0.2, 5.0))
+        arm.command(place + 0.03 * normal, -normal, 0.2)
+        seen: list[float] = []
+        for _ in range(500):
+            arm.advance()
+            seen.append(1e3 * float((arm.engine.tip_in_part()[0] - place) @ normal) - 30.0)
+        return np.array(seen)
+
+    ideal, loose = heights(), heights("overshoot")
+    assert ideal.min() > -0.05
+    # Of the speed at which the goal stops, not of a step: less than 25 % of 20 mm.
+    assert -5.0 < loose.min() < -0.3
+    assert abs(loose[-1]) < 0.02
+    assert abs(ideal[-1]) < 0.02
+
+
+def test_the_arm_s_weight_and_the_noise_are_seen() -> None:
+    ideal, sagging, noisy = robot(), robot("sag"), robot("noise")
+    for arm in (ideal, sagging, noisy):
+        go(arm, 40, 0.0, (0.05, 0.2, 5.0))
+    drop = [float(arm.engine.tip_in_part()[0][2] - arm.read_tip().position[2]) for arm in (ideal, sagging)]
+    assert abs(drop[0]) < 1e-5
+    assert drop[1] < -1e-3
+    forces = np.array([noisy.reading[:3] for _ in range(500) if noisy.advance() is None])
+    assert forces.std() == pytest.approx(noisy.effects.noise, rel=0.1)
+
+
 def test_a_filtered_sensor_is_late() -> None:
     def rise(*effects: str) -> float:
         """Time at which the reading passes 2 N in a press."""

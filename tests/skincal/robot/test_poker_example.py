@@ -8,8 +8,23 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from skincal.model.scene import resource
-from skincal.robot.target_lines import Answer, Held, NoTarget, PokeTarget, RobotPace, TipPose, write_answer
+from skincal.mesh.load import load_surface
+from skincal.model.scene import load_scene, resource
+from skincal.physics.effects import Effects
+from skincal.physics.layouts import make_robot
+from skincal.physics.session import RobotSession
+from skincal.robot.target_lines import (
+    Answer,
+    Held,
+    Judged,
+    NoTarget,
+    PokeTarget,
+    RobotPace,
+    TipPose,
+    read_answer_line,
+    write_answer,
+    write_line,
+)
 from skincal.robot.target_server import TargetServer, parse_port
 
 PATIENCE_S = 60.0
@@ -156,3 +171,67 @@ def test_without_skincal_it_lets_go(bench):
     bench.thread.join(PATIENCE_S)
     assert isinstance(bench.ended, ConnectionError)
     assert bench.arm.place[2] == pytest.approx(bench.example.STANDOFF, abs=3e-3)
+
+
+class PhysicsArm:
+    """The simulated robot behind the three functions of the template, and the clock of its simulated time."""
+
+    def __init__(self, robot):
+        self.robot, self.monotonic = robot, lambda: robot.time_s
+
+    def sleep(self, seconds):
+        for _ in range(round(seconds / self.robot.period_s)):
+            self.robot.advance()
+
+    def read(self):
+        tip, wrench = self.robot.read_tip(), self.robot.read_wrench()
+        end = tip.position + self.robot.tip_radius_m * tip.direction
+        return tuple(end), float(wrench.force @ tip.direction), self.robot.time_s - wrench.time_s
+
+    def move_tip(self, place, push):
+        self.robot.command(np.array(place) - self.robot.tip_radius_m * np.array(push), np.array(push), 0.5)
+
+    def can_reach(self, place, push):
+        return self.robot.is_reachable(np.array(place), np.array(push))
+
+
+class QueueSocket:
+    """The lines of a guided session in simulated time, as a socket; it ends after so many verdicts."""
+
+    def __init__(self, targets, enough):
+        self.targets, self.enough, self.verdicts = targets, enough, []
+
+    def setblocking(self, _flag):
+        pass
+
+    def sendall(self, data):
+        for line in data.decode().splitlines():
+            self.targets.answer(read_answer_line(line))
+
+    def recv(self, _size):
+        line = NoTarget.ENOUGH if len(self.verdicts) == self.enough else self.targets.poll()
+        if line is None:
+            raise BlockingIOError
+        self.verdicts += [line.reason] if isinstance(line, Judged) else []
+        return f"{write_line(line)}\n".encode()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_args):
+        pass
+
+
+def test_it_pokes_a_part_in_the_physics_engine_and_its_pokes_count(monkeypatch):
+    pytest.importorskip("mujoco")
+    scene = load_scene(resource("scenes/icub-forearm/scene.toml"))
+    surface = load_surface(scene.surface)[0]
+    robot = make_robot(scene, surface, Effects(base=0.0), 1)
+    session = RobotSession(scene, surface, robot)
+    lines = QueueSocket(session.targets, enough=6)
+    example, arm = load_example(), PhysicsArm(robot)
+    monkeypatch.setattr(example, "time", arm)
+    monkeypatch.setattr(example.socket, "create_connection", lambda *_args: lines)
+    example.Poker(arm, "127.0.0.1", 7010).run()
+    assert sum(not reason for reason in lines.verdicts) >= 5, lines.verdicts
+    assert len(session.pipeline.snapshot().pokes) >= 6
