@@ -22,6 +22,7 @@ PACKAGE_OF = {
     "bota_driver": "bota-driver",
     "PIL": "pillow",
     "PySide6": "PySide6-Essentials",
+    "ruamel": "ruamel.yaml",
     "serial": "pyserial",
     "vtkmodules": "vtk",
 }

@@ -111,7 +111,10 @@ def _newest(batch: Batch) -> str:
         return f"F {_numbers(values[:3].tolist(), 2)} N, M {_numbers(values[3:].tolist(), 3)} N m{flags}"
     if batch.stream is Stream.JOINTS:
         return f"{_numbers(np.degrees(values).tolist(), 1)} deg"
-    return f"{len(values)} values, {np.nanmin(values):g} to {np.nanmax(values):g}"
+    finite = values[np.isfinite(values)]
+    return (
+        f"{len(values)} values, {finite.min():g} to {finite.max():g}" if finite.size else f"{len(values)} values, none finite"
+    )
 
 
 def _numbers(values: list[float], digits: int) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import queue
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
 
@@ -64,6 +64,11 @@ class PokeSettings:
     """N, filtered, at which the part is touched."""
     force_limit: float = 25.0
     """N, unfiltered, above the tare: the client lets go."""
+    travel_force_limit: float = 8.0
+    """N, the same away from the part: the tip backs off. A part that the arm carries weighs on its sensor; its controller has
+    to compensate the weight."""
+    back_off: float = 0.02
+    """m, from something that the tip met on its way."""
     force_tolerance: float = 0.06
     """Share of the wanted force within which the client holds."""
     force_gain: float = 4.0
@@ -158,9 +163,10 @@ class PokingClient:
         self._sum, self._count = np.zeros(6), 0
         self._wrench = np.zeros(6)
         """(6,) N and N m about the part's origin, above the tare, filtered."""
-        self._excess, self.force = 0.0, 0.0
-        """N: newest reading above the tare, and the filtered force along the push."""
-        self._setpoint = np.zeros(3)
+        self._off_force, self._excess, self.force = np.zeros(3), 0.0, 0.0
+        """N: newest reading above the tare, (3,), and its size; and the filtered force along the push."""
+        self._setpoint, self._out_direction = np.zeros(3), np.zeros(3)
+        """Position of the tip to press with, or to draw back to, and its direction while it draws back."""
         self._touch_depth = 0.0
         self._is_held = self._is_tared = False
         self._failures = 0
@@ -205,7 +211,11 @@ class PokingClient:
     def _follow_line(self, line: AskedLine) -> None:
         match line:
             case PokeTarget():
-                self._goal, self.is_finished = line, False
+                self.is_finished = False
+                if self._plan is not None and self._can_renumber(self._plan, line):
+                    self._plan = replace(self._plan, target=line)
+                    return
+                self._goal = line
                 self._break_off()
             case Held():
                 self._is_held |= self._plan is not None and line.number == self._plan.target.number
@@ -214,6 +224,12 @@ class PokingClient:
                 self._break_off()
             case _:
                 pass
+
+    def _can_renumber(self, plan: PokePlan, target: PokeTarget) -> bool:
+        """Whether the tip is on its way to that place already: a jolt of the arm may have ended the request before."""
+        is_on_way = self.phase in (Phase.TRAVEL, Phase.TARE, Phase.ENTER) and not self._is_touching
+        asked = np.concatenate([target.place - plan.target.place, target.push - plan.target.push])
+        return is_on_way and not asked.any()
 
     def _break_off(self) -> None:
         """End the present poke; a tip that touches the part lets go first."""
@@ -237,7 +253,7 @@ class PokingClient:
         wrench = np.concatenate([reading.force, reading.moment + crossed(sensor, reading.force)])
         off = wrench - self._tare
         self._sum, self._count = self._sum + wrench, self._count + 1
-        self._excess = length_of(off[:3])
+        self._off_force, self._excess = off[:3], length_of(off[:3])
         self._wrench = self._wrench + (1.0 - np.exp(-passed_s / self.settings.axis_filter_s)) * (off - self._wrench)
         if self._plan is not None:
             share = 1.0 - np.exp(-passed_s / self.settings.filter_s)
@@ -252,9 +268,13 @@ class PokingClient:
     def _is_fresh(self) -> bool:
         return self.arm.time_s - self._fresh_s <= self.settings.fresh_s
 
+    @property
+    def _is_too_strong(self) -> bool:
+        return self._excess > (self.settings.force_limit if self.phase in AT_PART else self.settings.travel_force_limit)
+
     def _check_safety(self) -> bool:
         """Let go where the force is too large or unknown; return whether the present phase may go on."""
-        if self._excess > self.settings.force_limit and self._is_tared and self.phase is not Phase.RELEASE:
+        if self._is_too_strong and self._is_tared and self.phase is not Phase.RELEASE:
             self._fail(TOO_STRONG)
             return False
         if self._is_fresh or self.phase in (Phase.IDLE, Phase.TARE, Phase.RELEASE):
@@ -268,6 +288,11 @@ class PokingClient:
         return False
 
     # The arm, in the part's frame: corrected by what the pokes so far show.
+
+    def _shift_for(self, target: PokeTarget) -> FloatArray:
+        """Compute the shift across the push. Along it the search finds the part, and the force axes show little."""
+        shift = self._aim.shift_at(target.place, self.arm.room_from_part())
+        return shift - (shift @ target.push) * target.push
 
     def _read_tip(self) -> TipPose:
         tip = self.arm.read_tip()
@@ -289,7 +314,10 @@ class PokingClient:
         """Command a motion along the poke's direction, or to a point of the way; return whether the tip is there."""
         plan = self._plan
         assert plan is not None
-        direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
+        if self.phase is Phase.RELEASE:
+            direction = self._out_direction
+        else:
+            direction = plan.way[0].direction if self.phase is Phase.TRAVEL else plan.target.push
         self._command(position, direction, speed)
         tip = self._read_tip()
         is_turned = tip.direction @ direction > 0.999
@@ -299,7 +327,7 @@ class PokingClient:
         if self._goal is None or not self._is_fresh:
             return
         goal, self._goal = self._goal, None
-        self._shift = self._aim.shift_at(goal.place, self.arm.room_from_part())
+        self._shift = self._shift_for(goal)
         plan = self._plan_poke(goal)
         if isinstance(plan, str):
             self._say(Answer(AnswerKind.SKIP, goal.number, plan))
@@ -371,7 +399,7 @@ class PokingClient:
         if self.arm.time_s >= self._expected_s and self._is_fresh and self._count:
             self._tare, self._excess, self.force, self._is_tared = self._sum / self._count, 0.0, 0.0, True
             # A part that the arm carries has turned on its way.
-            self._shift = self._aim.shift_at(plan.target.place, self.arm.room_from_part())
+            self._shift = self._shift_for(plan.target)
             self._enter(Phase.ENTER, 2.0 * self.settings.clearance / self.settings.enter_speed)
 
     def _go_to_standoff(self) -> None:
@@ -439,6 +467,7 @@ class PokingClient:
             contact = self.arm.read_tip().position + self.arm.tip_radius_m * plan.target.push
             self._aim.add_poke(contact, self._wrench[:3], self._wrench[3:], self.arm.room_from_part())
         self._answer, self._setpoint = answer, plan.way[0].position if self.phase is Phase.ENTER else plan.standoff
+        self._out_direction = plan.target.push
         self._enter(Phase.RELEASE, 2.0 * (own.clearance + own.search) / own.retreat_speed)
 
     def _release(self) -> None:
@@ -461,11 +490,20 @@ class PokingClient:
         if self._failures >= self.settings.max_failures:
             text = MEASURE_AGAIN.format(count=self._failures, reason=reason)
             answer, self._failures = Answer(AnswerKind.FAULT, plan.target.number, text), 0
-        if self.phase in AT_PART and (self._is_touching or self._excess > self.settings.force_limit):
+        if self.phase in AT_PART and (self._is_touching or self._is_too_strong):
             self._let_go(answer)
+        elif self._is_too_strong:
+            self._back_off(answer)
         else:
             self.arm.stop()
             self._end_poke(answer)
+
+    def _back_off(self, answer: Answer) -> None:
+        """Draw back from something that the tip met on its way, against the force."""
+        tip, own = self._read_tip(), self.settings
+        away = -self._off_force / length_of(self._off_force)
+        self._answer, self._setpoint, self._out_direction = answer, tip.position + own.back_off * away, tip.direction
+        self._enter(Phase.RELEASE, 2.0 * own.back_off / own.retreat_speed)
 
     def _end_poke(self, answer: Answer | None) -> None:
         self._plan = self._answer = None

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 CARRIED_SPEED = 0.05
 """m/s, travel of a part that the arm carries: its inertia would look like a press."""
+CARRIED_ARRIVE_M = 0.0003
+"""Corners are rounded less: a jolt of the part looks like a press, too."""
 START_NS = 1_000_000_000
 """ns, host's clock at the start; any value works."""
 
@@ -115,7 +117,7 @@ def make_client(
     """Make the client of a simulated robot; a robot that carries the part moves slowly."""
     settings = PokeSettings(corrects_aim=corrects_aim)
     if robot.carries_part:
-        settings = replace(settings, travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED)
+        settings = replace(settings, travel_speed=CARRIED_SPEED, retreat_speed=CARRIED_SPEED, arrive=CARRIED_ARRIVE_M)
     return PokingClient(robot, surface, answer, settings)
 
 

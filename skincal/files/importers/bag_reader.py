@@ -1,7 +1,7 @@
 """Bags of ROS 1 and ROS 2 as topics and messages in bytes, read by `rosbags`, which is imported with the first bag.
 
 A bag is a `.bag` file (ROS 1), a folder with `metadata.yaml`, or a single `.mcap` or `.db3` file (ROS 2). A folder whose
-recorder was killed has no `metadata.yaml`: then its files are read one after the other.
+recorder was killed has no `metadata.yaml`. Several files of a folder are read one by one.
 """
 
 from __future__ import annotations
@@ -87,8 +87,10 @@ class Bag:
         path = self.path
         if not path.exists():
             raise InputError(f"{path}: there is no such bag; expected a .bag file, or the folder that `ros2 bag record` made.")
-        if path.is_file() or (path / METADATA_NAME).is_file():
+        if path.is_file():
             return [path]
+        if (path / METADATA_NAME).is_file():
+            return self._parts() or [path]
         files = sorted(each for each in path.iterdir() if each.suffix in STORAGE_SUFFIXES)
         if not files:
             raise InputError(f"{path}: the folder has no {METADATA_NAME} and no .mcap or .db3 file; expected a bag of ROS 2.")
@@ -101,6 +103,26 @@ class Bag:
             f"it has no {METADATA_NAME}, since its recorder was killed; {', '.join(f.name for f in files)} was read."
         )
         return files
+
+    def _parts(self) -> list[Path]:
+        """List the files of a folder with several, to read each alone: a damaged one then leaves the others; else nothing."""
+        from ruamel.yaml import YAML
+
+        try:
+            metadata: Any = YAML(typ="safe").load(self.path / METADATA_NAME)  # pyright: ignore[reportUnknownMemberType]
+            known = metadata["rosbag2_bagfile_information"]
+            parts = [self.path / Path(name).name for name in known["relative_file_paths"]]
+            is_compressed = str(known.get("compression_mode") or "NONE").upper() != "NONE"
+        except Exception:  # noqa: BLE001 - the library that reads the folder as a whole says what is wrong
+            return []
+        found = [part for part in parts if part.is_file()]
+        if len(parts) < 2 or is_compressed or not found:
+            return []
+        missing = [part.name for part in parts if part not in found]
+        self.findings += [
+            f"{name}, which its {METADATA_NAME} names, is not there. Its messages are missing." for name in missing
+        ]
+        return found
 
     def _broken(self, file: Path, error: Exception) -> InputError:
         """Make a sentence of an error of the library at opening."""

@@ -346,14 +346,22 @@ def test_bags_that_are_cut_off_say_so(tmp_path, kind):
         assert len(found) == len(expected) or any("damaged" in each or "announces" in each for each in opened.findings)
 
 
+@pytest.mark.parametrize("has_metadata", [False, True])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("kind", ["mcap", "sqlite3"])
-def test_damage_in_one_file_of_a_folder_leaves_the_others(tmp_path, kind, share):
+def test_damage_in_one_file_of_a_folder_leaves_the_others(tmp_path, kind, share, has_metadata):
     path = write_small(tmp_path / "bag", kind)
     with Bag(path) as bag:
         expected = list(bag.messages(["/ft/wrench"]))
-    (path / "metadata.yaml").unlink()
-    file = next(path.iterdir())
+    metadata = path / "metadata.yaml"
+    file = next(each for each in path.iterdir() if each != metadata)
+    if has_metadata:
+        text = metadata.read_text()
+        assert text.count(f"- {file.name}") == 1
+        names = "".join(f"- {name}\n  " for name in (f"a_damaged{file.suffix}", "gone.mcap", file.name))
+        metadata.write_text(text.replace(f"- {file.name}\n", names.rstrip(" ")))
+    else:
+        metadata.unlink()
     whole = file.read_bytes()
     at = int(share * len(whole))
     file.with_stem("a_damaged").write_bytes(whole[:at] + b"\xff" * 4000 + whole[at + 4000 :])
@@ -361,6 +369,7 @@ def test_damage_in_one_file_of_a_folder_leaves_the_others(tmp_path, kind, share)
         found = list(bag.messages(["/ft/wrench"]))
         assert Counter(found) >= Counter(expected)
         assert "a_damaged" in bag.damage + "".join(bag.findings)
+        assert has_metadata == any("gone.mcap, which" in each for each in bag.findings)
 
 
 @pytest.mark.parametrize("kind", ["mcap-zstd", "sqlite3", "ros1-lz4"])

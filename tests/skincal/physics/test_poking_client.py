@@ -178,6 +178,31 @@ def test_it_retreats_from_a_force_above_the_limit():
     assert (np.diff(heights[struck[0] + 1 :]) >= -1e-12).all()
 
 
+def test_it_draws_back_from_what_it_meets_on_its_way():
+    bench = Bench().ask(target(1)).run(answered)
+    bench.ask(target(2, (0.0, 0.01, -0.02), UP)).until_phase(Phase.TRAVEL).rest(0.3)
+    met = bench.arm.position
+    bench.arm.obstacle = lambda centre: np.linalg.norm(centre - met) < 0.01
+    bench.run(lambda bench: len(bench.answers) == 2)
+    assert bench.answers[1] == Answer(AnswerKind.SKIP, 2)
+    np.testing.assert_allclose(bench.arm.position - met, [0.0, 0.0, PokeSettings().back_off], atol=3e-3)
+    assert bench.forces[-1] == 0.0
+    bench.arm.obstacle = None
+    bench.ask(target(3)).run(lambda bench: len(bench.answers) == 3)
+    assert bench.answers[2] == Answer(AnswerKind.REACHED, 3)
+
+
+@pytest.mark.parametrize("phase", [Phase.TRAVEL, Phase.TARE, Phase.ENTER])
+def test_the_same_target_with_another_number_does_not_stop_the_arm(phase):
+    """The guide asks again where a jolt of the arm looked like a poke."""
+    alone = Bench().ask(target(1)).run(answered)
+    bench = Bench().ask(target(1)).until_phase(phase).rest(0.02)
+    bench.ask(target(2, force=8.0)).run(answered)
+    assert bench.answers == [Answer(AnswerKind.REACHED, 2)]
+    assert bench.arm.time_s == pytest.approx(alone.arm.time_s, abs=0.1)
+    assert bench.forces.max() == pytest.approx(8.0, rel=0.15)
+
+
 @pytest.mark.parametrize(("error", "reason"), [(-0.03, "nothing was felt"), (0.025, "touched before")])
 def test_three_failures_in_a_row_ask_to_measure_the_tip_and_the_part_again(error, reason):
     """The arm believes that its tip is 25 mm lower, or higher, than it is."""
