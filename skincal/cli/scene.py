@@ -146,6 +146,8 @@ def scene_result(part: Part, degrees: FloatArray | None) -> dict[str, Any]:
             findings.append(warning)
     pose = scene.sensor_pose if arm is None or angles is None else arm.arm.link_from_sensor(angles)
     robot = scene.robot
+    if robot is None and arm is None and np.array_equal(pose, np.eye(4)):
+        findings.append("the sensor is taken at the origin of the link, with the link's axes; [sensor] gives another pose")
     if robot is not None:
         findings += robot_findings(robot, scene.link, scene.wrench_sign)
     if scene.skin.layout is None:

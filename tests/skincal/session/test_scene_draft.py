@@ -295,6 +295,10 @@ def test_a_mesh_alone_becomes_a_scene_by_the_command_and_is_shown(tmp_path, caps
     shown = json.loads(capsys.readouterr().out)
     assert shown["link_from_sensor"] == np.eye(4).tolist()
     assert shown["taxels"] == 16
+    assert any("the sensor is taken at the origin of the link" in finding for finding in shown["findings"])
+    out.write_text(out.read_text() + "\n[sensor]\npose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.05], [0, 0, 0, 1]]\n")
+    assert main(["scene", "show", str(out)]) == 0
+    assert "the sensor is taken" not in capsys.readouterr().out
 
 
 def test_a_robot_is_shown_at_the_given_joints(tmp_path, urdf, capsys):
