@@ -9,9 +9,11 @@ It has the options and commands of `skincal`:
   start.py --scene NAME | FILE.toml       open the window on another part
   start.py --session DIR                  go on with a recorded session
   start.py --headless                     run the simulated session without a window
-  start.py --ros2 ...                     install the packages that read ROS 2, then the same as without it
+  start.py --ros2 ...                     install the packages that read ROS 2, then the same as without it;
+                                          so do --rosbag, --robometry and --physics
   start.py COMMAND ...                    a command: solve, export, apply, compare, report, devices, watch,
-                                          landmarks, record, simulate, import or study
+                                          landmarks, record, simulate, scene, import or study
+  start.py --physics demo robot           a simulated robot calibrates a part
   start.py --help                         this text; once it is installed, every option and command
   start.py COMMAND --help                 installs what is missing, and lists the options of a command
 

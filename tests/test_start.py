@@ -5,14 +5,17 @@ from __future__ import annotations
 import ast
 import importlib.util
 import os
+import re
 import sys
 import time
+import tomllib
 import venv
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from tests.approved import approved
 from tools import checkout as places
@@ -251,9 +254,18 @@ def test_the_display_for_tests_is_asked_for_before_anything_is_installed(monkeyp
         install.require_test_display()
 
 
+@pytest.mark.parametrize("option", install.EXTRA_PACKAGES)
+def test_an_option_installs_the_packages_of_its_extra(option: str) -> None:
+    project = tomllib.loads((places.CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extra = project["optional-dependencies"][option.removeprefix("--")]
+    assert {Requirement(text).name.replace(".", "-") for text in extra} == set(install.EXTRA_PACKAGES[option])
+    selected = install.select_packages(places.TEST_LOCK.read_text(encoding="utf-8"), install.EXTRA_PACKAGES[option])
+    assert all(re.search(rf"^{name}==", selected, re.MULTILINE) for name in install.EXTRA_PACKAGES[option])
+
+
 def test_the_packages_of_ros_2_are_selected_with_those_they_need() -> None:
     lock = places.TEST_LOCK.read_text(encoding="utf-8")
-    selected = install.select_packages(lock, install.ROS2_PACKAGES)
+    selected = install.select_packages(lock, install.EXTRA_PACKAGES["--ros2"])
     names = {line.partition("==")[0] for line in selected.splitlines() if line[:1].isalnum()}
     assert {"cyclonedds", "rich-click", "rich", "rosbags", "apsw", "lz4", "ruamel-yaml"} <= names
     assert not names & {"mujoco", "pytest", "ruff", "pyside6-essentials"}

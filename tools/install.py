@@ -29,8 +29,13 @@ STAMP_FILE = checkout.VENV / "skincal-installed.txt"
 UNFINISHED_FILE = checkout.VENV / "skincal-unfinished.txt"
 LOG = checkout.VENV / "install.log"
 VERSION = f"{sys.version_info[0]}.{sys.version_info[1]}"
-ROS2_PACKAGES = ("cyclonedds", "rosbags")
-"""Of the extra `ros2`."""
+EXTRA_PACKAGES = {
+    "--ros2": ("cyclonedds", "rosbags"),
+    "--rosbag": ("rosbags", "ruamel-yaml"),
+    "--robometry": ("h5py",),
+    "--physics": ("mujoco",),
+}
+"""Packages of an extra of `pyproject.toml`, by the option of `start.py` that installs it."""
 XVFB_NEEDS = (Path("/usr/bin/xkbcomp"), Path("/usr/share/X11/xkb"))
 """An unpacked Xvfb needs these at their compiled-in paths. Every X desktop has them."""
 NEVER_UNPACKED = frozenset({"libc6", "libc-bin", "libgcc-s1", "libstdc++6"})
@@ -60,14 +65,14 @@ def ensure(lock: Path) -> bool:
     return True
 
 
-def ensure_ros2() -> None:
-    """Install the packages that read ROS 2 into `.venv`, from the lock of the tests. Raises StopError with the remedy."""
-    if _python("-c", f"import {', '.join(ROS2_PACKAGES)}").returncode == 0:
+def ensure_extra(names: Sequence[str]) -> None:
+    """Install packages of an extra into `.venv`, from the lock of the tests. Raises StopError with the remedy."""
+    if _python("-c", f"from importlib.metadata import version\nfor name in {names}: version(name)").returncode == 0:
         return
     with _hold_lock():
-        selected = checkout.VENV / "ros2.lock"
-        selected.write_text(select_packages(checkout.TEST_LOCK.read_text(encoding="utf-8"), ROS2_PACKAGES), encoding="utf-8")
-        say(f"Installing the packages that read ROS 2 into {checkout.VENV} (once; 20 MB to fetch) ...")
+        selected = checkout.VENV / "extra.lock"
+        selected.write_text(select_packages(checkout.TEST_LOCK.read_text(encoding="utf-8"), names), encoding="utf-8")
+        say(f"Installing {' and '.join(names)} into {checkout.VENV} (once) ...")
         _pip_install(selected)
 
 

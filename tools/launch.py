@@ -82,8 +82,8 @@ def run(command: Callable[[Sequence[str]], int]) -> int:
 
 def start(arguments: Sequence[str]) -> int:
     """Install missing packages and replace this process by skincal."""
-    wants_ros2 = bool(arguments) and arguments[0] == "--ros2"
-    arguments = arguments[1:] if wants_ros2 else arguments
+    extra = install.EXTRA_PACKAGES.get(arguments[0], ()) if arguments else ()
+    arguments = arguments[1:] if extra else arguments
     asked = arguments[0] if arguments else ""
     if asked in ("-h", "--help") and not install.is_ready(checkout.RUN_LOCK):
         import start as command
@@ -91,8 +91,8 @@ def start(arguments: Sequence[str]) -> int:
         print(command.__doc__)
         return 0
     fresh = install.ensure(checkout.RUN_LOCK)
-    if wants_ros2:
-        install.ensure_ros2()
+    if extra:
+        install.ensure_extra(extra)
     # Commands such as `solve`, and help, need neither Qt nor VTK.
     if not asked or (asked.startswith("-") and asked not in ("-h", "--help", "--version")):
         _provide_drawing(fresh, shown=install.has_display() and "--headless" not in arguments)

@@ -48,7 +48,10 @@ def load_mujoco() -> Any:
     try:
         return import_module("mujoco")
     except ImportError:
-        raise InputError("the physics engine MuJoCo is not installed; install it: pip install 'skincal[physics]'") from None
+        raise InputError(
+            "the physics engine MuJoCo is not installed; install it: python -m pip install 'skincal[physics]' "
+            "(or python3 start.py --physics)"
+        ) from None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -109,7 +109,7 @@ class MessageTypes:
         except ImportError:
             raise InputError(
                 "Messages of ROS are read by the package rosbags, which is not installed; install it: "
-                "python -m pip install 'skincal[rosbag]'"
+                "python -m pip install 'skincal[rosbag]' (or python3 start.py --rosbag)"
             ) from None
         self.ros = ros
         self._store = get_typestore(Stores.EMPTY)

@@ -218,7 +218,7 @@ def _open(path: Path) -> Any:
     except ImportError:
         raise InputError(
             "Logs of robometry are read by the package h5py, which is not installed; install it: "
-            "python -m pip install 'skincal[robometry]'"
+            "python -m pip install 'skincal[robometry]' (or python3 start.py --robometry)"
         ) from None
     if head.startswith(b"MATLAB 5.0"):
         raise InputError(
