@@ -11,6 +11,7 @@ from PySide6.QtCore import Qt, QTimer, Signal
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import (
     QComboBox,
+    QCompleter,
     QDialog,
     QDialogButtonBox,
     QFileDialog,
@@ -232,6 +233,9 @@ class ImportDialog(QDialog):
             return
         for stream, path in zip(self.fields, (found.wrench, found.skin, found.joints), strict=True):
             self.fields[stream].setText("" if path is None else str(path))
+            completer = QCompleter([str(each) for each in found.candidates], self.fields[stream])
+            completer.setFilterMode(Qt.MatchFlag.MatchContains)
+            self.fields[stream].setCompleter(completer)
         self._typing.stop()
         self._request_preview()
 

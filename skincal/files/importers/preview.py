@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +47,8 @@ class RecordingFiles:
     wrench: RecordedPlace | None = None
     skin: RecordedPlace | None = None
     joints: RecordedPlace | None = None
+    candidates: tuple[RecordedPlace, ...] = field(default=(), compare=False, kw_only=True)
+    """All places in the recording that may hold a stream."""
 
     @property
     def places(self) -> dict[Stream, RecordedPlace]:
@@ -105,7 +107,8 @@ def guess_streams(paths: Sequence[Path], channels: int = 0) -> RecordingFiles:
     found: dict[Stream, RecordedPlace] = {}
     for guess in sorted(guesses, key=lambda guess: (guess.width != channels, guess.rank, -guess.width, guess.place)):
         found.setdefault(_likely_stream(guess, channels), guess.place)
-    return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS))
+    candidates = tuple(sorted(guess.place for guess in guesses))
+    return RecordingFiles(found.get(Stream.WRENCH), found.get(Stream.SKIN), found.get(Stream.JOINTS), candidates=candidates)
 
 
 def _has_topics(files: Sequence[Path]) -> bool:

@@ -116,6 +116,16 @@ def test_tables_that_are_dropped_lead_to_the_same(bench, scene, samples, tmp_pat
     until_seen(bench, dialog)
     assert [field.text() for field in dialog.fields.values()] == [str(folder / "a.csv"), str(folder / "b.csv"), ""]
     assert dialog.start.isEnabled()
+    # A part of a name is completed to a place of the recording.
+    skin = dialog.fields[Stream.SKIN]
+    skin.setFocus()
+    skin.selectAll()
+    QTest.keyClicks(skin, "a.c")
+    popup = skin.completer().popup()
+    bench.until(popup.isVisible, 5000)
+    QTest.keyClick(popup, Key.Key_Down)
+    QTest.keyClick(popup, Key.Key_Return)
+    assert skin.text() == str(folder / "a.csv")
     # Onto the dialog, too.
     other = write_yarp(tmp_path / "log", samples)
     assert drop(dialog, of(other))
